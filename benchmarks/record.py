@@ -1,0 +1,55 @@
+"""Append a benchmark's table to RESULTS.md with date, machine and commit."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+RESULTS = Path(__file__).parent / "RESULTS.md"
+
+
+def machine() -> str:
+    """Cores, memory and processor of this machine."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    model = platform.processor() or platform.machine()
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            model = line.split(":", 1)[1].strip()
+            break
+    return f"{os.cpu_count()} cores, {memory:.0f} GiB, {model}"
+
+
+def commit() -> str:
+    """The commit that ran, with + when the tree differs from it."""
+    asked = ["git", "describe", "--always", "--dirty=+", "--exclude", "*"]
+    said = subprocess.run(asked, capture_output=True, text=True, check=False)
+    return said.stdout.strip() or "no commit"
+
+
+def record(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], note: str) -> None:
+    """Print a table and put it into RESULTS.md in place of the last one of the same title.
+
+    Args:
+        title: of the section, one a benchmark.
+        header: column names with units.
+        rows: cells, printed with str.
+        note: one sentence on what was measured and on what data.
+    """
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    lines = [f"## {title}", "", f"{today}, {machine()}, commit {commit()}. {note}", ""]
+    lines.append("| " + " | ".join(header) + " |")
+    lines.append("|" + "---|" * len(header))
+    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
+    section = "\n".join(lines) + "\n"
+    print(section)
+    old = RESULTS.read_text() if RESULTS.exists() else "# Results\n"
+    parts = old.split("\n## ")
+    kept = [part for part in parts[1:] if part.split("\n", 1)[0] != title]
+    text = parts[0].rstrip() + "\n\n" + section
+    for part in kept:
+        text += f"\n## {part.rstrip()}\n"
+    RESULTS.write_text(text)

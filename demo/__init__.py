@@ -1,0 +1,1 @@
+"""The main job, end to end, on the simulated stage: the same commands that a user runs."""

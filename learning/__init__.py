@@ -1,0 +1,1 @@
+"""Differentiable skin renderer in texture space, and the networks that use it."""

@@ -1,0 +1,71 @@
+"""Errors that a user can mend: where, what was found, what was expected, what to try."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class LightstageError(Exception):
+    """Base of all errors of the four packages that a user can mend; a command exits 2 on it.
+
+    The message reads ``where, field: found X, expected Y. Hint``.
+    """
+
+    def __init__(
+        self,
+        where: str | Path,
+        *,
+        field: str = "",
+        found: str = "",
+        expected: str = "",
+        hint: str = "",
+    ) -> None:
+        self.where = str(where)
+        self.field = field
+        self.found = found
+        self.expected = expected
+        self.hint = hint
+        place = f"{self.where}, {field}" if field else self.where
+        said = [f"found {found}"] if found else []
+        said += [f"expected {expected}"] if expected else []
+        text = f"{place}: {', '.join(said)}" if said else place
+        super().__init__(f"{text}. {hint}" if hint else text)
+
+
+class FormatError(LightstageError):
+    """A file does not hold what its format says."""
+
+
+class RigError(FormatError):
+    """A rig whose lights or cameras cannot be used."""
+
+
+class PatternError(LightstageError):
+    """An unknown pattern, or one that the rig cannot show."""
+
+
+class ConfigError(LightstageError):
+    """An unknown configuration key, or a value out of range."""
+
+
+class DeviceError(LightstageError):
+    """Lights or cameras that are missing, silent or disagree."""
+
+
+class CaptureError(LightstageError):
+    """A capture that could not be finished; what was taken before is kept."""
+
+
+def one_error(problems: list[LightstageError]) -> LightstageError:
+    """Fold many errors into one message, so that five loose cables make one report.
+
+    Args:
+        problems: at least one error.
+
+    Returns:
+        The only error, or one of the first error's class whose text lists them all.
+    """
+    if len(problems) == 1:
+        return problems[0]
+    lines = "\n  ".join(str(problem) for problem in problems)
+    return type(problems[0])(f"{len(problems)} problems:\n  {lines}")

@@ -1,0 +1,1 @@
+"""What passes between packages: session, processed folder, template, meshes, EXR."""

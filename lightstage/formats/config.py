@@ -1,0 +1,88 @@
+"""Configuration: one frozen dataclass per stage holds the defaults, a TOML file overrides them."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from lightstage.errors import ConfigError
+
+T = TypeVar("T")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file; ConfigError when it is missing or malformed."""
+    try:
+        return tomllib.loads(path.read_text())
+    except FileNotFoundError:
+        raise ConfigError(path, found="no such file", expected="a TOML file") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(path, found=str(error), expected="valid TOML") from None
+
+
+def make_config(cls: type[T], values: Mapping[str, Any], where: str | Path) -> T:
+    """Build a configuration dataclass from overriding values.
+
+    Args:
+        cls: a frozen dataclass whose fields all have defaults; fields may be dataclasses.
+        values: what differs from the defaults.
+        where: what to name in an error, such as the TOML file.
+
+    Raises:
+        ConfigError: an unknown key, or a value of another type.
+    """
+    hints = typing.get_type_hints(cls)
+    known = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    resolved: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in known:
+            raise ConfigError(
+                where,
+                field=key,
+                found="an unknown key",
+                expected=f"one of {', '.join(sorted(known))}",
+            )
+        resolved[key] = _convert(hints[key], value, where, key)
+    return cls(**resolved)
+
+
+def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:
+    """Turn a TOML value into the field's type, or raise ConfigError."""
+    if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
+        return make_config(typing.cast(type, hint), value, f"{where}, [{key}]")
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        options = [h for h in typing.get_args(hint) if h is not type(None)]
+        if value is None:
+            return None
+        return _convert(options[0], value, where, key) if len(options) == 1 else value
+    if origin is typing.Literal:
+        if value not in typing.get_args(hint):
+            raise ConfigError(
+                where, field=key, found=repr(value), expected=f"one of {typing.get_args(hint)}"
+            )
+        return value
+    if origin is tuple and isinstance(value, (list, tuple)):
+        return tuple(value)
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if hint is Path and isinstance(value, str):
+        return Path(value)
+    plain = origin or hint
+    wrong_bool = isinstance(value, bool) and plain is not bool
+    if isinstance(plain, type) and (wrong_bool or not isinstance(value, plain)):
+        raise ConfigError(where, field=key, found=repr(value), expected=plain.__name__)
+    return value
+
+
+def as_dict(config: Any) -> dict[str, Any]:
+    """The resolved configuration as JSON-ready values, to be saved beside each output."""
+    return {
+        key: str(value) if isinstance(value, Path) else value
+        for key, value in dataclasses.asdict(config).items()
+    }

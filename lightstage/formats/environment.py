@@ -1,0 +1,94 @@
+"""Light sets: a few point lights and an ambient term that a head is rendered under."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import read_json, write_json
+from lightstage.rig import Rig
+
+SCHEMA = "lightstage.environment/1"
+
+
+@dataclasses.dataclass(frozen=True)
+class LightSet:
+    """Point lights.
+
+    Attributes:
+        name: what it is called.
+        position_mm: (n, 3) world.
+        rgb: (n, 3) what a perfect white diffuser at the origin, facing the light, would read
+            because of this light alone; it falls off with the square of the distance from there.
+        ambient_rgb: (3,) what a white diffuser reads from everywhere.
+    """
+
+    name: str
+    position_mm: np.ndarray
+    rgb: np.ndarray
+    ambient_rgb: np.ndarray
+
+
+def stage_lights(rig: Rig, levels: np.ndarray, name: str) -> LightSet:
+    """The stage's own lights as a light set, on a session's scale.
+
+    A perfect white diffuser at the origin, facing +z, lit by every light at level 1 and gain 1,
+    reads 1.0.
+
+    Args:
+        rig: the lights.
+        levels: (n,) drive levels, or (n, 3) coloured ones.
+        name: of the set.
+    """
+    positions = rig.positions_mm
+    distance = np.linalg.norm(positions, axis=1)
+    weight = (float(np.median(distance)) / distance) ** 2
+    facing = np.clip(positions[:, 2] / distance, 0, None) * weight
+    level = np.asarray(levels, float)
+    rgb = (level if level.ndim == 2 else level[:, None]) * rig.rgb_gains
+    rgb = rgb * weight[:, None] / facing.sum()
+    lit = rgb.max(axis=1) > 0
+    return LightSet(name, positions[lit], rgb[lit], np.zeros(3))
+
+
+def write_lights(lights: LightSet, path: Path) -> Path:
+    """Write a light set as JSON; returns `path`."""
+    entries = [
+        {"position_mm": p, "rgb": c}
+        for p, c in zip(lights.position_mm.tolist(), lights.rgb.tolist(), strict=True)
+    ]
+    return write_json(
+        path,
+        {
+            "schema": SCHEMA,
+            "name": lights.name,
+            "lights": entries,
+            "ambient_rgb": lights.ambient_rgb.tolist(),
+        },
+    )
+
+
+def read_lights(path: Path) -> LightSet:
+    """Read a light set; FormatError when malformed, negative or at the origin."""
+    value = read_json(path, SCHEMA)
+    try:
+        entries = value["lights"]
+        lights = LightSet(
+            str(value.get("name", path.stem)),
+            np.array([e["position_mm"] for e in entries], float).reshape(-1, 3),
+            np.array([e["rgb"] for e in entries], float).reshape(-1, 3),
+            np.array(value.get("ambient_rgb", [0, 0, 0]), float).reshape(3),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(
+            path, found=str(error), expected="lights of position_mm and rgb"
+        ) from None
+    values = np.concatenate([lights.rgb.ravel(), lights.ambient_rgb])
+    if not np.isfinite(lights.position_mm).all() or not (values >= 0).all():
+        raise FormatError(path, field="lights", found="NaN or negative", expected="finite, >= 0")
+    if (np.linalg.norm(lights.position_mm, axis=1) < 1.0).any():
+        raise FormatError(path, field="lights", found="a light at the origin", expected="mm away")
+    return lights

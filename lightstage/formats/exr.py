@@ -1,0 +1,92 @@
+"""OpenEXR pictures: scene-linear maps with channels R G B or Y."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import atomic_path
+
+
+def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
+    """Write a picture atomically.
+
+    Args:
+        path: target, ending in .exr.
+        image: (h, w), (h, w, 1) or (h, w, 3), any float; row 0 is the top of the picture.
+        half: 16-bit floats (eleven bits of precision, at most 65504); else 32-bit.
+
+    Returns:
+        `path`.
+
+    Raises:
+        FormatError: another shape, or values that do not fit into half floats.
+    """
+    pixels = np.asarray(image)
+    if pixels.ndim == 3 and pixels.shape[2] == 1:
+        pixels = pixels[:, :, 0]
+    if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)) or pixels.size == 0:
+        raise FormatError(path, found=f"shape {pixels.shape}", expected="(h, w), (h, w, 1 or 3)")
+    if half and np.nanmax(np.abs(pixels), initial=0.0) > 65504.0:
+        raise FormatError(path, found="values above 65504", expected="values that half can hold")
+    pixels = np.ascontiguousarray(pixels, dtype=np.float16 if half else np.float32)
+    channels = {"Y": pixels} if pixels.ndim == 2 else {"RGB": pixels}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic_path(path) as beside, OpenEXR.File(header, channels) as file:
+        file.write(str(beside))
+    return path
+
+
+def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:
+    """Read a picture.
+
+    Args:
+        path: the file.
+        finite: refuse NaN and infinities.
+
+    Returns:
+        (h, w, 3) or (h, w) float32.
+
+    Raises:
+        FormatError: missing, truncated, other channels than R G B or Y, or not finite.
+    """
+    if not path.is_file():
+        raise FormatError(path, found="no such file", expected="an OpenEXR picture")
+    try:
+        with OpenEXR.File(str(path)) as file:
+            channels = file.channels()
+            names = sorted(channels)
+            pixels = {name: np.array(channels[name].pixels) for name in names}
+    except Exception as error:  # OpenEXR raises bare RuntimeError and ValueError on damage
+        raise FormatError(
+            path,
+            found=str(error).strip().splitlines()[-1],
+            expected="a whole OpenEXR file",
+            hint="Is the file truncated? Copy or render it again.",
+        ) from None
+    key = "RGB" if "RGB" in pixels else "RGBA" if "RGBA" in pixels else "Y"
+    if key not in pixels:
+        raise FormatError(path, found=f"channels {names}", expected="R G B or Y")
+    image = pixels[key].astype(np.float32)
+    if image.ndim == 3:
+        image = np.ascontiguousarray(image[:, :, :3])
+    if finite:
+        require_finite(image, path)
+    return image
+
+
+def require_finite(image: np.ndarray, where: str | Path) -> None:
+    """Raise FormatError when an array holds NaN or an infinity, naming the first place."""
+    bad = ~np.isfinite(image)
+    if bad.any():
+        first = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise FormatError(
+            where,
+            field=f"element {first}",
+            found=f"{int(bad.sum())} values that are NaN or infinite",
+            expected="finite numbers",
+            hint="Mask such texels (0) before passing the map on.",
+        )

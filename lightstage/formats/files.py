@@ -1,0 +1,104 @@
+"""Files that are either whole or absent: written beside, fsynced, renamed."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from lightstage.errors import FormatError
+
+
+def fsync_path(path: Path) -> None:
+    """Flush a file or a folder to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield a name beside `path` to write to; on success fsync it and rename it onto `path`.
+
+    The temporary name keeps the suffix, since writers choose their format by it.
+    If the block raises, the temporary file is removed and `path` is left as it was.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
+    try:
+        yield beside
+        fsync_path(beside)
+        os.replace(beside, path)
+        fsync_path(path.parent)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, data: bytes) -> Path:
+    """Write bytes atomically; returns `path`."""
+    with atomic_path(path) as beside:
+        beside.write_bytes(data)
+    return path
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write UTF-8 text atomically; returns `path`."""
+    return write_bytes(path, text.encode())
+
+
+def write_json(path: Path, value: Any) -> Path:
+    """Write JSON atomically (NaN refused); returns `path`."""
+    return write_text(path, json.dumps(value, indent=1, allow_nan=False) + "\n")
+
+
+def read_json(path: Path, schema: str | None = None) -> Any:
+    """Read a JSON file.
+
+    Args:
+        path: the file.
+        schema: such as ``lightstage.rig/1``; a file of another name or a newer major version is
+            refused.
+
+    Raises:
+        FormatError: missing, not JSON, or of another schema.
+    """
+    try:
+        value = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise FormatError(path, found="no such file", expected="a JSON file") from None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise FormatError(path, found=str(error), expected="a readable JSON file") from None
+    if schema is not None:
+        check_schema(path, value, schema)
+    return value
+
+
+def check_schema(path: Path, value: Any, schema: str) -> None:
+    """Refuse a JSON value that is not of `schema` or is of a newer major version."""
+    found = value.get("schema") if isinstance(value, dict) else None
+    name, _, major = schema.partition("/")
+    found_name, _, found_major = str(found).partition("/")
+    digits = found_major.split(".")[0]
+    if found_name != name or not digits.isdigit():
+        raise FormatError(path, field="schema", found=repr(found), expected=repr(schema))
+    if int(digits) > int(major):
+        raise FormatError(
+            path,
+            field="schema",
+            found=repr(found),
+            expected=f"at most {schema!r}",
+            hint="The file was written by a newer version; update this software.",
+        )
+
+
+def sha256_file(path: Path) -> str:
+    """SHA-256 of a file's bytes as they are on disk, in hexadecimal."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()

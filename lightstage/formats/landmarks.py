@@ -1,0 +1,74 @@
+"""68 iBUG landmarks: in pictures (a session's landmarks.json) and on meshes (register-mesh)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import read_json, write_json
+
+SCHEMA = "lightstage.landmarks/1"
+SCHEME = "ibug68"
+COUNT = 68
+
+
+def read_points_px(path: Path) -> dict[str, np.ndarray]:
+    """Landmarks in a session's pictures.
+
+    Returns:
+        Camera id to (68, 2) pixels, NaN where hidden.
+
+    Raises:
+        FormatError: another scheme, or not 68 entries a camera.
+    """
+    value = read_json(path, SCHEMA)
+    points = value.get("points_px")
+    if value.get("scheme") != SCHEME or not isinstance(points, dict):
+        raise FormatError(
+            path, field="scheme", found=repr(value.get("scheme")), expected=repr(SCHEME)
+        )
+    return {
+        camera: _array(path, f"points_px.{camera}", entry, 2) for camera, entry in points.items()
+    }
+
+
+def write_points_px(points_px: dict[str, np.ndarray], path: Path) -> Path:
+    """Write landmarks.json; NaN rows become null."""
+    value = {camera: _entries(points) for camera, points in points_px.items()}
+    return write_json(path, {"schema": SCHEMA, "scheme": SCHEME, "points_px": value})
+
+
+def read_points_mm(path: Path) -> np.ndarray:
+    """Landmarks on a mesh: (68, 3) mm, NaN where absent; FormatError as above."""
+    value = read_json(path)
+    if not isinstance(value, dict) or value.get("scheme") != SCHEME:
+        raise FormatError(path, field="scheme", found="another", expected=repr(SCHEME))
+    return _array(path, "points_mm", value.get("points_mm"), 3)
+
+
+def write_points_mm(points_mm: np.ndarray, path: Path) -> Path:
+    """Write landmarks of a mesh; NaN rows become null."""
+    value = {"schema": SCHEMA, "scheme": SCHEME, "points_mm": _entries(points_mm)}
+    return write_json(path, value)
+
+
+def _array(path: Path, field: str, entries: object, size: int) -> np.ndarray:
+    if not isinstance(entries, list) or len(entries) != COUNT:
+        found = len(entries) if isinstance(entries, list) else type(entries).__name__
+        raise FormatError(path, field=field, found=str(found), expected=f"{COUNT} entries")
+    out = np.full((COUNT, size), np.nan)
+    for index, entry in enumerate(entries):
+        if entry is None:
+            continue
+        if not isinstance(entry, list) or len(entry) != size:
+            raise FormatError(
+                path, field=f"{field}[{index}]", found=repr(entry), expected=f"{size} numbers"
+            )
+        out[index] = entry
+    return out
+
+
+def _entries(points: np.ndarray) -> list[list[float] | None]:
+    return [[round(float(c), 4) for c in row] if np.isfinite(row).all() else None for row in points]

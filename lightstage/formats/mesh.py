@@ -1,0 +1,207 @@
+"""Meshes with UV: OBJ (topology kept, quads kept) and PLY."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import atomic_path, write_text
+
+
+@dataclasses.dataclass(frozen=True)
+class Mesh:
+    """A triangle or quad mesh.
+
+    Attributes:
+        vertices: (n, 3) float64 mm.
+        faces: (m, 3) or (m, 4) int32 vertex indices; -1 in the last column marks a triangle.
+        uvs: (k, 2) float64, v upward, or None.
+        face_uvs: the shape of `faces`, indices into `uvs`, or None.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    uvs: np.ndarray | None = None
+    face_uvs: np.ndarray | None = None
+
+    def triangles(self) -> np.ndarray:
+        """(t, 3) int32: quads are split along their first diagonal."""
+        return _split(self.faces, self.faces)
+
+    def triangle_uvs(self) -> np.ndarray:
+        """(t, 3) int32 indices into `uvs`, in the order of `triangles()`."""
+        if self.face_uvs is None:
+            raise FormatError("mesh", field="uv", found="none", expected="texture coordinates")
+        return _split(self.face_uvs, self.faces)
+
+    def with_vertices(self, vertices: np.ndarray) -> Mesh:
+        """The same topology and UV at other places."""
+        return dataclasses.replace(self, vertices=np.asarray(vertices, float))
+
+
+def _split(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    if faces.shape[1] == 3:
+        return values.astype(np.int32)
+    quad = faces[:, 3] >= 0
+    counts = 1 + quad.astype(int)
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    out = np.empty((int(counts.sum()), 3), np.int32)
+    out[starts] = values[:, :3]
+    out[starts[quad] + 1] = values[quad][:, [0, 2, 3]]
+    return out
+
+
+def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Area-weighted vertex normals; zero where all triangles are degenerate.
+
+    Args:
+        vertices: (n, 3).
+        triangles: (t, 3).
+
+    Returns:
+        (n, 3) float64, unit or zero.
+    """
+    corners = vertices[triangles]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices, dtype=float)
+    for corner in range(3):
+        for axis in range(3):
+            normals[:, axis] += np.bincount(
+                triangles[:, corner], weights=area[:, axis], minlength=len(vertices)
+            )
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+
+
+def read_obj(path: Path) -> Mesh:
+    """Read an OBJ file's vertices, faces and texture coordinates, in the file's order.
+
+    Materials, groups and normals are passed over; polygons of more than four corners are refused.
+
+    Raises:
+        FormatError: missing, malformed, or an index out of range.
+    """
+    vertices: list[list[float]] = []
+    uvs: list[list[float]] = []
+    faces: list[list[int]] = []
+    face_uvs: list[list[int]] = []
+    try:
+        with path.open() as handle:
+            for number, line in enumerate(handle, 1):
+                words = line.split()
+                if not words:
+                    continue
+                if words[0] == "v":
+                    vertices.append([float(w) for w in words[1:4]])
+                elif words[0] == "vt":
+                    uvs.append([float(w) for w in words[1:3]])
+                elif words[0] == "f":
+                    corners = [w.split("/") for w in words[1:]]
+                    if len(corners) not in (3, 4):
+                        raise FormatError(
+                            path,
+                            field=f"line {number}",
+                            found=f"a face of {len(corners)} corners",
+                            expected="triangles or quads",
+                        )
+                    pad = [-1] * (4 - len(corners))
+                    faces.append([_index(c[0], len(vertices)) for c in corners] + pad)
+                    if all(len(c) > 1 and c[1] for c in corners):
+                        face_uvs.append([_index(c[1], len(uvs)) for c in corners] + pad)
+    except FileNotFoundError:
+        raise FormatError(path, found="no such file", expected="an OBJ mesh") from None
+    except (OSError, UnicodeDecodeError, ValueError, IndexError) as error:
+        raise FormatError(path, found=str(error), expected="a readable OBJ mesh") from None
+    mesh = Mesh(
+        np.array(vertices, float).reshape(-1, 3),
+        _trim(np.array(faces, np.int32).reshape(-1, 4)),
+        np.array(uvs, float).reshape(-1, 2) if uvs else None,
+        _trim(np.array(face_uvs, np.int32).reshape(-1, 4)) if face_uvs else None,
+    )
+    _check(mesh, path)
+    return mesh
+
+
+def _index(word: str, count: int) -> int:
+    value = int(word)
+    return value - 1 if value > 0 else count + value
+
+
+def _trim(faces: np.ndarray) -> np.ndarray:
+    return faces if (faces[:, 3] >= 0).any() else np.ascontiguousarray(faces[:, :3])
+
+
+def _check(mesh: Mesh, path: Path) -> None:
+    if not len(mesh.vertices) or not len(mesh.faces):
+        raise FormatError(
+            path,
+            found=f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces",
+            expected="a mesh",
+        )
+    if not np.isfinite(mesh.vertices).all():
+        raise FormatError(path, field="vertices", found="NaN or infinity", expected="finite mm")
+    if mesh.faces[:, :3].min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise FormatError(path, field="faces", found="an index of no vertex", expected="a mesh")
+    if mesh.face_uvs is not None:
+        if len(mesh.face_uvs) != len(mesh.faces):
+            raise FormatError(
+                path,
+                field="uv",
+                found=f"{len(mesh.face_uvs)} of {len(mesh.faces)} faces with UV",
+                expected="all or none",
+            )
+        if mesh.uvs is None or mesh.face_uvs.max() >= len(mesh.uvs):
+            raise FormatError(path, field="uv", found="an index of no vt", expected="a mesh")
+
+
+def write_obj(mesh: Mesh, path: Path) -> Path:
+    """Write an OBJ file atomically, topology and UV as they are; returns `path`."""
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices.tolist()]
+    if mesh.uvs is not None:
+        lines += [f"vt {u:.8f} {v:.8f}" for u, v in mesh.uvs.tolist()]
+    uv_rows = mesh.faces.tolist() if mesh.face_uvs is None else mesh.face_uvs.tolist()
+    for row, uv_row in zip(mesh.faces.tolist(), uv_rows, strict=True):
+        if mesh.face_uvs is None:
+            corners = [f"{i + 1}" for i in row if i >= 0]
+        else:
+            corners = [f"{i + 1}/{t + 1}" for i, t in zip(row, uv_row, strict=True) if i >= 0]
+        lines.append("f " + " ".join(corners))
+    return write_text(path, "\n".join(lines) + "\n")
+
+
+def read_ply(path: Path) -> Mesh:
+    """Read a PLY triangle mesh (vertices and faces); FormatError when missing or empty."""
+    import open3d
+
+    if not path.is_file():
+        raise FormatError(path, found="no such file", expected="a PLY mesh")
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        found = open3d.io.read_triangle_mesh(str(path))
+    mesh = Mesh(np.asarray(found.vertices, float), np.asarray(found.triangles, np.int32))
+    _check(mesh, path)
+    return mesh
+
+
+def write_ply(mesh: Mesh, path: Path) -> Path:
+    """Write vertices and triangles as binary PLY, atomically; returns `path`."""
+    import open3d
+
+    shape = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(mesh.vertices),
+        open3d.utility.Vector3iVector(mesh.triangles()),
+    )
+    with atomic_path(path) as beside:
+        open3d.io.write_triangle_mesh(str(beside), shape)
+    return path
+
+
+def read_mesh(path: Path) -> Mesh:
+    """Read .obj or .ply by its suffix."""
+    if path.suffix.lower() == ".obj":
+        return read_obj(path)
+    if path.suffix.lower() == ".ply":
+        return read_ply(path)
+    raise FormatError(path, found=f"suffix {path.suffix!r}", expected=".obj or .ply")

@@ -1,0 +1,132 @@
+"""Processed folder: where each map of a session lies and what it holds; truth has the same form."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lightstage.errors import FormatError
+from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.files import atomic_path
+
+
+@dataclasses.dataclass(frozen=True)
+class MapSpec:
+    """One map: its number of channels and whether half floats hold it."""
+
+    channels: int
+    half: bool = True
+
+
+MAPS: dict[str, MapSpec] = {
+    "diffuse_albedo": MapSpec(3),
+    "ambient_occlusion": MapSpec(1),
+    "specular_albedo": MapSpec(1),
+    "diffuse_normal": MapSpec(3),
+    "specular_normal": MapSpec(3),
+    "confidence": MapSpec(1),
+    "position": MapSpec(3, half=False),
+    "view": MapSpec(1),
+}
+"""Every map that a view or the atlas may hold (position in mm, view an index, -1 for none)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ProcessedFolder:
+    """Paths and maps of one processed session (or of a simulated one's truth)."""
+
+    root: Path
+
+    @property
+    def base_mesh(self) -> Path:
+        """Reconstructed mesh, mm, world."""
+        return self.root / "base_mesh.ply"
+
+    @property
+    def registered_mesh(self) -> Path:
+        """Template topology and UV, mm, world."""
+        return self.root / "registered_mesh.obj"
+
+    @property
+    def head_pose(self) -> Path:
+        """JSON ``{"head_from_world": [[3 x 4]]}``, written by registration."""
+        return self.root / "head_from_world.json"
+
+    def view_ids(self) -> list[str]:
+        """Cameras that have a folder under views/, sorted."""
+        return sorted(p.name for p in (self.root / "views").glob("*") if p.is_dir())
+
+    def view_path(self, camera: str, name: str) -> Path:
+        """Path of a view's map."""
+        _spec(name)
+        return self.root / "views" / camera / f"{name}.exr"
+
+    def mask_path(self, camera: str) -> Path:
+        """Path of a view's mask, 255 = face."""
+        return self.root / "views" / camera / "mask.png"
+
+    def atlas_path(self, name: str) -> Path:
+        """Path of an atlas map."""
+        _spec(name)
+        return self.root / "atlas" / f"{name}.exr"
+
+    def write_view(self, camera: str, name: str, image: np.ndarray) -> Path:
+        """Write a view's map atomically in its format."""
+        return write_map(self.view_path(camera, name), name, image)
+
+    def read_view(self, camera: str, name: str) -> np.ndarray:
+        """Read a view's map: (h, w) or (h, w, 3) float32, finite."""
+        return read_map(self.view_path(camera, name), name)
+
+    def write_mask(self, camera: str, mask: np.ndarray) -> Path:
+        """Write a view's (h, w) bool mask as PNG."""
+        with atomic_path(self.mask_path(camera)) as beside:
+            cv2.imwrite(str(beside), mask.astype(np.uint8) * 255)
+        return self.mask_path(camera)
+
+    def read_mask(self, camera: str) -> np.ndarray:
+        """Read a view's mask: (h, w) bool."""
+        path = self.mask_path(camera)
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+        if image is None:
+            raise FormatError(path, found="no readable picture", expected="a mask, 255 = face")
+        return np.asarray(image) > 127
+
+    def write_atlas(self, name: str, image: np.ndarray) -> Path:
+        """Write an atlas map atomically in its format."""
+        return write_map(self.atlas_path(name), name, image)
+
+    def read_atlas(self, name: str) -> np.ndarray:
+        """Read an atlas map: (rows, columns) or (rows, columns, 3) float32, finite."""
+        return read_map(self.atlas_path(name), name)
+
+
+def write_map(path: Path, name: str, image: np.ndarray) -> Path:
+    """Write one map; FormatError when its channels are not those of its name."""
+    spec = _spec(name)
+    if (1 if image.ndim == 2 else image.shape[2]) != spec.channels:
+        raise FormatError(path, found=f"shape {image.shape}", expected=f"{spec.channels} channels")
+    return write_exr(path, image, half=spec.half)
+
+
+def read_map(path: Path, name: str) -> np.ndarray:
+    """Read one map; FormatError when it is missing, has NaN, or other channels than its name's."""
+    spec = _spec(name)
+    image = read_exr(path, finite=True)
+    if (1 if image.ndim == 2 else image.shape[2]) != spec.channels:
+        raise FormatError(path, found=f"shape {image.shape}", expected=f"{spec.channels} channels")
+    return image
+
+
+def texel_uv(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """OBJ's (u, v) of texel centres: (columns,) u and (rows,) v; row 0 has v = 1 - 0.5 / rows."""
+    return (np.arange(columns) + 0.5) / columns, 1.0 - (np.arange(rows) + 0.5) / rows
+
+
+def _spec(name: str) -> MapSpec:
+    if name not in MAPS:
+        raise FormatError(f"map {name!r}", found="an unknown name", expected=", ".join(MAPS))
+    return MAPS[name]

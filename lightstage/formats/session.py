@@ -1,0 +1,244 @@
+"""Session folder: session.json, its rig and its photographs. What was driven, shot and hashed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from lightstage.errors import FormatError, LightstageError, PatternError, one_error
+from lightstage.formats.files import read_json, sha256_file, write_json
+from lightstage.patterns import pattern_levels
+from lightstage.rig import Rig, load_rig
+
+SCHEMA = "lightstage.session/1"
+
+
+class Frame(BaseModel):
+    """One photograph of a session."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    pattern: str
+    camera: str
+    path: str
+    sha256: str
+    encoding: Literal["raw", "linear"]
+
+
+class Driven(BaseModel):
+    """What was really driven for a pattern: one level in 0..1 a light, in the rig's order."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    levels: list[float]
+
+
+class Calibration(BaseModel):
+    """Calibration files inside the session folder, null where there is none."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    colour: str | None = None
+    cameras: str | None = None
+    lights: str | None = None
+
+
+class SessionFile(BaseModel):
+    """session.json. Unknown fields are kept: others may add theirs."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, populate_by_name=True)
+
+    schema_: str = Field(alias="schema", default=SCHEMA)
+    id: str
+    created_utc: str
+    subject: str
+    expression: str
+    sequence: list[str]
+    frames: list[Frame]
+    patterns: dict[str, Driven] = {}
+    calibration: Calibration = Calibration()
+
+
+class Session:
+    """A session folder that was read and found to be well formed.
+
+    Attributes:
+        root: the folder.
+        file: session.json's content.
+        rig: the rig in it.
+    """
+
+    def __init__(self, root: Path, file: SessionFile, rig: Rig) -> None:
+        self.root = root
+        self.file = file
+        self.rig = rig
+
+    def frame(self, pattern: str, camera: str) -> Frame:
+        """The photograph of a pattern by a camera; FormatError when there is none."""
+        for frame in self.file.frames:
+            if frame.pattern == pattern and frame.camera == camera:
+                return frame
+        raise FormatError(
+            self.root / "session.json",
+            field="frames",
+            found=f"no frame of pattern {pattern} by {camera}",
+            expected="one for each pattern and camera",
+            hint="Take that shot again, or import it.",
+        )
+
+    def frame_path(self, frame: Frame) -> Path:
+        """Where a photograph lies."""
+        return self.root / frame.path
+
+    def levels(self, pattern: str) -> np.ndarray:
+        """(n,) what was driven for a pattern; where not recorded, its name at level 1."""
+        driven = self.file.patterns.get(pattern)
+        return pattern_levels(pattern, self.rig) if driven is None else np.array(driven.levels)
+
+    def camera_ids(self) -> list[str]:
+        """Cameras of the rig that took photographs, in the rig's order."""
+        used = {frame.camera for frame in self.file.frames}
+        return [camera.id for camera in self.rig.cameras if camera.id in used]
+
+
+def load_session(root: Path) -> Session:
+    """Read session.json and rig.json and check that they fit together (not the photographs' bytes).
+
+    Raises:
+        FormatError: every fault found, in one message.
+    """
+    path = root / "session.json"
+    value = read_json(path, SCHEMA)
+    try:
+        file = SessionFile.model_validate(value)
+    except ValidationError as error:
+        problems: list[LightstageError] = [
+            FormatError(path, field=".".join(str(p) for p in e["loc"]), found=e["msg"])
+            for e in error.errors()
+        ]
+        raise one_error(problems) from None
+    rig = load_rig(root / "rig.json")
+    session = Session(root, file, rig)
+    problems = _faults(session)
+    if problems:
+        raise one_error(problems)
+    return session
+
+
+def save_session(root: Path, file: SessionFile) -> Path:
+    """Write session.json atomically; returns its path."""
+    return write_json(root / "session.json", file.model_dump(by_alias=True, mode="json"))
+
+
+def state_hash(levels: np.ndarray) -> str:
+    """SHA-256 of a light state's 16-bit levels (little endian), as the wire acknowledges it."""
+    counts = np.round(np.asarray(levels, float) * 65535).astype("<u2")
+    return hashlib.sha256(counts.tobytes()).hexdigest()
+
+
+def missing_frames(session: Session) -> list[LightstageError]:
+    """One error for each photograph that is named but not there, or absent from the grid."""
+    problems: list[LightstageError] = []
+    for pattern in session.file.sequence:
+        for camera in session.rig.cameras:
+            try:
+                path = session.frame_path(session.frame(pattern, camera.id))
+            except FormatError as error:
+                problems.append(error)
+                continue
+            if not path.is_file():
+                problems.append(
+                    FormatError(
+                        path,
+                        found="no such file",
+                        expected=f"the photograph of {pattern} by {camera.id}",
+                        hint="Copy it back from the camera or take that shot again.",
+                    )
+                )
+    return problems
+
+
+def changed_frames(session: Session) -> list[LightstageError]:
+    """One error for each photograph whose bytes are not those that were hashed at capture."""
+    problems: list[LightstageError] = []
+    for frame in session.file.frames:
+        path = session.frame_path(frame)
+        if not path.is_file():
+            continue
+        found = sha256_file(path)
+        if found != frame.sha256:
+            problems.append(
+                FormatError(
+                    path,
+                    field="sha256",
+                    found=f"{found[:12]}.. of {path.stat().st_size} bytes",
+                    expected=f"{frame.sha256[:12]}..",
+                    hint="The file changed or was cut since capture; restore it.",
+                )
+            )
+    return problems
+
+
+def _faults(session: Session) -> list[LightstageError]:
+    path = session.root / "session.json"
+    problems: list[LightstageError] = []
+    cameras = {camera.id for camera in session.rig.cameras}
+    seen: set[tuple[str, str]] = set()
+    for index, frame in enumerate(session.file.frames):
+        field = f"frames[{index}]"
+        if frame.camera not in cameras:
+            problems.append(
+                FormatError(path, field=field, found=frame.camera, expected="a camera of rig.json")
+            )
+        if frame.pattern not in session.file.sequence:
+            problems.append(
+                FormatError(
+                    path, field=field, found=frame.pattern, expected="a pattern of the sequence"
+                )
+            )
+        inside = (session.root / frame.path).resolve().is_relative_to(session.root.resolve())
+        if not inside:
+            problems.append(
+                FormatError(path, field=field, found=frame.path, expected="a path in the session")
+            )
+        if (frame.pattern, frame.camera) in seen:
+            problems.append(
+                FormatError(
+                    path,
+                    field=field,
+                    found=f"{frame.pattern} by {frame.camera} twice",
+                    expected="one photograph each",
+                )
+            )
+        seen.add((frame.pattern, frame.camera))
+    for pattern in session.file.sequence:
+        driven = session.file.patterns.get(pattern)
+        if driven is None:
+            try:
+                pattern_levels(pattern, session.rig)
+            except PatternError as error:
+                problems.append(error)
+            continue
+        levels = np.array(driven.levels)
+        wrong = len(levels) != len(session.rig.lights)
+        if wrong or not ((levels >= 0) & (levels <= 1)).all():
+            problems.append(
+                FormatError(
+                    path,
+                    field=f"patterns.{pattern}.levels",
+                    found=f"{len(levels)} levels",
+                    expected=f"{len(session.rig.lights)} numbers in 0..1",
+                )
+            )
+    return problems
+
+
+def session_id(subject: str, expression: str, created_utc: str) -> str:
+    """A short id from what a session is of and when."""
+    text = json.dumps([subject, expression, created_utc])
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -1,0 +1,173 @@
+"""Template folder: topology, UV, landmarks, regions, modes and skin maps of the head model."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.errors import FormatError
+from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.files import atomic_path, read_json, write_json
+from lightstage.formats.mesh import Mesh, read_obj, write_obj
+
+SCHEMA = "lightstage.template/1"
+REGIONS = ("skin", "lips", "eyes", "ears", "hair")
+
+
+@dataclasses.dataclass(frozen=True)
+class Modes:
+    """Linear shape model: vertices = mean + identity . a + expression . b, in mm.
+
+    Attributes:
+        identity: (k, n, 3) offsets, each of one standard deviation.
+        expression: (m, n, 3) offsets at full strength.
+        expression_names: m names.
+    """
+
+    identity: np.ndarray
+    expression: np.ndarray
+    expression_names: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Template:
+    """The head model that every scan is registered to, in the head frame (mm)."""
+
+    name: str
+    mesh: Mesh
+    landmarks: np.ndarray
+    """(68,) int64 vertex indices in iBUG's order."""
+    regions: dict[str, np.ndarray]
+    """Region name to vertex indices."""
+    licence: str
+    source: str
+    modes: Modes | None = None
+    maps: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    """shininess (exponent), translucency (0..1): (rows, columns) float32, where present."""
+
+
+def default_template_path() -> Path:
+    """Folder of our own template, committed as data."""
+    return Path(__file__).parents[1] / "data" / "template"
+
+
+def load_template(path: Path) -> Template:
+    """Read a template folder.
+
+    Raises:
+        FormatError: a missing file, no UV, UV outside the tile, landmarks that are not 68 vertices,
+            or modes of another vertex count.
+    """
+    value = read_json(path / "template.json", SCHEMA)
+    mesh = read_obj(path / "mesh.obj")
+    if mesh.uvs is None or mesh.face_uvs is None:
+        raise FormatError(
+            path / "mesh.obj",
+            field="uv",
+            found="no texture coordinates",
+            expected="UV in one 0..1 tile",
+            hint="Unwrap the template and export it with UV; the atlas is made in that space.",
+        )
+    if mesh.uvs.min() < -1e-6 or mesh.uvs.max() > 1 + 1e-6:
+        raise FormatError(
+            path / "mesh.obj",
+            field="uv",
+            found=f"UV from {mesh.uvs.min():.3g} to {mesh.uvs.max():.3g}",
+            expected="one tile, 0..1",
+        )
+    if value.get("units") != "mm":
+        raise FormatError(
+            path / "template.json", field="units", found=repr(value.get("units")), expected="'mm'"
+        )
+    count = len(mesh.vertices)
+    marks = value.get("landmarks", {}).get("ibug68")
+    if not _is_indices(marks, count) or len(marks) != 68:
+        raise FormatError(
+            path / "template.json",
+            field="landmarks.ibug68",
+            found=f"{len(marks) if isinstance(marks, list) else type(marks).__name__}",
+            expected=f"68 vertex indices below {count}",
+        )
+    regions = {}
+    for name, indices in value.get("regions", {}).items():
+        if not _is_indices(indices, count):
+            raise FormatError(
+                path / "template.json",
+                field=f"regions.{name}",
+                found="something else",
+                expected=f"vertex indices below {count}",
+            )
+        regions[name] = np.array(indices, np.int64)
+    maps = {}
+    for name in ("shininess", "translucency"):
+        file = path / "maps" / f"{name}.exr"
+        if file.exists():
+            maps[name] = read_exr(file, finite=True)
+    return Template(
+        name=str(value.get("name", path.name)),
+        mesh=mesh,
+        landmarks=np.array(marks, np.int64),
+        regions=regions,
+        licence=str(value.get("licence", "")),
+        source=str(value.get("source", "")),
+        modes=_load_modes(path / "modes.npz", count),
+        maps=maps,
+    )
+
+
+def save_template(template: Template, path: Path) -> Path:
+    """Write a template folder (all but skin.png, a picture that its maker adds); returns `path`."""
+    write_obj(template.mesh, path / "mesh.obj")
+    for name, image in template.maps.items():
+        write_exr(path / "maps" / f"{name}.exr", image)
+    if template.modes is not None:
+        with atomic_path(path / "modes.npz") as beside:
+            np.savez_compressed(
+                beside,
+                identity=template.modes.identity.astype(np.float32),
+                expression=template.modes.expression.astype(np.float32),
+                expression_names=np.array(template.modes.expression_names),
+            )
+    write_json(
+        path / "template.json",
+        {
+            "schema": SCHEMA,
+            "name": template.name,
+            "units": "mm",
+            "landmarks": {"ibug68": template.landmarks.tolist()},
+            "regions": {name: indices.tolist() for name, indices in template.regions.items()},
+            "licence": template.licence,
+            "source": template.source,
+        },
+    )
+    return path
+
+
+def _is_indices(value: object, count: int) -> bool:
+    return isinstance(value, list) and all(isinstance(i, int) and 0 <= i < count for i in value)
+
+
+def _load_modes(path: Path, count: int) -> Modes | None:
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            identity = file["identity"].astype(float)
+            expression = file["expression"].astype(float)
+            names = tuple(str(name) for name in file["expression_names"])
+    except (OSError, ValueError, KeyError) as error:
+        raise FormatError(
+            path, found=str(error), expected="identity, expression, expression_names"
+        ) from None
+    for name, modes in (("identity", identity), ("expression", expression)):
+        if modes.ndim != 3 or modes.shape[1:] != (count, 3):
+            raise FormatError(
+                path, field=name, found=f"shape {modes.shape}", expected=f"(k, {count}, 3)"
+            )
+    if len(names) != len(expression):
+        raise FormatError(
+            path, field="expression_names", found=str(len(names)), expected=str(len(expression))
+        )
+    return Modes(identity, expression, names)

@@ -1,0 +1,1 @@
+"""Photographs to coarse maps, mesh, exact maps, registered atlas and dataset."""

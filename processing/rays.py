@@ -1,0 +1,132 @@
+"""Rays against a mesh (Embree through Open3D): what a camera sees, which lights a point sees."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import open3d
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.rig import Camera
+
+CHUNK_RAYS = 4_000_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Hits:
+    """What rays met; fields hold one entry a ray.
+
+    Attributes:
+        face: (n,) int32 triangle index, -1 where nothing was met.
+        barycentric: (n, 3) float32 weights of the triangle's corners.
+        distance_mm: (n,) float32 along the unit ray, infinite where nothing was met.
+    """
+
+    face: np.ndarray
+    barycentric: np.ndarray
+    distance_mm: np.ndarray
+
+
+class MeshRays:
+    """A mesh prepared for ray queries."""
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        """Build the hierarchy over (n, 3) vertices in mm and (t, 3) triangles."""
+        self._scene = open3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(
+            open3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
+            open3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
+        )
+
+    def cast(self, origins_mm: np.ndarray, directions: np.ndarray) -> Hits:
+        """First hit of rays from (n, 3) origins (or one (3,)) along (n, 3) unit directions."""
+        count = len(directions)
+        rays = np.empty((count, 6), np.float32)
+        rays[:, :3] = origins_mm
+        rays[:, 3:] = directions
+        found = self._scene.cast_rays(open3d.core.Tensor(rays))
+        missed = found["geometry_ids"].numpy() == open3d.t.geometry.RaycastingScene.INVALID_ID
+        face = found["primitive_ids"].numpy().astype(np.int64)
+        face[missed] = -1
+        uv = found["primitive_uvs"].numpy()
+        barycentric = np.stack([1 - uv[:, 0] - uv[:, 1], uv[:, 0], uv[:, 1]], axis=1)
+        return Hits(face.astype(np.int32), barycentric, found["t_hit"].numpy())
+
+    def cast_camera(self, camera: Camera, mask: np.ndarray | None = None) -> Hits:
+        """First hits of a camera's pixels, in row order.
+
+        Args:
+            camera: the view.
+            mask: (h, w) bool, only these pixels are cast (the others read -1).
+
+        Returns:
+            Hits of h * w entries.
+        """
+        origin, directions = camera.pixel_rays()
+        flat = directions.reshape(-1, 3)
+        chosen = np.ones(len(flat), bool) if mask is None else mask.ravel()
+        some = self.cast(origin, flat[chosen])
+        hits = Hits(
+            np.full(len(flat), -1, np.int32),
+            np.zeros((len(flat), 3), np.float32),
+            np.full(len(flat), np.inf, np.float32),
+        )
+        hits.face[chosen] = some.face
+        hits.barycentric[chosen] = some.barycentric
+        hits.distance_mm[chosen] = some.distance_mm
+        return hits
+
+    def visible(
+        self,
+        points_mm: np.ndarray,
+        normals: np.ndarray,
+        targets_mm: np.ndarray,
+        *,
+        offset_mm: float = 0.1,
+        progress: ProgressCallback = quiet,
+    ) -> np.ndarray:
+        """Which targets (lights, cameras) each surface point sees.
+
+        A target below the point's horizon is not visible and costs no ray.
+
+        Args:
+            points_mm: (n, 3) on the surface.
+            normals: (n, 3) the mesh's unit normals there.
+            targets_mm: (m, 3).
+            offset_mm: how far along its normal a ray starts, so that it does not meet its own face.
+
+        Returns:
+            (n, m) bool.
+        """
+        start = np.asarray(points_mm, np.float32) + offset_mm * np.asarray(normals, np.float32)
+        targets = np.asarray(targets_mm, np.float32)
+        out = np.zeros((len(start), len(targets)), bool)
+        step = max(1, CHUNK_RAYS // max(1, len(targets)))
+        for first in range(0, len(start), step):
+            part = slice(first, first + step)
+            to_target = targets[None] - start[part, None]
+            facing = np.einsum("nmk,nk->nm", to_target, normals[part].astype(np.float32)) > 0
+            rows, columns = np.nonzero(facing)
+            rays = np.concatenate([start[part][rows], to_target[rows, columns]], axis=1)
+            blocked = self._scene.test_occlusions(open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
+            out[first + rows, columns] = ~blocked.numpy()
+            progress(min(first + step, len(start)), len(start))
+        return out
+
+
+def interpolate(values: np.ndarray, triangles: np.ndarray, hits: Hits) -> np.ndarray:
+    """Per-vertex values at hits.
+
+    Args:
+        values: (v, k) per vertex.
+        triangles: (t, 3).
+        hits: n hits.
+
+    Returns:
+        (n, k); zero where nothing was met.
+    """
+    corners = values[triangles[np.maximum(hits.face, 0)]]
+    out = np.einsum("nck,nc->nk", corners, hits.barycentric)
+    out[hits.face < 0] = 0
+    return out

@@ -1,0 +1,1 @@
+"""A light stage without the hardware: rendered people with known answers, virtual devices."""

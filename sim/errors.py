@@ -1,0 +1,9 @@
+"""Errors of the `sim` package; a command exits 2 on each."""
+
+from __future__ import annotations
+
+from lightstage.errors import LightstageError
+
+
+class SimError(LightstageError):
+    """Base of this package's own errors."""
