@@ -1,0 +1,43 @@
+# Two commands do everything on a fresh Debian 12 or Ubuntu machine with Python 3.11:
+# `make demo` and `make test`. `make help` lists the rest.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV   := .venv
+BIN    := $(VENV)/bin
+READY  := $(VENV)/.ready
+
+.DEFAULT_GOAL := help
+.PHONY: demo test check bench setup lock clean help
+
+demo: $(READY) ## the main job on the simulated stage; ends with build/demo/report.html
+	$(BIN)/python -m demo.run --out build/demo
+
+test: $(READY) ## all tests
+	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 8
+
+check: $(READY) ## lint, types, import arrows
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(READY) ## every benchmark; tables go to benchmarks/RESULTS.md
+	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+
+setup: $(READY) ## system packages and the virtual environment, pinned
+
+$(READY): requirements.lock pyproject.toml scripts/system-packages
+	PYTHON=$(PYTHON) scripts/system-packages
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --requirement requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --editable .
+	touch $(READY)
+
+lock: $(READY) ## resolve pyproject.toml again into requirements.lock
+	scripts/lock $(BIN)
+
+clean: ## remove what demo and tests made (not the virtual environment)
+	rm -rf build .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache
+
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
