@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,45 @@ def atomic_path(path: Path) -> Iterator[Path]:
         fsync_path(path.parent)
     finally:
         beside.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
+    """Yield a new folder beside `path` to fill; on success it takes the place of `path`.
+
+    If the block raises, the new folder is removed and `path` is left as it was.
+
+    Args:
+        path: the folder to make or to replace.
+        marker: a file that a folder of this kind holds. A folder that exists, holds something and
+            lacks it is somebody else's and is refused.
+
+    Raises:
+        FormatError: `path` is a file or a folder of another kind.
+    """
+    if path.is_file() or (path.is_dir() and any(path.iterdir()) and not (path / marker).exists()):
+        raise FormatError(
+            path,
+            found=f"something else that holds no {marker}",
+            expected="a new folder, or one made by the same command",
+            hint="Choose another output folder.",
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    old = beside.with_name(beside.name + ".old")
+    beside.mkdir()
+    try:
+        yield beside
+        fsync_path(beside)
+        if path.exists():
+            os.replace(path, old)
+        os.replace(beside, path)
+        fsync_path(path.parent)
+    finally:
+        if old.exists() and not path.exists():
+            os.replace(old, path)
+        shutil.rmtree(beside, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def write_bytes(path: Path, data: bytes) -> Path:
