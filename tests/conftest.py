@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from lightstage.formats.files import write_json
+from lightstage.formats.processed import ProcessedFolder
 
 
 def head_data_path() -> Path | None:
@@ -21,4 +26,52 @@ def head_data() -> Path:
     path = head_data_path()
     if path is None:
         pytest.skip("no head data: set LIGHTSTAGE_DATA or put it at ../shared/data")
+    return path
+
+
+@pytest.fixture
+def make_processed() -> Callable[..., Path]:
+    """A function that writes a small processed folder with known atlas maps.
+
+    `make_processed(path, rows=96, columns=64, subject=.., seed=.., head_from_world=..)`: smooth
+    random maps on a half cylinder; the outer eighth of the texture is not covered.
+    """
+    return _write_processed
+
+
+def _write_processed(
+    path: Path,
+    rows: int = 96,
+    columns: int = 64,
+    subject: str = "person-0000",
+    expression: str = "neutral",
+    seed: int = 0,
+    head_from_world: np.ndarray | None = None,
+) -> Path:
+    rng = np.random.default_rng(seed)
+    folder = ProcessedFolder(path)
+    v, u = np.meshgrid(
+        (np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns, indexing="ij"
+    )
+    angle = (u - 0.5) * np.pi
+    normal = np.stack([np.sin(angle), np.zeros_like(u), np.cos(angle)], axis=2)
+    covered = (abs(u - 0.5) < 0.375) & (abs(v - 0.5) < 0.375)
+    tone = rng.uniform(0.2, 0.6, 3)
+    albedo = tone * (1 + 0.2 * np.sin(20 * (u + 2 * v) + seed))[:, :, None]
+    position = normal * 80 + np.stack([0 * u, (0.5 - v) * 240, 0 * u], axis=2)
+    maps = {
+        "diffuse_albedo": albedo,
+        "specular_albedo": 0.028 + 0.004 * np.cos(30 * v),
+        "ambient_occlusion": 0.8 + 0.2 * np.cos(10 * u),
+        "diffuse_normal": normal,
+        "specular_normal": normal,
+        "position": position,
+        "confidence": np.ones((rows, columns)),
+    }
+    for name, image in maps.items():
+        mask = covered if image.ndim == 2 else covered[:, :, None]
+        folder.write_atlas(name, image * mask)
+    pose = np.eye(3, 4) if head_from_world is None else head_from_world
+    write_json(folder.head_pose, {"head_from_world": pose.tolist()})
+    write_json(path / "report.json", {"subject": subject, "expression": expression})
     return path

@@ -1,0 +1,5 @@
+"""RealFaceDB: the lab's store of whole maps, and the patches that may leave the lab."""
+
+from processing.dataset.store import CHANNELS, DatasetError, Scan, Store, build_store, open_store
+
+__all__ = ["CHANNELS", "DatasetError", "Scan", "Store", "build_store", "open_store"]

@@ -1,0 +1,349 @@
+"""The lab's store: whole maps of every scan in the head frame, read patch by patch (zarr v3).
+
+    STORE/
+      dataset.json              lightstage.realfacedb/1: channels, counts, statistics, scans
+      scans/0000/NAME/          one zarr array a map, chunks of 256 in shards of 2048
+
+A chunk is what one read decodes, a shard what one file holds: a random 512 patch costs four to
+nine chunks whatever the map's size, and 6144 x 4096 makes six files a map.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import FormatError, LightstageError, one_error
+from lightstage.formats.files import (
+    atomic_folder,
+    check_schema,
+    read_json,
+    sha256_file,
+    write_json,
+)
+from lightstage.formats.processed import ProcessedFolder
+from processing.errors import ProcessingError
+
+SCHEMA = "lightstage.realfacedb/1"
+CHANNELS: dict[str, int] = {
+    "diffuse_albedo": 3,
+    "specular_albedo": 1,
+    "diffuse_normal": 3,
+    "specular_normal": 3,
+    "position": 3,
+    "confidence": 1,
+}
+"""Maps of a store and their channels; normals and position (mm) are in the head frame."""
+
+NORMALS = ("diffuse_normal", "specular_normal")
+PATCH = 512
+STRIDE = 256
+CHUNK = 256
+SHARD = 2048
+
+
+class DatasetError(ProcessingError):
+    """A dataset that cannot be built, read or published."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scan:
+    """One scan of a store: its number, the person's pseudonym and the size of its maps."""
+
+    index: int
+    subject: str
+    expression: str
+    rows: int
+    columns: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Store:
+    """A store that was opened; arrays are opened when first read.
+
+    Attributes:
+        path: the folder.
+        scans: in the order of their index. Split them by `subject`, never by patch.
+        fingerprint: SHA-256 over all that went in; a checkpoint names it.
+    """
+
+    path: Path
+    scans: tuple[Scan, ...]
+    fingerprint: str
+
+    def read(self, scan: int, name: str, rows: slice, columns: slice) -> np.ndarray:
+        """Part of a map.
+
+        Args:
+            scan: index of the scan.
+            name: one of `CHANNELS`.
+            rows: of the texture, from the top.
+            columns: of the texture.
+
+        Returns:
+            (h, w, c) float32; normals and position in the head frame, zero where no surface is.
+
+        Raises:
+            DatasetError: no such scan or map.
+        """
+        return np.asarray(self._array(scan, name)[rows, columns], np.float32)
+
+    def patch_origins(
+        self, scan: int, size: int, stride: int, min_coverage: float
+    ) -> list[tuple[int, int]]:
+        """Top-left corners of the patches of a scan that show enough of the face.
+
+        Args:
+            scan: index of the scan.
+            size: side of a patch in texels.
+            stride: step from patch to patch in texels, from the corner (0, 0).
+            min_coverage: smallest share of a patch's texels whose confidence is above 0.
+
+        Returns:
+            (row, column) of each, in row order; empty where the maps are smaller than a patch.
+        """
+        if size < 1 or stride < 1:
+            raise DatasetError(
+                self.path,
+                field="patch",
+                found=f"size {size}, stride {stride}",
+                expected="at least 1 texel",
+            )
+        seen = self.read(scan, "confidence", slice(None), slice(None))[:, :, 0] > 0
+        total = np.zeros((seen.shape[0] + 1, seen.shape[1] + 1), np.int64)
+        total[1:, 1:] = seen.cumsum(axis=0, dtype=np.int64).cumsum(axis=1)
+        fewest = min_coverage * size * size
+        return [
+            (row, column)
+            for row in range(0, seen.shape[0] - size + 1, stride)
+            for column in range(0, seen.shape[1] - size + 1, stride)
+            if total[row + size, column + size]
+            - total[row, column + size]
+            - total[row + size, column]
+            + total[row, column]
+            >= fewest
+        ]
+
+    def _array(self, scan: int, name: str) -> Any:
+        if name not in CHANNELS or not 0 <= scan < len(self.scans):
+            raise DatasetError(
+                self.path,
+                field=f"scan {scan}, map {name}",
+                found="no such thing",
+                expected=f"scans 0..{len(self.scans) - 1}, maps {', '.join(CHANNELS)}",
+            )
+        return _open_array(self.path / "scans" / f"{scan:04d}" / name)
+
+
+@functools.lru_cache(maxsize=1024)
+def _open_array(path: Path) -> Any:
+    try:
+        return zarr.open_array(path, mode="r")
+    except (FileNotFoundError, ValueError) as error:
+        raise DatasetError(
+            path, found=str(error), expected="a zarr array", hint="Build the store again."
+        ) from None
+
+
+def open_store(path: Path) -> Store:
+    """Open a store for reading.
+
+    Raises:
+        FormatError, DatasetError: no dataset.json, one of another schema, or a published set,
+            which holds patches and no maps.
+    """
+    file = path / "dataset.json"
+    value = read_json(file)
+    check_schema(file, value, SCHEMA)
+    if value.get("kind") != "store":
+        raise DatasetError(
+            file,
+            field="kind",
+            found=repr(value.get("kind")),
+            expected="'store'",
+            hint="Train on the store that `dataset build` makes, not on published patches.",
+        )
+    try:
+        scans = tuple(
+            Scan(i, str(s["subject"]), str(s["expression"]), int(s["rows"]), int(s["columns"]))
+            for i, s in enumerate(value["scans"])
+        )
+        fingerprint = str(value["fingerprint"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(file, found=str(error), expected="scans and fingerprint") from None
+    _open_array.cache_clear()
+    return Store(path, scans, fingerprint)
+
+
+def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback = quiet) -> Path:
+    """Gather the atlas maps of processed folders into one store.
+
+    Every folder is read and checked before anything is said; on an error nothing is left behind.
+
+    Args:
+        processed: folders with atlas/, head_from_world.json and report.json (subject, expression).
+        out: the store's folder; an older store there is replaced.
+        progress: called after each folder.
+
+    Returns:
+        `out`.
+
+    Raises:
+        FormatError, DatasetError: no folder, a missing map, maps of different size, NaN, a missing
+            or not rigid head_from_world, a folder given twice; all in one message.
+    """
+    if not processed:
+        raise DatasetError(out, found="no processed folder", expected="at least one")
+    problems: list[LightstageError] = []
+    entries: list[dict[str, Any]] = []
+    sums = _Sums()
+    with atomic_folder(out, "dataset.json") as beside:
+        for index, root in enumerate(processed):
+            try:
+                if root.resolve() in {p.resolve() for p in processed[:index]}:
+                    raise DatasetError(root, found="the same folder twice", expected="once")
+                entry, maps = _read_scan(ProcessedFolder(root))
+                if not problems:
+                    _write_scan(beside / "scans" / f"{index:04d}", maps)
+                entries.append(entry)
+                sums.add(maps)
+            except LightstageError as error:
+                problems.append(error)
+            progress(index + 1, len(processed))
+        if problems:
+            raise one_error(problems)
+        write_json(
+            beside / "dataset.json",
+            {
+                "schema": SCHEMA,
+                "kind": "store",
+                "patch": PATCH,
+                "stride": STRIDE,
+                "channels": CHANNELS,
+                "frame": "head",
+                "counts": {
+                    "subjects": len({e["subject"] for e in entries}),
+                    "scans": len(entries),
+                },
+                "statistics": sums.facts(),
+                "fingerprint": hashlib.sha256(
+                    "".join(e["sha256"] for e in entries).encode()
+                ).hexdigest(),
+                "scans": entries,
+            },
+        )
+    return out
+
+
+def _read_scan(folder: ProcessedFolder) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """A folder's entry in dataset.json and its maps, (rows, columns, c) in the head frame."""
+    report = read_json(folder.root / "report.json")
+    for key in ("subject", "expression"):
+        if not isinstance(report, dict) or not isinstance(report.get(key), str):
+            raise FormatError(
+                folder.root / "report.json", field=key, found="none", expected="a pseudonym"
+            )
+    head_from_world = read_head_pose(folder.head_pose)
+    maps = {name: folder.read_atlas(name) for name in CHANNELS}
+    sizes = {name: image.shape[:2] for name, image in maps.items()}
+    if len(set(sizes.values())) > 1:
+        said = ", ".join(f"{name} {h} x {w}" for name, (h, w) in sizes.items())
+        raise DatasetError(
+            folder.root / "atlas",
+            found=f"maps of different size: {said}",
+            expected="one size",
+            hint="Make the atlas again with one --atlas-rows.",
+        )
+    maps = {name: image.reshape(*image.shape[:2], -1) for name, image in maps.items()}
+    rotation, translation = head_from_world[:, :3], head_from_world[:, 3]
+    surface = (maps["position"] != 0).any(axis=2, keepdims=True)
+    maps["position"] = np.where(surface, maps["position"] @ rotation.T + translation, 0)
+    for name in NORMALS:
+        maps[name] = maps[name] @ rotation.T
+    rows, columns = maps["confidence"].shape[:2]
+    files = [folder.head_pose, *(folder.atlas_path(name) for name in CHANNELS)]
+    entry = {
+        "subject": report["subject"],
+        "expression": report["expression"],
+        "rows": rows,
+        "columns": columns,
+        "sha256": hashlib.sha256("".join(map(sha256_file, files)).encode()).hexdigest(),
+    }
+    return entry, maps
+
+
+def read_head_pose(path: Path) -> np.ndarray:
+    """head_from_world.json as (3, 4) float64; FormatError when missing or not rigid."""
+    value = read_json(path)
+    found = value.get("head_from_world") if isinstance(value, dict) else None
+    try:
+        pose = np.array(found, float).reshape(3, 4)
+        rigid = np.allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-4)
+        rigid = bool(rigid and np.linalg.det(pose[:, :3]) > 0 and np.isfinite(pose).all())
+    except (TypeError, ValueError):
+        rigid = False
+    if not rigid:
+        raise FormatError(
+            path, field="head_from_world", found=repr(found)[:80], expected="a rigid 3 x 4"
+        )
+    return pose
+
+
+def _write_scan(folder: Path, maps: dict[str, np.ndarray]) -> None:
+    for name, image in maps.items():
+        rows, columns, channels = image.shape
+        chunk = (min(CHUNK, rows), min(CHUNK, columns), channels)
+        # A shard holds a whole number of chunks; a small map is one shard.
+        shard = tuple(
+            min(SHARD, -(-size // part) * part)
+            for size, part in zip((rows, columns), chunk[:2], strict=True)
+        )
+        array = zarr.create_array(
+            folder / name,
+            shape=image.shape,
+            dtype="float32" if name == "position" else "float16",
+            chunks=chunk,
+            shards=(*shard, channels),
+            compressors=zarr.codecs.ZstdCodec(level=3),
+            fill_value=0,
+        )
+        array[:] = image.astype(array.dtype)
+
+
+class _Sums:
+    """Statistics over the covered texels of all scans together, never of one."""
+
+    def __init__(self) -> None:
+        self._texels = 0
+        self._covered = 0
+        self._sum = {
+            name: np.zeros(CHANNELS[name]) for name in ("diffuse_albedo", "specular_albedo")
+        }
+        self._squares = {name: np.zeros(CHANNELS[name]) for name in self._sum}
+
+    def add(self, maps: dict[str, np.ndarray]) -> None:
+        seen = maps["confidence"][:, :, 0] > 0
+        self._texels += seen.size
+        self._covered += int(seen.sum())
+        for name in self._sum:
+            values = maps[name][seen].astype(float)
+            self._sum[name] += values.sum(axis=0)
+            self._squares[name] += (values**2).sum(axis=0)
+
+    def facts(self) -> dict[str, Any]:
+        count = max(1, self._covered)
+        out: dict[str, Any] = {"coverage": self._covered / max(1, self._texels)}
+        for name in self._sum:
+            mean = self._sum[name] / count
+            variance = np.maximum(self._squares[name] / count - mean**2, 0)
+            out[f"{name}_mean"] = mean.tolist()
+            out[f"{name}_deviation"] = np.sqrt(variance).tolist()
+        return out

@@ -1,0 +1,192 @@
+"""The store gives back what the atlas holds, in the head frame, or says what is wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightstage.errors import LightstageError
+from lightstage.formats.exr import write_exr
+from lightstage.formats.processed import ProcessedFolder
+from processing.dataset import CHANNELS, build_store, open_store
+
+Make = Callable[..., Path]
+ALL = slice(None)
+
+
+def some_pose() -> np.ndarray:
+    c, s = np.cos(0.4), np.sin(0.4)
+    return np.array([[c, 0, s, 5.0], [0, 1, 0, -20.0], [-s, 0, c, 60.0]])
+
+
+def test_maps_come_back_in_the_head_frame(tmp_path: Path, make_processed: Make) -> None:
+    pose = some_pose()
+    root = make_processed(tmp_path / "a", rows=300, columns=200, head_from_world=pose)
+    store = open_store(build_store([root], tmp_path / "store"))
+    atlas = ProcessedFolder(root)
+    seen = atlas.read_atlas("confidence") > 0
+    for name, channels in CHANNELS.items():
+        found = store.read(0, name, ALL, ALL)
+        assert found.dtype == np.float32
+        assert found.shape == (300, 200, channels)
+        expected = atlas.read_atlas(name).reshape(300, 200, -1).astype(float)
+        if name == "position":
+            # The plain twin: one point at a time.
+            row, column = 150, 77
+            point = pose[:, :3] @ expected[row, column] + pose[:, 3]
+            np.testing.assert_allclose(found[row, column], point, atol=1e-4)
+            expected = np.where(seen[..., None], expected @ pose[:, :3].T + pose[:, 3], 0)
+        elif name.endswith("normal"):
+            expected = expected @ pose[:, :3].T
+        np.testing.assert_allclose(found, expected, atol=1e-3)
+        assert not found[~seen].any()
+
+
+def test_a_part_is_the_part_of_the_whole_across_chunks(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    root = make_processed(tmp_path / "a", rows=600, columns=300)
+    store = open_store(build_store([root], tmp_path / "store"))
+    whole = store.read(0, "position", ALL, ALL)
+    part = store.read(0, "position", slice(200, 570), slice(250, 290))
+    np.testing.assert_array_equal(part, whole[200:570, 250:290])
+
+
+def test_patch_origins_are_those_that_counting_gives(tmp_path: Path, make_processed: Make) -> None:
+    root = make_processed(tmp_path / "a", rows=96, columns=64)
+    store = open_store(build_store([root], tmp_path / "store"))
+    seen = ProcessedFolder(root).read_atlas("confidence") > 0
+    expected = [
+        (row, column)
+        for row in range(0, 96, 8)
+        for column in range(0, 64, 8)
+        if row + 24 <= 96
+        and column + 24 <= 64
+        and seen[row : row + 24, column : column + 24].mean() >= 0.6
+    ]
+    assert store.patch_origins(0, 24, 8, 0.6) == expected
+    assert 0 < len(expected) < len(store.patch_origins(0, 24, 8, 0.0))
+    assert store.patch_origins(0, 97, 8, 0.0) == []
+
+
+def test_statistics_are_of_all_covered_texels(tmp_path: Path, make_processed: Make) -> None:
+    roots = [make_processed(tmp_path / f"{i}", subject=f"person-{i}", seed=i) for i in range(3)]
+    value = json.loads((build_store(roots, tmp_path / "store") / "dataset.json").read_text())
+    albedo = []
+    for root in roots:
+        folder = ProcessedFolder(root)
+        albedo.append(folder.read_atlas("diffuse_albedo")[folder.read_atlas("confidence") > 0])
+    pooled = np.concatenate(albedo)
+    np.testing.assert_allclose(
+        value["statistics"]["diffuse_albedo_mean"], pooled.mean(axis=0), rtol=1e-4
+    )
+    np.testing.assert_allclose(
+        value["statistics"]["diffuse_albedo_deviation"], pooled.std(axis=0), rtol=1e-3
+    )
+    assert value["counts"] == {"subjects": 3, "scans": 3}
+
+
+def test_fingerprint_changes_with_a_map(tmp_path: Path, make_processed: Make) -> None:
+    root = make_processed(tmp_path / "a")
+    first = open_store(build_store([root], tmp_path / "one")).fingerprint
+    again = open_store(build_store([root], tmp_path / "two")).fingerprint
+    folder = ProcessedFolder(root)
+    folder.write_atlas("specular_albedo", folder.read_atlas("specular_albedo") * 1.5)
+    other = open_store(build_store([root], tmp_path / "two")).fingerprint
+    assert first == again != other
+
+
+def wrong_size(root: Path) -> None:
+    ProcessedFolder(root).write_atlas("specular_albedo", np.ones((48, 64)))
+
+
+def with_nan(root: Path) -> None:
+    image = ProcessedFolder(root).read_atlas("diffuse_albedo")
+    image[40, 30] = np.nan
+    write_exr(ProcessedFolder(root).atlas_path("diffuse_albedo"), image)
+
+
+def without_pose(root: Path) -> None:
+    ProcessedFolder(root).head_pose.unlink()
+
+
+def bent_pose(root: Path) -> None:
+    value = {"head_from_world": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}
+    ProcessedFolder(root).head_pose.write_text(json.dumps(value))
+
+
+def without_map(root: Path) -> None:
+    ProcessedFolder(root).atlas_path("specular_normal").unlink()
+
+
+def without_subject(root: Path) -> None:
+    (root / "report.json").write_text("{}")
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (wrong_size, "different size"),
+        (with_nan, "NaN"),
+        (without_pose, "head_from_world.json"),
+        (bent_pose, "rigid"),
+        (without_map, "specular_normal.exr"),
+        (without_subject, "subject"),
+    ],
+)
+def test_bad_input_is_one_clear_message_and_leaves_nothing(
+    tmp_path: Path, make_processed: Make, damage: Callable[[Path], None], said: str
+) -> None:
+    good = make_processed(tmp_path / "in" / "good")
+    bad = make_processed(tmp_path / "in" / "bad")
+    damage(bad)
+    with pytest.raises(LightstageError, match=said) as caught:
+        build_store([good, bad], tmp_path / "out" / "store")
+    assert str(bad) in str(caught.value)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_all_bad_folders_are_named_and_an_older_store_is_kept(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    roots = [make_processed(tmp_path / f"in{i}", seed=i) for i in range(3)]
+    out = build_store(roots, tmp_path / "out" / "store")
+    with_nan(roots[0])
+    without_pose(roots[2])
+    with pytest.raises(LightstageError) as caught:
+        build_store(roots, out)
+    assert str(roots[0]) in str(caught.value)
+    assert str(roots[2]) in str(caught.value)
+    assert [p.name for p in out.parent.iterdir()] == ["store"]
+    assert len(open_store(out).scans) == 3
+
+
+def test_an_interrupt_leaves_nothing(tmp_path: Path, make_processed: Make) -> None:
+    roots = [make_processed(tmp_path / f"in{i}") for i in range(2)]
+
+    def interrupt(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build_store(roots, tmp_path / "out" / "store", interrupt)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path, make_processed: Make) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("dear")
+    with pytest.raises(LightstageError, match="another output folder"):
+        build_store([make_processed(tmp_path / "a")], tmp_path / "mine")
+    assert (tmp_path / "mine" / "letter.txt").read_text() == "dear"
+
+
+def test_a_store_of_a_newer_version_is_refused(tmp_path: Path, make_processed: Make) -> None:
+    out = build_store([make_processed(tmp_path / "a")], tmp_path / "store")
+    text = (out / "dataset.json").read_text().replace("realfacedb/1", "realfacedb/2")
+    (out / "dataset.json").write_text(text)
+    with pytest.raises(LightstageError, match="newer"):
+        open_store(out)
