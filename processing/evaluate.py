@@ -125,6 +125,32 @@ def evaluate(
     return facts
 
 
+def headline(facts: Mapping[str, Any]) -> dict[str, float]:
+    """The few figures of `evaluate` that a person looks at first, each with its unit in its name.
+
+    Args:
+        facts: as `evaluate` returns.
+    """
+    wanted = (
+        ("views", "coverage_share"),
+        ("views", "diffuse_albedo_rmse"),
+        ("views", "specular_albedo_rmse"),
+        ("views", "diffuse_normal_mean_deg"),
+        ("views", "specular_normal_mean_deg"),
+        ("base_mesh", "base_mesh_median_mm"),
+        ("base_mesh", "skin_within_share"),
+        ("registered_mesh", "skin_median_mm"),
+        ("registered_mesh", "landmark_mean_mm"),
+        ("atlas", "diffuse_albedo_rmse"),
+        ("atlas", "diffuse_normal_mean_deg"),
+    )
+    return {
+        f"{part}.{name}": round(facts[part][name], 4)
+        for part, name in wanted
+        if name in facts.get(part, {})
+    }
+
+
 def _reader(folder: ProcessedFolder, camera: str) -> MapReader:
     def read(name: str) -> np.ndarray:
         path = folder.view_path(camera, name)

@@ -33,8 +33,8 @@ def head_data() -> Path:
 def make_processed() -> Callable[..., Path]:
     """A function that writes a small processed folder with known atlas maps.
 
-    `make_processed(path, rows=96, columns=64, subject=.., seed=.., head_from_world=..)`: smooth
-    random maps on a half cylinder; the outer eighth of the texture is not covered.
+    `make_processed(path, rows=96, columns=64, subject=.., seed=.., head_from_world=..)`: random
+    maps on a half cylinder; the outer eighth of the texture is not covered.
     """
     return _write_processed
 
@@ -57,7 +57,8 @@ def _write_processed(
     normal = np.stack([np.sin(angle), np.zeros_like(u), np.cos(angle)], axis=2)
     covered = (abs(u - 0.5) < 0.375) & (abs(v - 0.5) < 0.375)
     tone = rng.uniform(0.2, 0.6, 3)
-    albedo = tone * (1 + 0.2 * np.sin(20 * (u + 2 * v) + seed))[:, :, None]
+    pores = 0.02 * rng.standard_normal((rows, columns))
+    albedo = tone * (1 + 0.2 * np.sin(20 * (u + 2 * v) + seed) + pores)[:, :, None]
     position = normal * 80 + np.stack([0 * u, (0.5 - v) * 240, 0 * u], axis=2)
     maps = {
         "diffuse_albedo": albedo,

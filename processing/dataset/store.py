@@ -30,6 +30,7 @@ from lightstage.formats.files import (
     write_json,
 )
 from lightstage.formats.processed import ProcessedFolder
+from processing.dataset.statistics import Statistics
 from processing.errors import ProcessingError
 
 SCHEMA = "lightstage.realfacedb/1"
@@ -43,6 +44,7 @@ CHANNELS: dict[str, int] = {
 }
 """Maps of a store and their channels; normals and position (mm) are in the head frame."""
 
+AVERAGED = ("diffuse_albedo", "specular_albedo")
 NORMALS = ("diffuse_normal", "specular_normal")
 PATCH = 512
 STRIDE = 256
@@ -204,7 +206,7 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
         raise DatasetError(out, found="no processed folder", expected="at least one")
     problems: list[LightstageError] = []
     entries: list[dict[str, Any]] = []
-    sums = _Sums()
+    statistics = Statistics({name: CHANNELS[name] for name in AVERAGED})
     with atomic_folder(out, "dataset.json") as beside:
         for index, root in enumerate(processed):
             try:
@@ -214,7 +216,7 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
                 if not problems:
                     _write_scan(beside / "scans" / f"{index:04d}", maps)
                 entries.append(entry)
-                sums.add(maps)
+                statistics.add(maps, maps["confidence"][:, :, 0] > 0)
             except LightstageError as error:
                 problems.append(error)
             progress(index + 1, len(processed))
@@ -233,7 +235,7 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
                     "subjects": len({e["subject"] for e in entries}),
                     "scans": len(entries),
                 },
-                "statistics": sums.facts(),
+                "statistics": statistics.facts(),
                 "fingerprint": hashlib.sha256(
                     "".join(e["sha256"] for e in entries).encode()
                 ).hexdigest(),
@@ -316,34 +318,3 @@ def _write_scan(folder: Path, maps: dict[str, np.ndarray]) -> None:
             fill_value=0,
         )
         array[:] = image.astype(array.dtype)
-
-
-class _Sums:
-    """Statistics over the covered texels of all scans together, never of one."""
-
-    def __init__(self) -> None:
-        self._texels = 0
-        self._covered = 0
-        self._sum = {
-            name: np.zeros(CHANNELS[name]) for name in ("diffuse_albedo", "specular_albedo")
-        }
-        self._squares = {name: np.zeros(CHANNELS[name]) for name in self._sum}
-
-    def add(self, maps: dict[str, np.ndarray]) -> None:
-        seen = maps["confidence"][:, :, 0] > 0
-        self._texels += seen.size
-        self._covered += int(seen.sum())
-        for name in self._sum:
-            values = maps[name][seen].astype(float)
-            self._sum[name] += values.sum(axis=0)
-            self._squares[name] += (values**2).sum(axis=0)
-
-    def facts(self) -> dict[str, Any]:
-        count = max(1, self._covered)
-        out: dict[str, Any] = {"coverage": self._covered / max(1, self._texels)}
-        for name in self._sum:
-            mean = self._sum[name] / count
-            variance = np.maximum(self._squares[name] / count - mean**2, 0)
-            out[f"{name}_mean"] = mean.tolist()
-            out[f"{name}_deviation"] = np.sqrt(variance).tolist()
-        return out
