@@ -1,0 +1,161 @@
+"""The neutral head: mesh with one UV tile, landmarks, regions."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from lightstage.formats.mesh import Mesh
+from sim.head_features import add_features
+from sim.head_grid import (
+    COLUMNS,
+    EYE_AZIMUTH_DEG,
+    EYE_HALF_DEG,
+    MOUTH_HALF_DEG,
+    ROW_BROW,
+    ROW_LID_LOW,
+    ROW_LID_UP,
+    ROW_LIP_LOW,
+    ROW_LIP_UP,
+    ROW_MOUTH,
+    ROWS,
+    face_azimuth_deg,
+    head_rays,
+)
+from sim.head_shape import cast
+
+HALF = COLUMNS // 2
+
+# Places of landmarks that lie on no row, x >= 0: mm in the head frame.
+_JAW_MM = (
+    (72, -6, 8),
+    (70, -24, 8),
+    (67, -43, 8),
+    (63, -62, 8),
+    (55, -81, 16),
+    (43, -97, 34),
+    (28, -109, 52),
+    (14, -117, 66),
+    (0, -119, 74),
+)
+_BROW_MM = ((54, 11, 66), (46, 17, 76), (36, 19, 84), (25, 17, 90), (14, 13, 93))
+_NOSE_BASE_MM = ((13.5, -51, 96), (7, -54, 99), (0, -55, 100))
+
+
+@functools.cache
+def grid_vertices() -> np.ndarray:
+    """(rows + 1, columns + 1) vertex of each grid point: seam and slit are welded."""
+    row, column = np.meshgrid(np.arange(ROWS + 1), np.arange(COLUMNS + 1), indexing="ij")
+    column = np.where(column == COLUMNS, 0, column)
+    column = np.where((row == 0) & (column > HALF), COLUMNS - column, column)
+    vertices = np.where(row == 0, column, HALF + 1 + (row - 1) * COLUMNS + column)
+    vertices.flags.writeable = False
+    return vertices
+
+
+@functools.cache
+def neutral_mesh() -> Mesh:
+    """The average head: quads, one UV tile, head frame, mm."""
+    rays = head_rays()
+    points = add_features(cast(rays.origins, rays.directions))
+    index = grid_vertices()
+    vertices = np.zeros((int(index.max()) + 1, 3))
+    vertices[index.ravel()[::-1]] = points.reshape(-1, 3)[::-1]
+    vertices[index[:, HALF], 0] = 0.0
+    vertices[index[:, 0], 0] = 0.0
+    vertices[index[0], 0] = 0.0
+    # Mirror exactly, so that the base has no side.
+    mirrored = index[:, ::-1]
+    other = np.empty(len(vertices), int)
+    other[index.ravel()] = mirrored.ravel()
+    vertices = 0.5 * (vertices + vertices[other] * (-1, 1, 1))
+    flat = np.arange((ROWS + 1) * (COLUMNS + 1)).reshape(ROWS + 1, COLUMNS + 1)
+    u = np.arange(COLUMNS + 1) / COLUMNS
+    v = 1 - np.arange(ROWS + 1) / ROWS
+    uvs = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    return Mesh(vertices, _quads(index), uvs, _quads(flat))
+
+
+def _quads(index: np.ndarray) -> np.ndarray:
+    """Quads whose first diagonal is mirror-symmetric and starts at the slit's ends."""
+    a, b = index[:-1, :-1], index[1:, :-1]
+    c, d = index[1:, 1:], index[:-1, 1:]
+    right = np.stack([a, b, c, d], axis=-1)
+    left = np.stack([d, a, b, c], axis=-1)
+    quads = np.where((np.arange(COLUMNS) >= HALF)[None, :, None], right, left)
+    quads[0, 0], quads[0, -1] = right[0, 0], left[0, -1]
+    return quads.reshape(-1, 4).astype(np.int32)
+
+
+@functools.cache
+def landmarks() -> np.ndarray:
+    """(68,) vertex indices in iBUG's order, the subject's right (x < 0) first."""
+    index = grid_vertices()
+    azimuth = face_azimuth_deg()
+    vertices = neutral_mesh().vertices
+
+    def near(place: tuple[float, float, float], side: int) -> int:
+        wanted = np.array(place, float) * (side, 1, 1)
+        return int(np.argmin(np.linalg.norm(vertices - wanted, axis=1)))
+
+    def at(row: int, azimuth_deg: float) -> int:
+        return int(index[row, np.argmin(np.abs(azimuth - azimuth_deg))])
+
+    def eye(row: int, place: float, side: int) -> int:
+        return at(row, side * (EYE_AZIMUTH_DEG + place * EYE_HALF_DEG))
+
+    def mouth(row: int, place: float) -> int:
+        return at(row, place * MOUTH_HALF_DEG)
+
+    middle = (ROW_LID_UP + ROW_LID_LOW) // 2
+    jaw = [near(p, -1) for p in _JAW_MM] + [near(p, 1) for p in _JAW_MM[-2::-1]]
+    brows = [near(p, -1) for p in _BROW_MM] + [near(p, 1) for p in _BROW_MM[::-1]]
+    front = vertices[index[:, HALF]]
+    tip = ROW_LID_LOW + int(np.argmax(front[ROW_LID_LOW : ROW_LIP_UP - 3, 2]))
+    bridge = np.linspace(np.argmin(np.abs(front[:, 1] + 1)), tip, 4).round().astype(int)
+    nose = [int(index[row, HALF]) for row in bridge]
+    base = [near(p, -1) for p in _NOSE_BASE_MM] + [near(p, 1) for p in _NOSE_BASE_MM[-2::-1]]
+    eyes = [eye(middle, 0.98, -1), eye(ROW_LID_UP, 0.36, -1), eye(ROW_LID_UP, -0.36, -1)]
+    eyes += [eye(middle, -0.98, -1), eye(ROW_LID_LOW, -0.36, -1), eye(ROW_LID_LOW, 0.36, -1)]
+    eyes += [eye(middle, -0.98, 1), eye(ROW_LID_UP, -0.36, 1), eye(ROW_LID_UP, 0.36, 1)]
+    eyes += [eye(middle, 0.98, 1), eye(ROW_LID_LOW, 0.36, 1), eye(ROW_LID_LOW, -0.36, 1)]
+    outer = [mouth(ROW_MOUTH, -1.0)] + [mouth(ROW_LIP_UP, p) for p in (-0.6, -0.22, 0, 0.22, 0.6)]
+    outer += [mouth(ROW_MOUTH, 1.0)] + [mouth(ROW_LIP_LOW, p) for p in (0.6, 0.28, 0, -0.28, -0.6)]
+    inner = [mouth(ROW_MOUTH, -0.86)] + [mouth(ROW_MOUTH - 1, p) for p in (-0.3, 0, 0.3)]
+    inner += [mouth(ROW_MOUTH, 0.86)] + [mouth(ROW_MOUTH + 1, p) for p in (0.3, 0, -0.3)]
+    found = np.array(jaw + brows + nose + base + eyes + outer + inner, np.int64)
+    found.flags.writeable = False
+    return found
+
+
+@functools.cache
+def regions() -> dict[str, np.ndarray]:
+    """Vertex indices of skin, lips, eyes, ears and hair; together they are all vertices."""
+    index = grid_vertices()
+    azimuth = face_azimuth_deg()
+    rows = np.arange(ROWS + 1)[:, None]
+    mouth = np.abs(azimuth) / MOUTH_HALF_DEG
+    eye = np.abs(np.abs(azimuth) - EYE_AZIMUTH_DEG) / EYE_HALF_DEG
+    lips = (rows >= ROW_LIP_UP) & (rows <= ROW_LIP_LOW) & (mouth <= 1.0)
+    eyes = (rows > ROW_LID_UP) & (rows < ROW_LID_LOW) & (eye <= 1.0)
+    points = neutral_mesh().vertices[index]
+    ears = (np.abs(points[..., 0]) > 60) & (np.abs(points[..., 1] + 14) < 33)
+    ears &= (points[..., 2] > -38) & (points[..., 2] < 5)
+    hair = hairline_mm(points) > 0
+    chosen = {"lips": lips, "eyes": eyes & ~lips, "ears": ears}
+    chosen["hair"] = hair & ~ears
+    chosen["skin"] = ~(lips | eyes | ears | hair)
+    names = ("skin", "lips", "eyes", "ears", "hair")
+    return {name: np.unique(index[chosen[name]]) for name in names}
+
+
+def hairline_mm(points: np.ndarray) -> np.ndarray:
+    """How far (about, mm) a place of the neutral head lies behind the hairline; (..., 3) mm."""
+    x, y, z = np.abs(points[..., 0]), points[..., 1], points[..., 2]
+    front = 70.0 - 0.008 * x**2
+    above = y - front
+    # From the temple down before the ear, behind it to the nape.
+    behind = np.minimum(20.0 - z, y + 12.0)
+    nape = np.minimum(-40.0 - z, y + 95.0)
+    return np.maximum(np.maximum(above, behind), nape)
