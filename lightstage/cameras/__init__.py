@@ -1,0 +1,1 @@
+"""Cameras: one Protocol (camera.py), the gphoto2 driver, one supervised process a camera."""

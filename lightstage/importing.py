@@ -1,0 +1,142 @@
+"""A session from photographs taken elsewhere: FOLDER/PATTERN/CAMERA.EXT."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+import shutil
+from pathlib import Path
+from typing import Any
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import FormatError, LightstageError, PatternError, one_error
+from lightstage.formats.exr import read_exr
+from lightstage.formats.files import fsync_path
+from lightstage.patterns import SEQUENCES, pattern_levels
+from lightstage.photograph import identify
+from lightstage.rig import Rig
+from lightstage.session import SessionWriter, check_pseudonym, require_new
+
+
+def find_photographs(folder: Path, rig: Rig) -> dict[str, dict[str, Path]]:
+    """Photographs of a folder: pattern to camera to file, patterns in a sequence's usual order.
+
+    Args:
+        folder: holds PATTERN/CAMERA.EXT, or frames/PATTERN/CAMERA.EXT.
+        rig: whose cameras and lights the names mean.
+
+    Raises:
+        FormatError, PatternError: every unknown pattern or camera, doubled or missing photograph,
+            in one message.
+    """
+    problems: list[LightstageError] = []
+    top = folder / "frames" if (folder / "frames").is_dir() else folder
+    if not top.is_dir():
+        raise FormatError(folder, found="no such folder", expected="PATTERN/CAMERA.EXT in it")
+    ids = [camera.id for camera in rig.cameras]
+    found: dict[str, dict[str, Path]] = {}
+    for place in sorted(path for path in top.iterdir() if path.is_dir()):
+        try:
+            pattern_levels(place.name, rig)
+        except PatternError as error:
+            problems.append(error)
+            continue
+        here = found.setdefault(place.name, {})
+        for file in sorted(path for path in place.iterdir() if not path.name.startswith(".")):
+            if file.stem not in ids:
+                problems.append(
+                    FormatError(file, found="no camera of the rig", expected=", ".join(ids))
+                )
+            elif file.stem in here:
+                problems.append(
+                    FormatError(file, found="a second photograph", expected="one a camera")
+                )
+            else:
+                here[file.stem] = file
+        problems += [
+            FormatError(place / camera, found="no photograph", expected="one of each camera")
+            for camera in ids
+            if camera not in here
+        ]
+    if not found and not problems:
+        problems.append(
+            FormatError(folder, found="no pattern's folder", expected="such as full/cam0.dng")
+        )
+    if problems:
+        raise one_error(problems)
+    usual = [name for names in SEQUENCES.values() for name in names]
+    order = sorted(
+        found, key=lambda name: (name not in usual, usual.index(name) if name in usual else 0, name)
+    )
+    return {name: found[name] for name in order}
+
+
+def import_session(
+    folder: Path,
+    rig: Rig,
+    out: Path,
+    subject: str,
+    expression: str,
+    colour: dict[str, Any] | None = None,
+    progress: ProgressCallback = quiet,
+) -> int:
+    """Make a session of photographs taken elsewhere; all of it appears at once, or nothing.
+
+    Args:
+        folder: see find_photographs.
+        rig: where lights and cameras stood.
+        out: the session's folder, new.
+        subject: pseudonym.
+        expression: such as ``neutral``.
+        colour: calibration as read by session.read_colour.
+        progress: called with photographs kept and wanted.
+
+    Returns:
+        How many photographs.
+
+    Raises:
+        FormatError: every photograph that is none, is truncated or has NaN, in one message.
+        CaptureError: `out` holds something.
+    """
+    check_pseudonym(subject, "subject")
+    check_pseudonym(expression, "expression")
+    require_new(out)
+    found = find_photographs(folder, rig)
+    total = sum(len(files) for files in found.values())
+    beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
+    try:
+        writer = SessionWriter(beside, rig, list(found), subject, expression, {"imported": True})
+        try:
+            _keep_all(found, writer, total, progress)
+            if colour is not None:
+                writer.add_colour(colour)
+            writer.finish()
+        finally:
+            writer.close()
+        os.replace(beside, out)
+        fsync_path(out.parent)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    return total
+
+
+def _keep_all(
+    found: dict[str, dict[str, Path]], writer: SessionWriter, total: int, progress: ProgressCallback
+) -> None:
+    problems: list[LightstageError] = []
+    done = 0
+    for pattern, files in found.items():
+        for camera, path in files.items():
+            data = path.read_bytes()
+            try:
+                if identify(data, path).encoding == "linear":
+                    read_exr(path, finite=True)
+                writer.keep(pattern, camera, data, hashlib.sha256(data).hexdigest())
+            except FormatError as error:
+                problems.append(error)
+            done += 1
+            progress(done, total)
+        writer.shot(pattern, None)
+    if problems:
+        raise one_error(problems)

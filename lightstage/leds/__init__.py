@@ -1,0 +1,1 @@
+"""LED controllers: one Protocol (controller.py), the wire (wire.py), a serial driver."""

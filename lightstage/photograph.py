@@ -1,0 +1,125 @@
+"""What kind of file a photograph is, from its bytes, and whether it is whole."""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+from lightstage.errors import FormatError
+
+_EXR = b"\x76\x2f\x31\x01"
+_DNG_VERSION, _MAKE, _SUB_IFDS = 50706, 271, 330
+_PLACES = {273: 279, 324: 325}
+"""Tags of strip and tile offsets, and those of their byte counts."""
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
+_MAKERS = {b"NIKON": ".nef", b"Canon": ".cr2", b"SONY": ".arw", b"PENTAX": ".pef"}
+_MAX_IFDS = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class Kind:
+    """A photograph's file type: suffix with a dot, and the session's `encoding`."""
+
+    suffix: str
+    encoding: Literal["raw", "linear"]
+
+
+def identify(data: bytes, where: str | Path) -> Kind:
+    """Tell a RAW, DNG or OpenEXR photograph by its bytes; the name counts for nothing.
+
+    The header must parse, and a TIFF-like file must be as long as its directories say.
+
+    Args:
+        data: the whole file.
+        where: what to name in an error.
+
+    Raises:
+        FormatError: another kind of file (a JPEG holds no linear light), or a truncated one.
+    """
+    if data[:4] == _EXR:
+        return Kind(".exr", "linear")
+    if data[:4] in (b"II*\0", b"MM\0*"):
+        return Kind(_tiff_suffix(data, where), "raw")
+    if data[4:11] == b"ftypcrx":
+        return Kind(".cr3", "raw")
+    if data[:15] == b"FUJIFILMCCD-RAW":
+        return Kind(".raf", "raw")
+    jpeg = data[:3] == b"\xff\xd8\xff"
+    raise FormatError(
+        where,
+        found="a JPEG" if jpeg else f"{len(data)} bytes that begin with {data[:8].hex() or 'none'}",
+        expected="a camera RAW, a DNG or an OpenEXR picture",
+        hint="Set the camera's picture format to RAW." if jpeg else "Is the file damaged?",
+    )
+
+
+def _tiff_suffix(data: bytes, where: str | Path) -> str:
+    order = "<" if data[:2] == b"II" else ">"
+    suffix = ""
+    try:
+        for tags in _directories(data, order):
+            if _DNG_VERSION in tags:
+                suffix = ".dng"
+            elif _MAKE in tags and not suffix:
+                make = bytes(tags[_MAKE])
+                suffix = next((s for name, s in _MAKERS.items() if make.startswith(name)), "")
+            _require_whole(tags, len(data), where)
+    except struct.error:
+        raise _truncated(where, len(data), "a directory beyond the end") from None
+    if not suffix:
+        raise FormatError(
+            where,
+            found="a TIFF without DNGVersion, of no known maker",
+            expected="a camera RAW, a DNG or an OpenEXR picture",
+        )
+    return suffix
+
+
+def _directories(data: bytes, order: str) -> Iterator[dict[int, list[int]]]:
+    """The TIFF's directories, SubIFDs too: tag to its values (a rational's two parts in a row)."""
+    pending = list(struct.unpack_from(order + "I", data, 4))
+    seen: set[int] = set()
+    while pending and len(seen) < _MAX_IFDS:
+        offset = pending.pop(0)
+        if offset == 0 or offset in seen:
+            continue
+        seen.add(offset)
+        (count,) = struct.unpack_from(order + "H", data, offset)
+        tags: dict[int, list[int]] = {}
+        for index in range(count):
+            entry = offset + 2 + 12 * index
+            tag, kind, length = struct.unpack_from(order + "HHI", data, entry)
+            if tag in (_DNG_VERSION, _MAKE, _SUB_IFDS, *_PLACES, *_PLACES.values()):
+                tags[tag] = _values(data, order, entry + 8, kind, length)
+        pending += tags.get(_SUB_IFDS, [])
+        pending += struct.unpack_from(order + "I", data, offset + 2 + 12 * count)
+        yield tags
+
+
+def _values(data: bytes, order: str, place: int, kind: int, length: int) -> list[int]:
+    size = _SIZES.get(kind, 0)
+    if size not in (1, 2, 4) or length > len(data):
+        raise struct.error("a tag of no such type")
+    if size * length > 4:
+        (place,) = struct.unpack_from(order + "I", data, place)
+    letter = {1: "B", 2: "H", 4: "I"}[size]
+    return list(struct.unpack_from(f"{order}{length}{letter}", data, place))
+
+
+def _require_whole(tags: dict[int, list[int]], size: int, where: str | Path) -> None:
+    for offsets, counts in _PLACES.items():
+        ends = [o + c for o, c in zip(tags.get(offsets, []), tags.get(counts, []), strict=False)]
+        if ends and max(ends) > size:
+            raise _truncated(where, size, f"picture data up to byte {max(ends)}")
+
+
+def _truncated(where: str | Path, size: int, expected: str) -> FormatError:
+    return FormatError(
+        where,
+        found=f"{size} bytes",
+        expected=expected,
+        hint="The file is truncated; download or copy it again.",
+    )
