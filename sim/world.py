@@ -1,0 +1,91 @@
+"""A subject in a rig, ready to be photographed under any light state."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.environment import stage_lights
+from lightstage.rig import Rig
+from sim.render import shade
+from sim.scene import Scene, Surface
+from sim.subject import Subject
+
+
+class World:
+    """What every camera sees and which lights each of its pixels sees, computed once.
+
+    Attributes:
+        rig: lights and cameras.
+        scene: the subject prepared for rays.
+        surfaces: camera id to what its pixels see.
+    """
+
+    def __init__(self, subject: Subject, rig: Rig, progress: ProgressCallback = quiet) -> None:
+        """Cast all rays; `progress` counts cameras."""
+        self.rig = rig
+        self.scene = Scene(subject)
+        self.surfaces: dict[str, Surface] = {}
+        self._bits: dict[str, np.ndarray] = {}
+        self._full = light_weights(rig)
+        for done, camera in enumerate(rig.cameras, 1):
+            surface = self.scene.surface(camera)
+            self.surfaces[camera.id] = surface
+            self._bits[camera.id] = self.scene.visible_lights(surface, rig.positions_mm)
+            progress(done, len(rig.cameras))
+
+    @property
+    def subject(self) -> Subject:
+        """Who sits in the stage."""
+        return self.scene.subject
+
+    def pixels(self, camera_id: str, weights: np.ndarray) -> np.ndarray:
+        """Light of the pixels that see the subject.
+
+        Args:
+            camera_id: the view.
+            weights: (s, m, 3) what a white diffuser at the origin facing each light would read.
+
+        Returns:
+            (s, n, 3) float32.
+        """
+        surface = self.surfaces[camera_id]
+        diffuse, specular = shade(
+            surface.position,
+            surface.geometric,
+            surface.normal,
+            surface.view,
+            surface.albedo,
+            surface.specular,
+            surface.roughness,
+            self._bits[camera_id],
+            self.rig.positions_mm,
+            weights,
+        )
+        return diffuse + specular
+
+    def photograph(self, camera_id: str, levels: np.ndarray) -> np.ndarray:
+        """Scene-linear pictures under light states; the background is black.
+
+        Args:
+            camera_id: the view.
+            levels: (s, m) drive levels of s states.
+
+        Returns:
+            (s, h, w, 3) float32.
+        """
+        light = self.pixels(camera_id, np.asarray(levels)[:, :, None] * self._full)
+        return np.stack([self.surfaces[camera_id].picture(state) for state in light])
+
+    def relit(self, camera_id: str, weights: np.ndarray) -> np.ndarray:
+        """(h, w, 3) float32 under coloured lights; `weights` (m, 3) as in `pixels`."""
+        light = self.pixels(camera_id, np.asarray(weights)[None])
+        return self.surfaces[camera_id].picture(light[0])
+
+
+def light_weights(rig: Rig) -> np.ndarray:
+    """(m, 3) what a white diffuser at the origin facing each light reads at level 1."""
+    shown = stage_lights(rig, np.ones(len(rig.lights)), "full")
+    weights = np.zeros((len(rig.lights), 3))
+    weights[rig.rgb_gains.max(axis=1) > 0] = shown.rgb
+    return weights
