@@ -1,3 +1,8 @@
 """The light stage itself: lights, cameras, sessions; and the floor that every package stands on."""
 
+import os
+
 __version__ = "0.1.0"
+
+# Numba tries TBB first and warns where an older one is found (some libraries bring theirs).
+os.environ.setdefault("NUMBA_THREADING_LAYER_PRIORITY", "omp workqueue tbb")
