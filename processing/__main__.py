@@ -1,0 +1,215 @@
+"""Commands of `lightstage-processing`: photographs to the registered atlas, and the dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
+from lightstage.formats.template import default_template_path
+
+app = make_app("Photographs of a light stage to reflectance maps, mesh, atlas and dataset.")
+dataset_app = make_app("The lab's store of many processed sessions, and its published form.")
+app.add_typer(dataset_app, name="dataset")
+
+SessionPath = typer.Argument(..., help="Session folder.", show_default=False)
+OutPath = typer.Option(..., "--out", help="Processed folder, made or continued.")
+TemplatePath = typer.Option(default_template_path(), "--template", help="Template folder.")
+ConfigPath = typer.Option(None, "--config", help="TOML file with one table for each stage.")
+AtlasRows = typer.Option(None, "--atlas-rows", min=6, help="Atlas height in texels [6144].")
+
+
+@app.command()
+def run(
+    session: Path = SessionPath,
+    out: Path = OutPath,
+    template: Path = TemplatePath,
+    config: Path | None = ConfigPath,
+    until: str = typer.Option("atlas", "--until", help="The last stage to run."),
+    atlas_rows: int | None = AtlasRows,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Everything from photographs to the atlas; what is up to date is skipped."""
+    _process(session, out, template, config, atlas_rows, as_json, until=until)
+
+
+@app.command()
+def separate(
+    session: Path = SessionPath,
+    out: Path = OutPath,
+    config: Path | None = ConfigPath,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Coarse far-field maps of every view (decodes the photographs first where needed)."""
+    _process(session, out, default_template_path(), config, None, as_json, only="separate")
+
+
+@app.command()
+def reconstruct(
+    session: Path = SessionPath,
+    out: Path = OutPath,
+    config: Path | None = ConfigPath,
+    as_json: bool = JsonFlag,
+) -> None:
+    """The base mesh from the decoded views."""
+    _process(session, out, default_template_path(), config, None, as_json, only="reconstruct")
+
+
+@app.command()
+def refine(
+    session: Path = SessionPath,
+    out: Path = OutPath,
+    config: Path | None = ConfigPath,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Exact maps of every view, with the mesh's positions and shadows."""
+    _process(session, out, default_template_path(), config, None, as_json, only="refine")
+
+
+@app.command()
+def register(
+    session: Path = SessionPath,
+    out: Path = OutPath,
+    template: Path = TemplatePath,
+    config: Path | None = ConfigPath,
+    as_json: bool = JsonFlag,
+) -> None:
+    """The template brought onto the base mesh."""
+    _process(session, out, template, config, None, as_json, only="register")
+
+
+@app.command()
+def atlas(
+    session: Path = SessionPath,
+    out: Path = OutPath,
+    template: Path = TemplatePath,
+    config: Path | None = ConfigPath,
+    atlas_rows: int | None = AtlasRows,
+    as_json: bool = JsonFlag,
+) -> None:
+    """The views' maps blended into the template's texture."""
+    _process(session, out, template, config, atlas_rows, as_json, only="atlas")
+
+
+def _process(
+    session: Path,
+    out: Path,
+    template: Path,
+    config: Path | None,
+    atlas_rows: int | None,
+    as_json: bool,
+    *,
+    until: str = "atlas",
+    only: str | None = None,
+) -> None:
+    from processing import pipeline
+
+    report = pipeline.run(
+        session,
+        out,
+        template,
+        pipeline.read_config(config, atlas_rows),
+        until=until,
+        only=only,
+        bar=progress_bar,
+    )
+    ran = report["ran"]
+    seconds = sum(report["stages"][stage]["seconds"] for stage in ran)
+    peak = max((report["stages"][stage]["peak_rss_mb"] for stage in ran), default=0.0)
+    said = f"ran {' '.join(ran)} in {seconds:.1f} s, peak {peak:.0f} MB" if ran else "up to date"
+    warned = f", {len(report['warnings'])} warnings" if report["warnings"] else ""
+    facts = {"out": str(out), "ran": ran, "stages": report["stages"]}
+    finish(f"{out}: {said}{warned}", {**facts, "warnings": report["warnings"]}, as_json)
+
+
+@app.command("register-mesh")
+def register_mesh(
+    mesh: Path = typer.Argument(..., help="Scan, .obj or .ply, in mm.", show_default=False),
+    landmarks: Path = typer.Option(..., "--landmarks", help="JSON with points_mm, 68 iBUG."),
+    out: Path = typer.Option(..., "--out", help="Registered mesh, .obj, in the template's UV."),
+    template: Path = TemplatePath,
+    config: Path | None = ConfigPath,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Register the template to any scan."""
+    from lightstage.formats.landmarks import read_points_mm
+    from lightstage.formats.mesh import read_mesh, write_obj
+    from lightstage.formats.template import load_template
+    from processing import pipeline
+    from processing.registration.stage import register_mesh as register_scan
+
+    shape, scan, points_mm = load_template(template), read_mesh(mesh), read_points_mm(landmarks)
+    settings = pipeline.read_config(config).register
+    with progress_bar("register-mesh") as progress:
+        vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
+    write_obj(shape.mesh.with_vertices(vertices), out)
+    finish(f"{out}: {len(vertices)} vertices, {_said(facts)}", {"out": str(out), **facts}, as_json)
+
+
+@app.command()
+def evaluate(
+    out: Path = typer.Argument(..., help="Processed folder.", show_default=False),
+    truth: Path = typer.Argument(..., help="Truth in the same form.", show_default=False),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Every error there is against a simulated session's truth."""
+    from processing.evaluate import evaluate as evaluate_folder
+
+    facts = evaluate_folder(out, truth)
+    finish(f"{out / 'evaluation.json'}: {_said(facts)}", facts, as_json)
+
+
+@dataset_app.command()
+def build(
+    processed: list[Path] = typer.Argument(..., help="Processed folders.", show_default=False),
+    out: Path = typer.Option(..., "--out", help="Store, made anew."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """The lab's store: whole maps of every scan."""
+    from processing.dataset import build_store, open_store
+
+    with progress_bar("dataset build") as progress:
+        build_store(processed, out, progress)
+    scans = open_store(out).scans
+    subjects = len({scan.subject for scan in scans})
+    facts = {"out": str(out), "scans": len(scans), "subjects": subjects}
+    finish(f"{out}: {len(scans)} scans of {subjects} subjects", facts, as_json)
+
+
+@dataset_app.command()
+def publish(
+    store: Path = typer.Argument(..., help="The lab's store.", show_default=False),
+    out: Path = typer.Option(..., "--out", help="Published folder, made anew."),
+    patch: int = typer.Option(512, "--patch", min=8, help="Side of a patch in texels."),
+    seed: int | None = typer.Option(
+        None, "--seed", help="Of the shuffle, kept out of the result; by default a secret one."
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """The anonymous form: shuffled patches that do not overlap."""
+    from lightstage.formats.files import read_json
+    from processing.dataset import PublishConfig, open_store
+    from processing.dataset import publish as publish_store
+
+    with progress_bar("dataset publish") as progress:
+        publish_store(open_store(store), out, seed, PublishConfig(patch_px=patch), progress)
+    counts = read_json(out / "dataset.json")["counts"]
+    said = f"{counts['patches']} patches of {counts['subjects']} subjects"
+    finish(f"{out}: {said}", {"out": str(out), **counts}, as_json)
+
+
+def _said(facts: dict[str, Any]) -> str:
+    """The plain numbers among facts, on one line."""
+    plain = {k: v for k, v in facts.items() if isinstance(v, (int, float, str))}
+    return ", ".join(f"{key} {value}" for key, value in plain.items())
+
+
+def main() -> None:
+    """Entry point."""
+    run_app(app)
+
+
+if __name__ == "__main__":
+    main()

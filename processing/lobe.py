@@ -1,0 +1,178 @@
+"""What a point reflects under each pattern: the Lambertian part and skin's mirror lobe.
+
+A pattern k gives a point of albedo rho and specular albedo s the radiance
+rho E_k + A_k + s B_k: E_k its irradiance, A_k + s B_k the microfacet lobe summed over the lights,
+with Fresnel's reflectance, which is not proportional to s, taken as linear in s near skin's.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from processing.lights import PatternLights
+
+SKIN_F0 = 0.028
+"""Reflectance at normal incidence of skin, n = 1.4."""
+FRESNEL_STEPS = 256
+FARTHEST_TAN = 9.0
+"""The lobe is cut where tan^2 of the half angle is this many times roughness squared (1e-4)."""
+GRAZING = 0.05
+"""Smallest cosine to the camera that the lobe is divided by."""
+
+
+def fresnel(f0: np.ndarray | float, cosine: np.ndarray) -> np.ndarray:
+    """Exact unpolarised reflectance of a dielectric.
+
+    Args:
+        f0: reflectance at normal incidence, 0..1, broadcast against `cosine`.
+        cosine: of the angle of incidence, 0..1.
+
+    Returns:
+        Reflectance, 0..1.
+
+    Source: [BornWolf1999].
+    """
+    root = np.sqrt(f0)
+    index = (1 + root) / (1 - root)
+    c = np.asarray(cosine, float)
+    g = np.sqrt(index**2 - 1 + c**2)
+    first = ((g - c) / (g + c)) ** 2
+    second = ((c * (g + c) - 1) / (c * (g - c) + 1)) ** 2
+    return np.asarray(0.5 * first * (1 + second))
+
+
+@functools.cache
+def fresnel_table() -> np.ndarray:
+    """(FRESNEL_STEPS + 1, 2): a and b of F = a + b s near skin, for cosines 0, 1/steps .. 1."""
+    cosine = np.linspace(0, 1, FRESNEL_STEPS + 1)
+    step = 0.004
+    slope = (fresnel(SKIN_F0 + step, cosine) - fresnel(SKIN_F0 - step, cosine)) / (2 * step)
+    return np.stack([fresnel(SKIN_F0, cosine) - slope * SKIN_F0, slope], axis=1)
+
+
+def transport(
+    lights: PatternLights,
+    points_mm: np.ndarray,
+    normals: np.ndarray,
+    views: np.ndarray,
+    roughness: float,
+    corners: np.ndarray | None = None,
+    weights: np.ndarray | None = None,
+    visible: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """E_k, A_k and B_k of pixels.
+
+    Args:
+        lights: of P patterns.
+        points_mm: (n, 3) surface points.
+        normals: (n, 3) unit.
+        views: (n, 3) unit, toward the camera.
+        roughness: Beckmann's m.
+        corners: (n, 3) vertices of each pixel's triangle; None where nothing casts shadows.
+        weights: (n, 3) their barycentric weights.
+        visible: (vertices, L) uint8, lights that a vertex sees.
+
+    Returns:
+        Three (n, P) float32.
+
+    Source: [Walter2007] for Beckmann's distribution and Smith's shadowing.
+    """
+    count = len(points_mm)
+    if corners is None or weights is None or visible is None:
+        corners = np.zeros((count, 3), np.int32)
+        weights = np.tile(np.array([[1.0, 0.0, 0.0]], np.float32), (count, 1))
+        visible = np.ones((1, len(lights.position_mm)), np.uint8)
+    out = np.zeros((3, count, len(lights.patterns)), np.float32)
+    _transport(
+        np.ascontiguousarray(points_mm, np.float32),
+        np.ascontiguousarray(normals, np.float32),
+        np.ascontiguousarray(views, np.float32),
+        np.float32(roughness),
+        corners.astype(np.int32),
+        weights.astype(np.float32),
+        visible,
+        lights.position_mm.astype(np.float32),
+        lights.radius_mm.astype(np.float32),
+        np.ascontiguousarray(lights.strength.T, np.float32),
+        fresnel_table().astype(np.float32),
+        out,
+    )
+    return out[0], out[1], out[2]
+
+
+@njit(cache=True)
+def _shadowing(cosine: float, roughness: float) -> float:
+    """Smith's G1 for Beckmann, the rational fit."""
+    tangent = math.sqrt(max(0.0, 1 - cosine * cosine)) / cosine
+    if roughness * tangent <= 0.625:  # a = 1 / (m tan) >= 1.6
+        return 1.0
+    a = 1 / (roughness * tangent)
+    return (3.535 * a + 2.181 * a * a) / (1 + 2.276 * a + 2.577 * a * a)
+
+
+@njit(parallel=True, cache=True)
+def _transport(
+    points: np.ndarray,
+    normals: np.ndarray,
+    views: np.ndarray,
+    roughness: float,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    visible: np.ndarray,
+    position: np.ndarray,
+    radius: np.ndarray,
+    strength: np.ndarray,
+    table: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    m2 = roughness * roughness
+    steps = len(table) - 1
+    for i in prange(len(points)):
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
+        nv = max(nx * vx + ny * vy + nz * vz, np.float32(GRAZING))
+        shadow_v = _shadowing(nv, roughness)
+        c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
+        for j in range(len(position)):
+            seen = (
+                weights[i, 0] * visible[c0, j]
+                + weights[i, 1] * visible[c1, j]
+                + weights[i, 2] * visible[c2, j]
+            )
+            if seen <= 0:
+                continue
+            lx = position[j, 0] - points[i, 0]
+            ly = position[j, 1] - points[i, 1]
+            lz = position[j, 2] - points[i, 2]
+            nl = nx * lx + ny * ly + nz * lz
+            if nl <= 0:
+                continue
+            distance = math.sqrt(lx * lx + ly * ly + lz * lz)
+            fall = radius[j] / distance
+            seen *= fall * fall
+            nl /= distance
+            for k in range(strength.shape[1]):
+                out[0, i, k] += seen * strength[j, k] * nl
+            hx, hy, hz = lx / distance + vx, ly / distance + vy, lz / distance + vz
+            length = math.sqrt(hx * hx + hy * hy + hz * hz)
+            if length <= 0:
+                continue
+            nh = (nx * hx + ny * hy + nz * hz) / length
+            nh2 = nh * nh
+            if nh <= 0 or (1 - nh2) > FARTHEST_TAN * m2 * nh2:
+                continue
+            # pi D / (4 nv), the cosine to the light cancelled against the BRDF's.
+            lobe = math.exp((nh2 - 1) / (nh2 * m2)) / (4 * m2 * nh2 * nh2 * nv)
+            lobe *= seen * shadow_v * _shadowing(nl, roughness)
+            place = min(1.0, (vx * hx + vy * hy + vz * hz) / length) * steps
+            below = min(steps - 1, int(place))
+            part = place - below
+            a = table[below, 0] * (1 - part) + table[below + 1, 0] * part
+            b = table[below, 1] * (1 - part) + table[below + 1, 1] * part
+            for k in range(strength.shape[1]):
+                out[1, i, k] += lobe * a * strength[j, k]
+                out[2, i, k] += lobe * b * strength[j, k]

@@ -1,0 +1,111 @@
+"""What was done in a processed folder: keys of finished stages, their facts, seconds and memory."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import json
+import platform
+import resource
+import time
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from lightstage.formats.files import read_json, sha256_file, write_json
+
+SCHEMA = "processing.stages/1"
+REPORTED = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "pycolmap")
+CODE = ("processing", "lightstage/formats", "lightstage/rig.py", "lightstage/patterns.py")
+
+
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """One finished stage.
+
+    Attributes:
+        key: hash of its inputs, configuration and code; another key means it is stale.
+        outputs: files it wrote, relative to the processed folder.
+        facts: JSON-ready, with seconds and peak_rss_mb.
+    """
+
+    key: str
+    outputs: list[str]
+    facts: dict[str, Any]
+
+
+def read_records(out: Path) -> dict[str, Record]:
+    """Finished stages by name, in the order they ran; empty where there is no stages.json."""
+    path = out / "stages.json"
+    if not path.exists():
+        return {}
+    stages = read_json(path, SCHEMA)["stages"]
+    return {name: Record(**value) for name, value in stages.items()}
+
+
+def write_records(out: Path, records: dict[str, Record]) -> Path:
+    """Write stages.json atomically; returns its path."""
+    stages = {name: dataclasses.asdict(record) for name, record in records.items()}
+    return write_json(out / "stages.json", {"schema": SCHEMA, "stages": stages})
+
+
+def hash_of(*values: Any) -> str:
+    """SHA-256 of JSON-ready values, in hexadecimal."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def hash_folder(folder: Path) -> str:
+    """SHA-256 of a folder's files, names and bytes."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return hash_of([(str(path.relative_to(folder)), sha256_file(path)) for path in files])
+
+
+@functools.cache
+def code_version() -> str:
+    """SHA-256 of the source files that processing's results depend on."""
+    root = Path(__file__).parents[1]
+    files: list[Path] = []
+    for name in CODE:
+        place = root / name
+        files += sorted(place.rglob("*.py")) if place.is_dir() else [place]
+    return hash_of([(str(path.relative_to(root)), sha256_file(path)) for path in files])
+
+
+def versions() -> dict[str, str]:
+    """Versions of this project, its code's hash, Python and the libraries that shape results."""
+    found = {name: metadata.version(name) for name in REPORTED}
+    own = {"lightstage": metadata.version("lightstage"), "code": code_version()[:12]}
+    return {**own, "python": platform.python_version(), **found}
+
+
+def files_in(out: Path) -> dict[str, tuple[int, int]]:
+    """Every file below a folder: relative name to size and time of change."""
+    found = {}
+    for path in out.rglob("*"):
+        if path.is_file():
+            stat = path.stat()
+            found[str(path.relative_to(out))] = (stat.st_size, stat.st_mtime_ns)
+    return found
+
+
+@contextlib.contextmanager
+def measured(facts: dict[str, Any]) -> Iterator[None]:
+    """Add `seconds` and `peak_rss_mb` of a block to its facts."""
+    # Linux resets a process's memory peak on request; elsewhere it is the peak since its start.
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+    start = time.perf_counter()
+    yield
+    facts["seconds"] = round(time.perf_counter() - start, 2)
+    facts["peak_rss_mb"] = round(_peak_rss_mb(), 1)
+
+
+def _peak_rss_mb() -> float:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -1,0 +1,149 @@
+"""A ball lit by the default rig, in plain float64: the known answer of the reflectance tests."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.formats.exr import write_exr
+from lightstage.formats.session import Frame, SessionFile, save_session
+from lightstage.patterns import SEQUENCES, pattern_levels
+from lightstage.rig import Camera, Rig, default_rig, save_rig
+
+PATTERNS = SEQUENCES["binary"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Ball:
+    """A ball of one skin. Lengths in mm."""
+
+    radius_mm: float = 95.0
+    albedo: tuple[float, float, float] = (0.55, 0.33, 0.22)
+    specular: float = 0.028
+    roughness: float = 0.25
+    centre_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Sight:
+    """What a camera sees of a ball: all of (n, ...) in the mask's row order, mask (h, w)."""
+
+    mask: np.ndarray
+    points_mm: np.ndarray
+    normals: np.ndarray
+    views: np.ndarray
+
+
+def small_rig(cameras: int = 1, factor: float = 0.04) -> Rig:
+    """The default rig with fewer and smaller cameras."""
+    rig = default_rig().scaled(factor)
+    return dataclasses.replace(rig, cameras=rig.cameras[:cameras])
+
+
+def see(ball: Ball, camera: Camera) -> Sight:
+    """First hits of a camera's pixels, by the quadratic."""
+    origin, directions = camera.pixel_rays()
+    offset = origin - np.array(ball.centre_mm)
+    along = directions @ offset
+    inside = along**2 - (offset @ offset - ball.radius_mm**2)
+    mask = inside > 0
+    distance = -along[mask] - np.sqrt(inside[mask])
+    points = origin + directions[mask] * distance[:, None]
+    normals = (points - ball.centre_mm) / ball.radius_mm
+    return Sight(mask, points, normals, -directions[mask])
+
+
+def exact_fresnel(f0: float, cosine: np.ndarray) -> np.ndarray:
+    """By Snell's law and the two polarisations."""
+    index = (1 + np.sqrt(f0)) / (1 - np.sqrt(f0))
+    inside = np.sqrt(1 - (1 - cosine**2) / index**2)
+    s = (cosine - index * inside) / (cosine + index * inside)
+    p = (inside - index * cosine) / (inside + index * cosine)
+    return (s**2 + p**2) / 2
+
+
+def smith(cosine: np.ndarray, roughness: float) -> np.ndarray:
+    """Smith's G1 for Beckmann as the rational fit of Walter 2007 has it."""
+    a = cosine / (roughness * np.sqrt(np.maximum(1 - cosine**2, 1e-30)))
+    fitted = (3.535 * a + 2.181 * a**2) / (1 + 2.276 * a + 2.577 * a**2)
+    return np.where(a < 1.6, fitted, 1.0)
+
+
+def shade(ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) irradiance and (n,) mirror radiance of a pattern; a convex ball shadows only itself."""
+    lights = rig.positions_mm
+    radii = np.linalg.norm(lights, axis=1)
+    white = (np.maximum(lights[:, 2], 0) / radii).sum()  # all radii are equal in the default rig
+    irradiance = np.zeros(len(sight.points_mm))
+    mirror = np.zeros(len(sight.points_mm))
+    nv = np.maximum((sight.normals * sight.views).sum(axis=1), 0.05)
+    m = ball.roughness
+    for light, radius, level in zip(lights, radii, levels, strict=True):
+        to_light = light - sight.points_mm
+        distance = np.linalg.norm(to_light, axis=1)
+        to_light /= distance[:, None]
+        nl = np.maximum((sight.normals * to_light).sum(axis=1), 0)
+        weight = level / white * (radius / distance) ** 2
+        irradiance += weight * nl
+        half = to_light + sight.views
+        half /= np.linalg.norm(half, axis=1, keepdims=True)
+        nh = (sight.normals * half).sum(axis=1)
+        tan2 = (1 - nh**2) / nh**2
+        spread = np.exp(-tan2 / m**2) / (np.pi * m**2 * nh**4)
+        f = exact_fresnel(ball.specular, (sight.views * half).sum(axis=1))
+        brdf_nl = spread * f * smith(nv, m) * smith(np.maximum(nl, 1e-9), m) / (4 * nv)
+        mirror += np.where(nl > 0, weight * np.pi * brdf_nl, 0)
+    return irradiance, mirror
+
+
+def photograph(ball: Ball, sight: Sight, rig: Rig) -> np.ndarray:
+    """(n, P, 3) what the pixels read under the binary sequence."""
+    frames = []
+    for name in PATTERNS:
+        irradiance, mirror = shade(ball, sight, rig, pattern_levels(name, rig))
+        frames.append(irradiance[:, None] * np.array(ball.albedo) + mirror[:, None])
+    return np.stack(frames, axis=1)
+
+
+def write_session(ball: Ball, rig: Rig, root: Path) -> Path:
+    """A session of linear frames; returns its folder."""
+    save_rig(rig, root / "rig.json")
+    frames = []
+    for camera in rig.cameras:
+        sight = see(ball, camera)
+        rgb = photograph(ball, sight, rig)
+        for index, name in enumerate(PATTERNS):
+            image = np.zeros((*sight.mask.shape, 3), np.float32)
+            image[sight.mask] = rgb[:, index]
+            path = Path("frames") / name / f"{camera.id}.exr"
+            write_exr(root / path, image, half=False)
+            digest = hashlib.sha256((root / path).read_bytes()).hexdigest()
+            frames.append(
+                Frame(
+                    pattern=name,
+                    camera=camera.id,
+                    path=str(path),
+                    sha256=digest,
+                    encoding="linear",
+                )
+            )
+    save_session(
+        root,
+        SessionFile(
+            id="ball",
+            created_utc="2026-01-01T00:00:00Z",
+            subject="ball",
+            expression="neutral",
+            sequence=list(PATTERNS),
+            frames=frames,
+        ),
+    )
+    return root
+
+
+def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angles between unit vectors along the last axis, in degrees."""
+    return np.degrees(np.arccos(np.clip((a * b).sum(axis=-1), -1, 1)))
