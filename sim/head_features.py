@@ -11,7 +11,6 @@ from sim.head_grid import (
     MOUTH_HALF_DEG,
     ROW_LID_LOW,
     ROW_LID_UP,
-    ROW_LIP_UP,
     ROW_MOUTH,
     ROWS,
     face_azimuth_deg,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.formats.processed import texel_uv
 from sim.head_grid import COLUMNS, ROWS
 from sim.head_mesh import grid_vertices, regions
@@ -36,3 +37,40 @@ def region_map(name: str, rows: int, columns: int) -> np.ndarray:
     inside = np.zeros(count, np.float32)
     inside[regions()[name]] = 1.0
     return to_tile(inside, rows, columns)
+
+
+def tile_rows_columns(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where texel centres lie on the vertex grid: (rows,) rows and (columns,) columns of it."""
+    u, v = texel_uv(rows, columns)
+    return (1 - v) * ROWS, u * COLUMNS
+
+
+def surface_normals(mesh: Mesh, height_mm: np.ndarray) -> np.ndarray:
+    """Normals of the mesh with a relief on it.
+
+    Args:
+        mesh: of the head's topology.
+        height_mm: (rows, columns), along the mesh's smooth normals.
+
+    Returns:
+        (rows, columns, 3) float32, unit, in the mesh's axes.
+    """
+    rows, columns = height_mm.shape
+    normal = to_tile(vertex_normals(mesh.vertices, mesh.triangles()), rows, columns)
+    position = to_tile(mesh.vertices, rows, columns)
+    along_row, along_column = _slopes(position)
+    height_row, height_column = _slopes(height_mm)
+    # Surface gradient of the height from its slopes along two tangents.
+    area = np.cross(along_column, along_row)
+    size = np.einsum("ijk,ijk->ij", area, normal)
+    safe = np.where(np.abs(size) > 1e-9, size, np.inf)
+    slope = height_column[..., None] * np.cross(along_row, normal) * -1
+    slope += height_row[..., None] * np.cross(along_column, normal)
+    bent = normal + slope / safe[..., None]
+    length = np.linalg.norm(bent, axis=-1, keepdims=True)
+    return (bent / np.maximum(length, 1e-12)).astype(np.float32)
+
+
+def _slopes(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences a texel, down the rows and along the columns."""
+    return np.gradient(values, axis=0), np.gradient(values, axis=1)

@@ -13,7 +13,6 @@ from sim.head_grid import (
     EYE_AZIMUTH_DEG,
     EYE_HALF_DEG,
     MOUTH_HALF_DEG,
-    ROW_BROW,
     ROW_LID_LOW,
     ROW_LID_UP,
     ROW_LIP_LOW,

@@ -1,4 +1,4 @@
-"""The head as an implicit surface: ellipsoids and rounded cones in smooth union, with soft bumps.
+r"""The head as an implicit surface: ellipsoids and rounded cones in smooth union, with soft bumps.
 
 Lengths in mm, head frame. Sizes follow the averages of adult anthropometry ([Farkas1994]).
 The base is mirror-symmetric, so everything is written for x >= 0 and evaluated at \\|x\\|.

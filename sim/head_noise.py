@@ -1,0 +1,114 @@
+"""Noise in space, so that what it draws on a skin keeps its size wherever the UV is stretched."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+_MASK = 0xFFFFFFFF
+
+
+@numba.njit(cache=True)
+def _hash(x: int, y: int, z: int, seed: int) -> int:
+    """32 mixed bits of a lattice point."""
+    h = (x * 374761393 + y * 668265263 + z * 2147483647 + seed * 1274126177) & _MASK
+    h = ((h ^ (h >> 15)) * 2246822519) & _MASK
+    h = ((h ^ (h >> 13)) * 3266489917) & _MASK
+    return h ^ (h >> 16)
+
+
+@numba.njit(cache=True)
+def _gradient(h: int, x: float, y: float, z: float) -> float:
+    """Dot product with one of the twelve edge directions of a cube."""
+    k = h % 12
+    a = x if k < 8 else y
+    b = y if k < 4 else z
+    return (a if h & 4096 else -a) + (b if h & 8192 else -b)
+
+
+@numba.njit(cache=True, parallel=True)
+def gradient_noise(points: np.ndarray, cell_mm: float, seed: int) -> np.ndarray:
+    """Perlin's gradient noise [Perlin2002].
+
+    Args:
+        points: (n, 3) mm.
+        cell_mm: size of its features.
+        seed: another seed, another field.
+
+    Returns:
+        (n,) float32 of mean 0 and standard deviation of about .28, within -1.1..1.1.
+    """
+    out = np.empty(len(points), np.float32)
+    for i in numba.prange(len(points)):
+        px, py, pz = points[i, 0] / cell_mm, points[i, 1] / cell_mm, points[i, 2] / cell_mm
+        x0, y0, z0 = int(np.floor(px)), int(np.floor(py)), int(np.floor(pz))
+        fx, fy, fz = px - x0, py - y0, pz - z0
+        u = fx * fx * fx * (fx * (fx * 6 - 15) + 10)
+        v = fy * fy * fy * (fy * (fy * 6 - 15) + 10)
+        w = fz * fz * fz * (fz * (fz * 6 - 15) + 10)
+        total = 0.0
+        for dx in range(2):
+            wx = u if dx else 1 - u
+            for dy in range(2):
+                wy = v if dy else 1 - v
+                for dz in range(2):
+                    wz = w if dz else 1 - w
+                    h = _hash(x0 + dx, y0 + dy, z0 + dz, seed)
+                    total += wx * wy * wz * _gradient(h, fx - dx, fy - dy, fz - dz)
+        out[i] = total
+    return out
+
+
+@numba.njit(cache=True, parallel=True)
+def cell_noise(points: np.ndarray, cell_mm: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distance to the nearest of scattered points, one a cell [Worley1996].
+
+    Args:
+        points: (n, 3) mm.
+        cell_mm: size of the cells.
+        seed: another seed, another scatter.
+
+    Returns:
+        (n,) float32 distance in mm and (n,) float32 a number 0..1 that belongs to the nearest
+        point.
+    """
+    distance = np.empty(len(points), np.float32)
+    label = np.empty(len(points), np.float32)
+    for i in numba.prange(len(points)):
+        px, py, pz = points[i, 0] / cell_mm, points[i, 1] / cell_mm, points[i, 2] / cell_mm
+        x0, y0, z0 = int(np.floor(px)), int(np.floor(py)), int(np.floor(pz))
+        best, found = 1e9, 0
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                for dz in range(-1, 2):
+                    h = _hash(x0 + dx, y0 + dy, z0 + dz, seed)
+                    ex = x0 + dx + 0.1 + 0.8 * (h & 1023) / 1023 - px
+                    ey = y0 + dy + 0.1 + 0.8 * ((h >> 10) & 1023) / 1023 - py
+                    ez = z0 + dz + 0.1 + 0.8 * ((h >> 20) & 1023) / 1023 - pz
+                    d = ex * ex + ey * ey + ez * ez
+                    if d < best:
+                        best, found = d, _hash(h, dx + x0, dy + y0, seed)
+        distance[i] = np.sqrt(best) * cell_mm
+        label[i] = found / _MASK
+    return distance, label
+
+
+def octaves(points: np.ndarray, cell_mm: float, count: int, seed: int) -> np.ndarray:
+    """Sum of gradient noises, each of half the size and strength of the one before.
+
+    Args:
+        points: (..., 3) mm.
+        cell_mm: size of the largest features.
+        count: number of noises.
+        seed: as above.
+
+    Returns:
+        (...) float32 of mean 0 and standard deviation of about 1.
+    """
+    flat = np.ascontiguousarray(points.reshape(-1, 3), np.float32)
+    total = np.zeros(len(flat), np.float32)
+    power = 0.0
+    for k in range(count):
+        total += 0.5**k * gradient_noise(flat, cell_mm / 2.0**k, seed + 101 * k)
+        power += 0.25**k
+    return (total / np.float32(0.28 * np.sqrt(power))).reshape(points.shape[:-1])
