@@ -1,0 +1,128 @@
+"""The main job on the simulated stage, by the commands that a user types, each timed.
+
+`python -m demo.run --out build/demo` captures a simulated person, processes the photographs,
+trains a small network, relights the captured head and ends with build/demo/report.html.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shlex
+import shutil
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from demo.measure import run_measured
+from demo.steps import DemoConfig, Layout, steps
+from lightstage.errors import LightstageError
+from lightstage.formats.files import write_json
+
+STEPS_SCHEMA = "lightstage.demo/1"
+
+
+def run(config: DemoConfig, out: Path) -> int:
+    """Run all steps and write the report; returns the exit status of the first step that failed.
+
+    Args:
+        config: what to show.
+        out: the demo's folder; what an earlier demo left there is removed.
+
+    Raises:
+        LightstageError: `out` holds something that no demo made.
+    """
+    at = Layout(out)
+    _clear(at)
+    done: list[dict[str, Any]] = []
+    write_steps(at, config, done)
+    plan = steps(config, at)
+    for number, step in enumerate(plan, 1):
+        said = shlex.join(["python", "-m", *step.arguments])
+        print(f"\n[{number}] {step.title}\n    {said}", flush=True)
+        measured = run_measured([sys.executable, "-m", *step.arguments])
+        print(f"    {measured.seconds:.1f} s, {measured.peak_mb:.0f} MB", flush=True)
+        if measured.code:
+            print(
+                f"demo: step {step.name} ended with status {measured.code}; its message is above",
+                file=sys.stderr,
+            )
+            return measured.code
+        cost = {"seconds": round(measured.seconds, 2), "peak_mb": round(measured.peak_mb, 1)}
+        done.append({"name": step.name, "title": step.title, "command": said, **cost})
+        write_steps(at, config, done)
+    print("\n[report] pictures and errors of every stage", flush=True)
+    return run_measured([sys.executable, "-m", "demo.report", str(out)]).code
+
+
+def write_steps(at: Layout, config: DemoConfig, done: Sequence[dict[str, Any]]) -> Path:
+    """Write steps.json: the configuration and what each finished step cost."""
+    values = {
+        key: str(value) if isinstance(value, Path) else value
+        for key, value in dataclasses.asdict(config).items()
+    }
+    return write_json(at.steps, {"schema": STEPS_SCHEMA, "config": values, "steps": list(done)})
+
+
+def _clear(at: Layout) -> None:
+    """Remove what an earlier demo left, and nothing else."""
+    if at.root.exists() and any(at.root.iterdir()) and not at.steps.exists():
+        raise LightstageError(
+            at.root,
+            found="a folder that no demo made",
+            expected="a new folder or an earlier demo's",
+            hint="Choose another with --out.",
+        )
+    if at.root.exists():
+        shutil.rmtree(at.root)
+    at.root.mkdir(parents=True)
+
+
+def scan_is_there() -> bool:
+    """Whether the scanned head lies where the simulator looks for it."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("LIGHTSTAGE_DATA", beside))
+    return (folder / "lps_head" / "LeePerrySmith.glb").is_file()
+
+
+def main(
+    out: Path = typer.Option(Path("build/demo"), "--out", help="The demo's folder, made anew."),
+    subject: str | None = typer.Option(
+        None, "--subject", help="lps or parametric [lps where the scan is at hand]."
+    ),
+    quick: bool = typer.Option(False, "--quick", help="Half the pixels, a short training."),
+) -> None:
+    """Run the demo."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
+    chosen = subject or ("lps" if scan_is_there() else "parametric")
+    config = DemoConfig(chosen)
+    if quick:
+        config = dataclasses.replace(
+            config, scale=config.scale / 2, atlas_rows=768, patch_px=256, train_seconds=30
+        )
+    try:
+        code = run(config, out)
+    except LightstageError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        code = 2
+    except KeyboardInterrupt:
+        print("\ndemo: interrupted; what was finished is whole", file=sys.stderr)
+        code = 130
+    if code == 0:
+        steps_done = json.loads(Layout(out).steps.read_text())["steps"]
+        seconds = sum(step["seconds"] for step in steps_done)
+        print(f"\n{out / 'report.html'}: {len(steps_done)} steps, {seconds:.0f} s")
+    raise typer.Exit(code)
+
+
+if __name__ == "__main__":
+    typer.run(main)

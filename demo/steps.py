@@ -1,0 +1,212 @@
+"""What the demo does: its configuration, where its parts lie, its commands in order."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from lightstage.formats.template import default_template_path
+
+
+@dataclasses.dataclass(frozen=True)
+class DemoConfig:
+    """What the demo shows and how large.
+
+    Attributes:
+        subject: `lps` (the scanned head) or a pseudonym of a parametric person.
+        seed: of the session's noise and of a parametric person.
+        rig: a rig.json; None takes the default rig.
+        scale: of the rig's pixels a side; 0.1795 makes 720 x 1080 of the default rig's.
+        atlas_rows: height of the atlas in texels; its width is two thirds of it.
+        people: parametric people that the network learns from.
+        patch_px: side of a published patch.
+        train_seconds: how long the network learns.
+    """
+
+    subject: str
+    seed: int = 1
+    rig: Path | None = None
+    scale: float = 1080 / 6016
+    atlas_rows: int = 1536
+    people: int = 4
+    patch_px: int = 512
+    train_seconds: int = 120
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """One command: a short name, what it does, and its arguments after `python -m`."""
+
+    name: str
+    title: str
+    arguments: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Where each part of the demo lies."""
+
+    root: Path
+
+    @property
+    def session(self) -> Path:
+        """Photographs and what was driven."""
+        return self.root / "session"
+
+    @property
+    def truth(self) -> Path:
+        """What the simulator knows."""
+        return self.root / "session.truth"
+
+    @property
+    def processed(self) -> Path:
+        """Maps, meshes and atlas of the session."""
+        return self.root / "processed"
+
+    @property
+    def atlas(self) -> Path:
+        """The captured head's maps in the template's texture."""
+        return self.processed / "atlas"
+
+    @property
+    def mesh(self) -> Path:
+        """The template on the captured head."""
+        return self.processed / "registered_mesh.obj"
+
+    @property
+    def coarse(self) -> Path:
+        """The views' maps as they were before the mesh was known."""
+        return self.root / "coarse"
+
+    @property
+    def people(self) -> Path:
+        """Atlas maps of parametric people."""
+        return self.root / "people"
+
+    @property
+    def store(self) -> Path:
+        """The lab's store of them."""
+        return self.root / "store"
+
+    @property
+    def published(self) -> Path:
+        """Their patches without person, place or order."""
+        return self.root / "published"
+
+    @property
+    def training(self) -> Path:
+        """Checkpoint and losses."""
+        return self.root / "training"
+
+    @property
+    def baked(self) -> Path:
+        """The captured head's texture as a photograph would give it."""
+        return self.root / "baked.exr"
+
+    @property
+    def inferred(self) -> Path:
+        """Maps that the network made of it."""
+        return self.root / "inferred"
+
+    @property
+    def relit(self) -> Path:
+        """The captured head under light that no pattern used."""
+        return self.root / "relit"
+
+    @property
+    def steps(self) -> Path:
+        """What each step cost."""
+        return self.root / "steps.json"
+
+    @property
+    def report(self) -> Path:
+        """Pictures and errors of every stage."""
+        return self.root / "report.html"
+
+    def folders_of_people(self) -> list[str]:
+        """Processed folders of the parametric people, by name."""
+        return sorted(str(path.parent) for path in self.people.glob("*/report.json"))
+
+    def light_sets(self) -> list[Path]:
+        """The truth's light sets, by name."""
+        return sorted((self.truth / "relit").glob("*.json"))
+
+
+def steps(config: DemoConfig, at: Layout) -> Iterator[Step]:
+    """The demo's commands in order; each is asked for when those before it have run."""
+
+    def step(name: str, title: str, command: str, **values: object) -> Step:
+        values |= {"config": config, "at": at, "template": default_template_path()}
+        # Split before filling in, so that a path may hold spaces.
+        return Step(name, title, tuple(word.format(**values) for word in command.split()))
+
+    size = "--scale {config.scale:.6f}" + (" --rig {config.rig}" if config.rig else "")
+    yield step(
+        "session",
+        f"photograph {config.subject} on the simulated stage",
+        "sim session --subject {config.subject} --seed {config.seed} --out {at.session} " + size,
+    )
+    yield step("check", "check the session", "lightstage check {at.session}")
+    process = "processing run {at.session} --out {at.processed} --template {template}"
+    process += " --atlas-rows {config.atlas_rows}"
+    yield step("separate", "coarse maps, without geometry", f"{process} --until separate")
+    shutil.copytree(at.processed / "views", at.coarse / "views", dirs_exist_ok=True)
+    yield step(
+        "evaluate coarse",
+        "errors of the coarse maps",
+        "processing evaluate {at.coarse} {at.truth}",
+    )
+    yield step("processing", "mesh, exact maps, registration, atlas", process)
+    yield step(
+        "evaluate",
+        "errors of everything against truth",
+        "processing evaluate {at.processed} {at.truth}",
+    )
+    yield step(
+        "people",
+        f"maps of {config.people} parametric people",
+        "sim dataset --subjects {config.people} --expressions 1 --seed {seed} --out {at.people}"
+        " --maps-only --rows {config.atlas_rows}",
+        seed=config.seed + 1,
+    )
+    yield Step(
+        "dataset build",
+        "gather them into the lab's store",
+        ("processing", "dataset", "build", *at.folders_of_people(), "--out", str(at.store)),
+    )
+    yield step(
+        "dataset publish",
+        "patches that may leave the lab",
+        "processing dataset publish {at.store} --out {at.published} --patch {config.patch_px}",
+    )
+    yield step(
+        "train",
+        f"train the network for {config.train_seconds} s",
+        "learning train --preset demo --data {at.store} --out {at.training}"
+        " --seconds {config.train_seconds}",
+    )
+    lights = at.light_sets()
+    yield step(
+        "bake",
+        "the texture that a photograph would give",
+        "learning bake --maps {at.atlas} --mesh {at.mesh} --environment {light} --out {at.baked}"
+        " --template {template}",
+        light=lights[0],
+    )
+    yield step(
+        "infer",
+        "reflectance maps from that texture",
+        "learning infer --texture {at.baked} --mesh {at.mesh} --checkpoint {at.training}"
+        " --out {at.inferred} --head-pose {at.processed}/head_from_world.json",
+    )
+    for light in lights:
+        yield step(
+            f"render {light.stem}",
+            f"the captured head under the light set {light.stem}",
+            "learning render --maps {at.atlas} --mesh {at.mesh} --environment {light}"
+            " --rig {at.session}/rig.json --camera cam0 --out {at.relit}/{light.stem}.exr"
+            " --template {template} --background black",
+            light=light,
+        )
