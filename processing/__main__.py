@@ -152,13 +152,16 @@ def register_mesh(
 def evaluate(
     out: Path = typer.Argument(..., help="Processed folder.", show_default=False),
     truth: Path = typer.Argument(..., help="Truth in the same form.", show_default=False),
+    template: Path = TemplatePath,
     as_json: bool = JsonFlag,
 ) -> None:
     """Every error there is against a simulated session's truth."""
     from processing.evaluate import evaluate as evaluate_folder
+    from processing.evaluate import headline
 
-    facts = evaluate_folder(out, truth)
-    finish(f"{out / 'evaluation.json'}: {_said(facts)}", facts, as_json)
+    with progress_bar("evaluate") as progress:
+        facts = evaluate_folder(out, truth, template, progress=progress)
+    finish(f"{out / 'evaluation.json'}: {_said(headline(facts))}", facts, as_json)
 
 
 @dataset_app.command()
