@@ -7,3 +7,15 @@ from lightstage.errors import LightstageError
 
 class LearningError(LightstageError):
     """Base of this package's own errors."""
+
+
+class MapsError(LearningError):
+    """Maps, meshes or light sets that do not fit together."""
+
+
+class CheckpointError(LearningError):
+    """A checkpoint that is missing, damaged or of another network."""
+
+
+class TrainingError(LearningError):
+    """Training data that cannot be trained on, or a training that diverged."""

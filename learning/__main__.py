@@ -1,0 +1,137 @@
+"""Commands of the learning package: train, infer, render, bake."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
+
+app = make_app("Render skin, train the networks, infer reflectance.")
+
+MapsOption = Annotated[Path, typer.Option(help="Folder of atlas maps.")]
+MeshOption = Annotated[Path, typer.Option(help="Mesh with the maps' UV, in their axes.")]
+LightsOption = Annotated[Path, typer.Option(help="Light set (lightstage.environment/1).")]
+RigOption = Annotated[Path | None, typer.Option(help="rig.json; the default rig without it.")]
+CameraOption = Annotated[str, typer.Option(help="Camera of the rig.")]
+TemplateOption = Annotated[
+    Path | None, typer.Option(help="Template whose shininess and translucency maps to use.")
+]
+ModeOption = Annotated[str, typer.Option(help="`default`, or `paper`: the formulas as printed.")]
+
+
+@app.command()
+def render(
+    maps: MapsOption,
+    mesh: MeshOption,
+    environment: LightsOption,
+    out: Annotated[Path, typer.Option(help="Picture to write: .png (sRGB) or .exr (linear).")],
+    rig: RigOption = None,
+    camera: CameraOption = "cam0",
+    template: TemplateOption = None,
+    mode: ModeOption = "default",
+    background: Annotated[str, typer.Option(help="`white` or `black`.")] = "white",
+    as_json: bool = JsonFlag,
+) -> None:
+    """Relight: show a head with maps under a light set, with cast shadows."""
+    from learning.commands import render_command
+
+    with progress_bar("render") as progress:
+        facts = render_command(
+            maps, mesh, environment, out, rig, camera, template, mode, background, progress
+        )
+    finish(
+        f"{out}: {facts['width_px']} x {facts['height_px']} px, {facts['lights']} lights, "
+        f"{facts['surface_percent']:.0f} % surface, {facts['seconds']:.1f} s",
+        facts,
+        as_json,
+    )
+
+
+@app.command()
+def bake(
+    maps: MapsOption,
+    mesh: MeshOption,
+    environment: LightsOption,
+    out: Annotated[Path, typer.Option(help="Texture to write, .exr, linear.")],
+    rig: RigOption = None,
+    camera: CameraOption = "cam0",
+    template: TemplateOption = None,
+    mode: ModeOption = "default",
+    as_json: bool = JsonFlag,
+) -> None:
+    """Bake light and shadow into a texture, as a photograph would give it."""
+    from learning.commands import bake_command
+
+    with progress_bar("bake") as progress:
+        facts = bake_command(maps, mesh, environment, out, rig, camera, template, mode, progress)
+    finish(
+        f"{out}: {facts['rows']} x {facts['columns']} texels, {facts['lights']} lights, "
+        f"{facts['seconds']:.1f} s",
+        facts,
+        as_json,
+    )
+
+
+@app.command()
+def train(
+    data: Annotated[Path, typer.Option(help="Store made by `lightstage-processing dataset`.")],
+    out: Annotated[Path, typer.Option(help="Folder of the run: checkpoint and metrics.")],
+    preset: Annotated[str, typer.Option(help="`demo` or `paper`.")] = "demo",
+    config: Annotated[Path | None, typer.Option(help="TOML that overrides the preset.")] = None,
+    seconds: Annotated[float | None, typer.Option(help="Time to train in this call.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed, instead of the preset's.")] = None,
+    resume: Annotated[bool, typer.Option(help="Go on from the run's checkpoint.")] = False,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Train the generator on a dataset; one person is held out and scored."""
+    from learning.commands import train_command
+
+    with progress_bar("train") as progress:
+        facts = train_command(data, out, preset, config, seconds, seed, resume, progress)
+    finish(
+        f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; diffuse albedo of "
+        f"{facts['held_out']}, who was held out: PSNR {facts['psnr_db']:.2f} dB (the lit texture as "
+        f"albedo {facts['psnr_input_db']:.2f}, the training people's mean {facts['psnr_mean_db']:.2f})",
+        facts,
+        as_json,
+    )
+
+
+@app.command()
+def infer(
+    texture: Annotated[Path, typer.Option(help="Texture with light in it, .exr, linear.")],
+    mesh: MeshOption,
+    checkpoint: Annotated[Path, typer.Option(help="Run folder or its checkpoint.json.")],
+    out: Annotated[Path, typer.Option(help="Folder for the maps.")],
+    head_pose: Annotated[
+        Path | None,
+        typer.Option(
+            help="head_from_world.json of a mesh in world axes; without it the mesh is in the head "
+            "frame. Normals come out in the mesh's axes."
+        ),
+    ] = None,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Infer albedo and normals from a texture with light in it."""
+    from learning.commands import infer_command
+
+    with progress_bar("infer") as progress:
+        facts = infer_command(texture, mesh, checkpoint, out, head_pose, progress)
+    finish(
+        f"{out}: {facts['rows']} x {facts['columns']} texels in {facts['tiles']} tiles, "
+        f"{facts['seconds']:.1f} s",
+        facts,
+        as_json,
+    )
+
+
+def main() -> None:
+    """Run the commands."""
+    run_app(app)
+
+
+if __name__ == "__main__":
+    main()

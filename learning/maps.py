@@ -1,0 +1,137 @@
+"""Maps on disk to what the renderer takes."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from learning.errors import MapsError
+from learning.render.shading import SkinMaps
+from learning.render.uv import UvRaster, rasterise, texel_surface
+from lightstage.formats.mesh import Mesh
+from lightstage.formats.processed import read_map
+from lightstage.formats.template import Template
+
+SHININESS = 32.0
+"""Blinn-Phong's exponent where no map says: Beckmann m = 0.25, skin's middle."""
+TRANSLUCENCY = 0.5
+"""Translucency where no map says."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TexturedHead:
+    """Maps of one person, ready to be rendered.
+
+    Attributes:
+        mesh: in the maps' axes.
+        raster: its texels at the maps' size.
+        skin: batch of one.
+        known: (rows, columns) bool, texels that hold a measured surface.
+    """
+
+    mesh: Mesh
+    raster: UvRaster
+    skin: SkinMaps
+    known: np.ndarray
+
+
+def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> TexturedHead:
+    """Read a folder of atlas maps.
+
+    Needed are diffuse_albedo, specular_albedo, diffuse_normal and specular_normal; a texel without
+    a normal takes the mesh's. ambient_occlusion and confidence are used where present (a texel of
+    confidence 0 is not shown). Shininess and translucency come from the template.
+
+    Args:
+        folder: such as OUT/atlas.
+        mesh: with UV, in the axes of the normals.
+        template: its skin maps are used; without one, constants.
+
+    Raises:
+        MapsError: maps of different sizes.
+        FormatError: a missing map, NaN, or a mesh without UV.
+    """
+    names = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
+    maps = {name: read_map(folder / f"{name}.exr", name) for name in names}
+    for name in ("ambient_occlusion", "confidence"):
+        if (folder / f"{name}.exr").exists():
+            maps[name] = read_map(folder / f"{name}.exr", name)
+    rows, columns = maps["diffuse_albedo"].shape[:2]
+    for name, image in maps.items():
+        if image.shape[:2] != (rows, columns):
+            raise MapsError(
+                folder / f"{name}.exr",
+                found=f"{image.shape[0]} x {image.shape[1]} texels",
+                expected=f"{rows} x {columns}, as diffuse_albedo",
+                hint="Maps of one folder belong to one atlas; make them again together.",
+            )
+    raster = rasterise(mesh, rows, columns)
+    position = raster.interpolate(mesh.vertices)
+    normals = raster.normals(mesh)
+    for name in ("diffuse_normal", "specular_normal"):
+        missing = np.linalg.norm(maps[name], axis=2) < 1e-3
+        maps[name] = np.where(missing[..., None], normals, maps[name])
+    ones = np.ones((rows, columns), np.float32)
+    known = raster.covered & (maps.get("confidence", ones) > 0)
+    skin_maps = template.maps if template else {}
+    skin = skin_maps_from(
+        {**maps, "position": position},
+        raster.covered,
+        _resized(skin_maps.get("shininess"), rows, columns, SHININESS),
+        _resized(skin_maps.get("translucency"), rows, columns, TRANSLUCENCY),
+    )
+    return TexturedHead(mesh, raster, skin, known)
+
+
+def skin_maps_from(
+    maps: dict[str, np.ndarray],
+    covered: np.ndarray,
+    shininess: np.ndarray,
+    translucency: np.ndarray,
+) -> SkinMaps:
+    """Arrays of (rows, columns[, 3]) by FORMATS' names to the renderer's batch of one."""
+    area = texel_surface(maps["position"], covered).area_mm2
+    texel_mm = typical_texel_mm(area)
+    return SkinMaps(
+        diffuse_albedo=to_batch(maps["diffuse_albedo"]),
+        specular_albedo=to_batch(maps["specular_albedo"]),
+        diffuse_normal=to_batch(maps["diffuse_normal"]),
+        specular_normal=to_batch(maps["specular_normal"]),
+        shininess=to_batch(shininess),
+        translucency=to_batch(translucency),
+        position_mm=to_batch(maps["position"]),
+        area=to_batch(area / texel_mm**2),
+        texel_mm=texel_mm,
+        ambient_occlusion=to_batch(maps.get("ambient_occlusion", np.ones(covered.shape))),
+    )
+
+
+def typical_texel_mm(area_mm2: np.ndarray) -> float:
+    """Edge of the median texel that shows a surface; 1 where none does."""
+    some = area_mm2[area_mm2 > 0]
+    return float(np.sqrt(np.median(some))) if some.size else 1.0
+
+
+def to_batch(image: np.ndarray) -> Tensor:
+    """(rows, columns[, c]) to (1, c, rows, columns) float32."""
+    planes = image[None] if image.ndim == 2 else image.transpose(2, 0, 1)
+    return torch.from_numpy(np.ascontiguousarray(planes[None], np.float32))
+
+
+def from_batch(image: Tensor) -> np.ndarray:
+    """(1, c, rows, columns) to (rows, columns, c), or (rows, columns) of one channel."""
+    planes = image[0].detach().cpu().numpy()
+    return planes[0] if len(planes) == 1 else np.ascontiguousarray(planes.transpose(1, 2, 0))
+
+
+def _resized(image: np.ndarray | None, rows: int, columns: int, constant: float) -> np.ndarray:
+    if image is None:
+        return np.full((rows, columns), constant, np.float32)
+    planes = torch.nn.functional.interpolate(
+        to_batch(image), size=(rows, columns), mode="bilinear", align_corners=False, antialias=True
+    )
+    return from_batch(planes)

@@ -1,0 +1,1 @@
+"""The renderer: skin in texture space, one texel one surface point, differentiable."""

@@ -1,0 +1,149 @@
+"""Environments: where the lights and the camera of a rendering are, and random ones for training.
+
+Light's unit: `rgb` is what a perfect white diffuser at the origin, facing the light, reads because
+of this light alone; it falls off with the square of the distance from there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lightstage.formats.environment import LightSet
+
+
+@dataclasses.dataclass(frozen=True)
+class Environment:
+    """Lights, ambient light and camera of a batch of renderings.
+
+    Attributes:
+        position_mm: (B, L, 3) lights; of a distant one only the direction matters.
+        rgb: (B, L, 3).
+        ambient_rgb: (B, 3) what a white diffuser reads from everywhere.
+        distant: (B, L) bool, directional lights: no fall-off, the same direction everywhere.
+        camera_mm: (B, 3) the camera's centre.
+    """
+
+    position_mm: Tensor
+    rgb: Tensor
+    ambient_rgb: Tensor
+    distant: Tensor
+    camera_mm: Tensor
+
+
+@dataclasses.dataclass(frozen=True)
+class RandomLightConfig:
+    """How random environments are drawn, in the head frame.
+
+    Attributes:
+        lights: at most so many point lights, at least one.
+        distance_mm: nearest and farthest light.
+        exposure: darkest and brightest sum of what the lights and the ambient give a white
+            diffuser that faces the camera.
+        ambient_share: least and most of that from everywhere.
+        tint: standard deviation of the logarithm of each light's red, green and blue.
+        camera_mm: distance of the camera in front of the face.
+        position_spread: of the target's distance, at most, for the environments around it.
+        camera_spread: the same for the camera.
+        intensity_spread: the same for the lights' intensity.
+    """
+
+    lights: int = 3
+    distance_mm: tuple[float, float] = (700.0, 2000.0)
+    exposure: tuple[float, float] = (0.6, 1.1)
+    ambient_share: tuple[float, float] = (0.1, 0.5)
+    tint: float = 0.04
+    camera_mm: float = 1100.0
+    position_spread: float = 0.5
+    camera_spread: float = 0.25
+    intensity_spread: float = 0.25
+
+
+def from_light_set(lights: LightSet, camera_mm: np.ndarray) -> Environment:
+    """A light set seen from a point, as a batch of one (float32)."""
+
+    def batch(values: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.asarray(values, np.float32))[None]
+
+    return Environment(
+        batch(lights.position_mm),
+        batch(lights.rgb),
+        batch(lights.ambient_rgb),
+        torch.zeros(1, len(lights.position_mm), dtype=torch.bool),
+        batch(camera_mm),
+    )
+
+
+def stack(environments: list[Environment]) -> Environment:
+    """One batch of several; sets of fewer lights are filled up with black ones."""
+    most = max(e.rgb.shape[1] for e in environments)
+
+    def padded(values: Tensor, fill: float) -> Tensor:
+        missing = most - values.shape[1]
+        shape = (values.shape[0], missing, *values.shape[2:])
+        return torch.cat([values, values.new_full(shape, fill)], dim=1)
+
+    return Environment(
+        torch.cat([padded(e.position_mm, 1000.0) for e in environments]),
+        torch.cat([padded(e.rgb, 0.0) for e in environments]),
+        torch.cat([e.ambient_rgb for e in environments]),
+        torch.cat([padded(e.distant, False) for e in environments]),
+        torch.cat([e.camera_mm for e in environments]),
+    )
+
+
+def random_environment(rng: np.random.Generator, config: RandomLightConfig) -> Environment:
+    """A few point lights in front of and beside the face, and ambient light; a batch of one.
+
+    Directions are uniform over the sphere's part with z > -0.2, so that some light comes from
+    slightly behind, as in a room.
+    """
+    count = int(rng.integers(1, config.lights + 1))
+    height = rng.uniform(-0.2, 1.0, count)
+    turn = rng.uniform(0, 2 * np.pi, count)
+    flat = np.sqrt(1 - height**2)
+    direction = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    position = direction * rng.uniform(*config.distance_mm, (count, 1))
+    exposure = rng.uniform(*config.exposure)
+    ambient = exposure * rng.uniform(*config.ambient_share)
+    share = rng.uniform(0.3, 1.0, count)
+    # A face turned half to a light still receives light, so 0.3 stands for the grazing ones: rims
+    # do not become arbitrarily bright to reach the exposure.
+    facing = np.maximum(height, 0.3)
+    strength = (exposure - ambient) * share / float((share * facing).sum())
+    rgb = strength[:, None] * np.exp(rng.normal(0, config.tint, (count, 3)))
+    return Environment(
+        torch.from_numpy(position.astype(np.float32))[None],
+        torch.from_numpy(rgb.astype(np.float32))[None],
+        torch.full((1, 3), float(ambient)),
+        torch.zeros(1, count, dtype=torch.bool),
+        torch.tensor([[0.0, 0.0, config.camera_mm]]),
+    )
+
+
+def around(
+    target: Environment, rng: np.random.Generator, config: RandomLightConfig
+) -> Environment:
+    """An environment near another one, for the rendering loss [Lattas2021].
+
+    Draws are Gaussian around the target, two standard deviations being the published "up to"
+    (50 % of a light's distance, 25 % of the camera's and of the intensity), cut off there.
+    """
+
+    def draw(shape: tuple[int, ...], most: float) -> Tensor:
+        values = np.clip(rng.normal(0, 0.5 * most, shape), -most, most)
+        return torch.from_numpy(values.astype(np.float32)).to(target.rgb)
+
+    def moved(points: Tensor, most: float) -> Tensor:
+        return points + points.norm(dim=-1, keepdim=True) * draw(tuple(points.shape), most)
+
+    return Environment(
+        moved(target.position_mm, config.position_spread),
+        target.rgb * (1 + draw((*target.rgb.shape[:2], 1), config.intensity_spread)),
+        target.ambient_rgb * (1 + draw((len(target.rgb), 1), config.intensity_spread)),
+        target.distant,
+        moved(target.camera_mm, config.camera_spread),
+    )

@@ -1,0 +1,73 @@
+"""Subsurface scattering in texture space: one Gaussian, wide as on the skin.
+
+Default, energy-keeping for any translucency: S = U + a g(a U) - a U g(a), with a = sqrt(C' w) and g a
+symmetric kernel weighted by the texels' area. What a texel gives to another is what that one gets,
+so the sum over the surface stays.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+SCATTERED = (0.5, 0.15, 0.05)
+"""w_SSS, the scattered share of red, green and blue [Lattas2021]."""
+KEPT = (0.5, 0.85, 0.95)
+"""w_D of the paper."""
+
+
+def scatter(
+    diffuse: Tensor, irradiance: Tensor, translucency: Tensor, area: Tensor, sigma_px: float
+) -> Tensor:
+    """Spread diffuse light, keeping its sum over the surface.
+
+    Args:
+        diffuse: (B, 3, H, W) albedo times irradiance.
+        irradiance: (B, 3, H, W); light scatters from where there is much to where there is little.
+        translucency: (B, 1, H, W), 0..1.
+        area: (B, 1, H, W) relative surface of a texel, 0 where there is none.
+        sigma_px: the kernel's standard deviation in texels.
+
+    Returns:
+        (B, 3, H, W); sum(area * result) = sum(area * diffuse).
+    """
+    weight = diffuse.new_tensor(SCATTERED).view(1, 3, 1, 1)
+    # Not below 1e-6: the square root's gradient stays finite, and any a keeps the energy.
+    share = (translucency * (1 - irradiance)).clamp(1e-6, 1.0)
+    root = (share * weight).sqrt()
+    both = blur(torch.cat([area * root * diffuse, area * root], dim=1), sigma_px)
+    return diffuse + root * (both[:, :3] - diffuse * both[:, 3:])
+
+
+def scatter_paper(
+    diffuse: Tensor, irradiance: Tensor, translucency: Tensor, area: Tensor, sigma_px: float
+) -> Tensor:
+    """The paper's S = (1 - C') w_D U + C' w_SSS g(U), as printed; it loses light where C' = 0.
+
+    Arguments as `scatter`; `area` serves as the mask of the surface only.
+    """
+    kept = diffuse.new_tensor(KEPT).view(1, 3, 1, 1)
+    scattered = diffuse.new_tensor(SCATTERED).view(1, 3, 1, 1)
+    share = translucency * (1 - irradiance)
+    spread = blur(diffuse * (area > 0), sigma_px)
+    return (1 - share) * kept * diffuse + share * scattered * spread
+
+
+def blur(image: Tensor, sigma_px: float) -> Tensor:
+    """Symmetric Gaussian, separable, cut at 3.5 sigma; nothing comes in over the borders.
+
+    Args:
+        image: (B, C, H, W).
+        sigma_px: standard deviation in texels, positive.
+    """
+    radius = max(1, math.ceil(3.5 * sigma_px))
+    at = torch.arange(-radius, radius + 1, dtype=image.dtype, device=image.device)
+    kernel = torch.exp(-0.5 * (at / sigma_px) ** 2)
+    kernel = kernel / kernel.sum()
+    planes = image.flatten(0, 1)[:, None]  # (B C, 1, H, W)
+    planes = functional.conv2d(planes, kernel.view(1, 1, -1, 1), padding=(radius, 0))
+    planes = functional.conv2d(planes, kernel.view(1, 1, 1, -1), padding=(0, radius))
+    return planes[:, 0].unflatten(0, image.shape[:2])

@@ -1,0 +1,161 @@
+"""A mesh laid out in its texture: which triangle each texel shows."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numba
+import numpy as np
+from scipy import ndimage
+
+from lightstage.errors import FormatError
+from lightstage.formats.mesh import Mesh, vertex_normals
+
+
+@dataclasses.dataclass(frozen=True)
+class UvRaster:
+    """Texels of a mesh.
+
+    Attributes:
+        face: (rows, columns) int32 triangle, -1 where the texture holds no surface.
+        barycentric: (rows, columns, 3) float32 weights of its corners.
+        triangles: (t, 3) vertex indices.
+    """
+
+    face: np.ndarray
+    barycentric: np.ndarray
+    triangles: np.ndarray
+
+    @property
+    def covered(self) -> np.ndarray:
+        """(rows, columns) bool, texels whose centre lies in a triangle."""
+        return self.face >= 0
+
+    def interpolate(self, values: np.ndarray) -> np.ndarray:
+        """Per-vertex (n, k) values at texels: (rows, columns, k) float32, zero outside."""
+        out = np.zeros((*self.face.shape, values.shape[1]), np.float32)
+        covered = self.covered
+        corners = values[self.triangles[self.face[covered]]]
+        out[covered] = np.einsum("nck,nc->nk", corners, self.barycentric[covered])
+        return out
+
+    def normals(self, mesh: Mesh) -> np.ndarray:
+        """(rows, columns, 3) unit interpolated vertex normals of the mesh, zero outside."""
+        normals = self.interpolate(vertex_normals(mesh.vertices, self.triangles))
+        length = np.linalg.norm(normals, axis=2, keepdims=True)
+        return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+
+
+def rasterise(mesh: Mesh, rows: int, columns: int) -> UvRaster:
+    """Find each texel's triangle; where triangles overlap in UV the last one counts.
+
+    Raises:
+        FormatError: no UV, or none inside the 0..1 tile.
+    """
+    corner_uvs = mesh.triangle_uvs()
+    if mesh.uvs is None:
+        raise FormatError("mesh", field="uv", found="none", expected="texture coordinates")
+    texels = mesh.uvs * [columns, -rows] + [0, rows]
+    face, barycentric = _rasterise(texels[corner_uvs], rows, columns)
+    if (face < 0).all():
+        raise FormatError("mesh", field="uv", found="no texel covered", expected="UV in 0..1")
+    return UvRaster(face, barycentric, mesh.triangles())
+
+
+@numba.njit(cache=True)
+def _rasterise(
+    corners: np.ndarray, rows: int, columns: int
+) -> tuple[np.ndarray, np.ndarray]:  # pragma: no cover - compiled
+    face = np.full((rows, columns), -1, np.int32)
+    barycentric = np.zeros((rows, columns, 3), np.float32)
+    for index in range(len(corners)):
+        (ax, ay), (bx, by), (cx, cy) = corners[index]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if not (abs(area) > 1e-12 and abs(area) < np.inf):
+            continue
+        left, right = max(0, int(min(ax, bx, cx))), min(columns - 1, int(max(ax, bx, cx)))
+        top, bottom = max(0, int(min(ay, by, cy))), min(rows - 1, int(max(ay, by, cy)))
+        for row in range(top, bottom + 1):
+            for column in range(left, right + 1):
+                x, y = column + 0.5, row + 0.5
+                b = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
+                c = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area
+                a = 1.0 - b - c
+                # A texel on a shared edge belongs to one of the two, whatever the rounding.
+                if a >= -1e-9 and b >= -1e-9 and c >= -1e-9:
+                    face[row, column] = index
+                    barycentric[row, column] = (a, b, c)
+    return face, barycentric
+
+
+def spread_outside(image: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Fill texels that are not known with the nearest known one, so that sampling shows no seam.
+
+    Args:
+        image: (rows, columns, ...).
+        known: (rows, columns) bool; where none is, the image comes back as it is.
+    """
+    if known.all() or not known.any():
+        return image
+    nearest = ndimage.distance_transform_edt(
+        ~known, return_distances=False, return_indices=True
+    )
+    return image[nearest[0], nearest[1]]
+
+
+@dataclasses.dataclass(frozen=True)
+class TexelSurface:
+    """What a position map says of the surface.
+
+    Attributes:
+        normal: (rows, columns, 3) float32 unit, outward for unmirrored UV; zero outside.
+        area_mm2: (rows, columns) float32 of a texel, zero outside.
+    """
+
+    normal: np.ndarray
+    area_mm2: np.ndarray
+
+
+def texel_surface(
+    position_mm: np.ndarray, covered: np.ndarray, smooth_px: float = 2.0
+) -> TexelSurface:
+    """Normals and texel areas from a position map, by differences between neighbours.
+
+    Differences across a seam of the texture (ten times the median step) do not count. The tangents
+    are smoothed, so that a mesh's facets do not show.
+
+    Args:
+        position_mm: (rows, columns, 3).
+        covered: (rows, columns) bool.
+        smooth_px: standard deviation of the smoothing in texels.
+    """
+    across = _tangent(position_mm, covered, 1, smooth_px)
+    down = _tangent(position_mm, covered, 0, smooth_px)
+    # Rows run against v, so du x dv = -(across x down).
+    cross = np.cross(down, across)
+    area = np.linalg.norm(cross, axis=2)
+    normal = np.divide(cross, area[..., None], out=np.zeros_like(cross), where=area[..., None] > 0)
+    return TexelSurface(normal, area)
+
+
+def _tangent(
+    position: np.ndarray, covered: np.ndarray, axis: int, smooth_px: float
+) -> np.ndarray:
+    step = np.diff(position.astype(np.float32), axis=axis)
+    both = np.logical_and(*(np.delete(covered, end, axis=axis) for end in (0, -1)))
+    length = np.linalg.norm(step, axis=2)
+    typical = float(np.median(length[both])) if both.any() else 0.0
+    valid = (both & (length < 10 * typical)).astype(np.float32)
+    # A difference lies between two texels; half of it is charged to each.
+    total = np.zeros((*covered.shape, 4), np.float32)
+    packed = np.concatenate([step * valid[..., None], valid[..., None]], axis=2)
+    first = [slice(None)] * 3
+    second = [slice(None)] * 3
+    first[axis], second[axis] = slice(0, -1), slice(1, None)
+    total[tuple(first)] += packed
+    total[tuple(second)] += packed
+    for channel in range(4):
+        total[..., channel] = ndimage.gaussian_filter(total[..., channel], smooth_px, truncate=3)
+    weight = total[..., 3:]
+    tangent = np.divide(total[..., :3], weight, out=np.zeros_like(total[..., :3]), where=weight > 1e-6)
+    return tangent * covered[..., None]
