@@ -35,14 +35,15 @@ def make_app(help_text: str) -> typer.Typer:
 def run_app(app: typer.Typer) -> None:
     """Run an application: 0 done, 2 on arguments or input that the user can mend.
 
-    SIGTERM is turned into KeyboardInterrupt, so that every `finally` (lights dark, temporary
-    files removed) runs for it as for Ctrl-C.
+    SIGTERM and SIGHUP (a closed terminal) are turned into KeyboardInterrupt, so that every
+    `finally` (lights dark, temporary files removed) runs for them as for Ctrl-C.
     """
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, interrupt)
+    signal.signal(signal.SIGHUP, interrupt)
     try:
         app()
     except LightstageError as error:
@@ -59,7 +60,9 @@ def progress_bar(label: str) -> Iterator[ProgressCallback]:
         MofNCompleteColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    off = not console.is_terminal  # a log file wants the last line only
+    with Progress(*columns, console=console, transient=True, disable=off) as bar:
         task = bar.add_task(label, total=None)
 
         def progress(done: int, total: int) -> None:
