@@ -50,7 +50,8 @@ class CaptureReport:
     Attributes:
         frames: photographs kept.
         seconds: from the first light to the last journal line.
-        overhead_s: of these, what neither the lights' acknowledgement nor the slowest camera took.
+        overhead_s: of these, what neither the lights' acknowledgement, nor the slowest camera, nor
+            the pause between two changes of light took: writing, flushing, hashing, journal.
         max_skew_s: largest time between the first and the last trigger of one shot.
     """
 
@@ -127,7 +128,8 @@ def capture(
     changed_s = started
     with lights_dark_at_end(lights):
         for shot in shots:
-            time.sleep(max(0.0, changed_s + config.safety.light_interval_s - time.monotonic()))
+            pause_s = changed_s + config.safety.light_interval_s - time.monotonic()
+            time.sleep(max(0.0, pause_s))
             begun_s = time.monotonic()
             driven = lights.light(shot.levels)
             changed_s = time.monotonic()
@@ -137,7 +139,7 @@ def capture(
             triggers = [photograph.triggered_s for photograph in photographs]
             skew_s = max(triggers) - min(triggers)
             taken_s = max(photograph.downloaded_s for photograph in photographs) - begun_s
-            busy_s += taken_s
+            busy_s += taken_s + max(0.0, pause_s)
             max_skew_s = max(max_skew_s, skew_s)
             writer.shot(
                 shot.pattern,
@@ -153,7 +155,7 @@ def capture(
 
 @contextlib.contextmanager
 def lights_dark_at_end(lights: LedController) -> Iterator[None]:
-    """Dark on every way out: return, exception, SIGINT, SIGTERM (which run_app turns into one)."""
+    """Dark on every way out: return, exception, SIGINT, SIGTERM, SIGHUP (run_app)."""
     failure: BaseException | None = None
     try:
         yield
@@ -174,12 +176,12 @@ def lights_dark_at_end(lights: LedController) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _signals_held() -> Iterator[None]:
-    """Put off SIGINT and SIGTERM, so that a second Ctrl-C cannot leave the lights on."""
+    """Put off signals, so that a second Ctrl-C cannot leave the lights on."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     held: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(number, lambda got, _: held.append(got)) for number in numbers]
     try:
         yield
@@ -206,7 +208,7 @@ def _take(
     try:
         at_s = time.monotonic() + config.trigger_lead_s
         pending: dict[Future[Photograph], CameraDevice] = {
-            pool.submit(camera.capture, at_s): camera for camera in cameras
+            pool.submit(_take_one, pattern, camera, at_s, writer): camera for camera in cameras
         }
         photographs: list[Photograph] = []
         problems: list[LightstageError] = []
@@ -217,9 +219,7 @@ def _take(
             for future in ready:
                 camera = pending.pop(future)
                 try:
-                    photograph = future.result()
-                    _keep(pattern, camera.id, photograph, writer)
-                    photographs.append(photograph)
+                    photographs.append(future.result())
                 except LightstageError as error:
                     writer.note("failed", pattern=pattern, camera=camera.id, said=str(error))
                     problems.append(error)
@@ -236,16 +236,19 @@ def _take(
     return photographs
 
 
-def _keep(pattern: str, camera_id: str, photograph: Photograph, writer: SessionWriter) -> None:
+def _take_one(pattern: str, camera: CameraDevice, at_s: float, writer: SessionWriter) -> Photograph:
+    """Take and keep one camera's photograph; what comes back no longer holds its bytes."""
+    photograph = camera.capture(at_s)
     writer.keep(
         pattern,
-        camera_id,
+        camera.id,
         photograph.data,
         photograph.sha256,
         camera_name=photograph.name,
         exposure_s=round(photograph.exposed_s - photograph.triggered_s, 6),
         download_s=round(photograph.downloaded_s - photograph.exposed_s, 6),
     )
+    return dataclasses.replace(photograph, data=b"")
 
 
 def worst_shot_s(config: CaptureConfig, acknowledge_s: float) -> float:

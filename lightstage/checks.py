@@ -22,6 +22,8 @@ from lightstage.photograph import identify
 
 SUM_TOLERANCE = 0.1
 """Light adds up: patterns that sum to a third must, in every camera's mean, up to this share."""
+DARK_LEVEL = 1e-3
+"""Mean, as a share of white, below which a photograph is noise and compared as this bright."""
 MAX_CLIPPED = 0.02
 """Share of a photograph's pixels at the sensor's white level above which it is overexposed."""
 
@@ -117,13 +119,13 @@ def _measure_raw(path: Path) -> tuple[tuple[int, int], float, float]:
             white = float(raw.white_level)
             mean = float(counts.mean(dtype=float)) - black
             clipped = float(np.count_nonzero(counts >= white)) / counts.size
-            # LibRaw tells the size after its rotation tag; the rig's pixels are as displayed.
+            # A portrait camera stores landscape rows and a tag; the rig's rows are upright.
             size = (raw.sizes.height, raw.sizes.width)
             return size[::-1] if raw.sizes.flip in (5, 6) else size, mean / (white - black), clipped
     except (rawpy.LibRawError, ValueError) as error:
         raise FormatError(
             path,
-            found=str(error),
+            found=error.args[0].decode() if isinstance(error.args[0], bytes) else str(error),
             expected="a RAW that LibRaw reads",
             hint="Is the file truncated, or the camera too new for LibRaw?",
         ) from None
@@ -150,29 +152,30 @@ def _compare_sums(
     levels = {pattern: session.levels(pattern) for pattern in session.file.sequence}
     lit = {pattern: levels[pattern] for pattern in levels if levels[pattern].any()}
     wholes = {_rounded(level): pattern for pattern, level in lit.items()}
+    sums = [
+        (first, second, wholes[_rounded(lit[first] + lit[second])])
+        for first, second in itertools.combinations(lit, 2)
+        if _rounded(lit[first] + lit[second]) in wholes
+    ]
     problems: list[LightstageError] = []
     worst, count = 0.0, 0
-    for first, second in itertools.combinations(lit, 2):
-        whole = wholes.get(_rounded(lit[first] + lit[second]))
-        if whole is not None:
-            for camera in session.camera_ids():
-                keys = [(pattern, camera) for pattern in (first, second, whole)]
-                if not all(key in means for key in keys):
-                    continue
-                parts, total = means[keys[0]] + means[keys[1]], means[keys[2]]
-                off = abs(parts - total) / max(abs(total), 1e-9)
-                worst, count = max(worst, off), count + 1
-                if off > SUM_TOLERANCE:
-                    problems.append(
-                        FormatError(
-                            session.root / "session.json",
-                            field=f"patterns of {camera}",
-                            found=f"{first} + {second} = {parts:.4g} on average, {whole} = "
-                            f"{total:.4g}",
-                            expected=f"equal within {100 * SUM_TOLERANCE:g} %",
-                            hint="Was a pattern not lit, or a photograph of another one?",
-                        )
-                    )
+    for (first, second, whole), camera in itertools.product(sums, session.camera_ids()):
+        keys = [(pattern, camera) for pattern in (first, second, whole)]
+        if not all(key in means for key in keys):
+            continue
+        parts, total = means[keys[0]] + means[keys[1]], means[keys[2]]
+        off = abs(parts - total) / max(abs(total), DARK_LEVEL)
+        worst, count = max(worst, off), count + 1
+        if off > SUM_TOLERANCE:
+            problems.append(
+                FormatError(
+                    session.root / "session.json",
+                    field=f"patterns of {camera}",
+                    found=f"{first} + {second} = {parts:.4g} on average, {whole} = {total:.4g}",
+                    expected=f"equal within {100 * SUM_TOLERANCE:g} %",
+                    hint="Was a pattern not lit, or a photograph of another one?",
+                )
+            )
     return worst, count, problems
 
 

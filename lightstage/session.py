@@ -2,7 +2,9 @@
 
 The journal (journal.jsonl) is the record; session.json is made from it when all shots are there.
 Events: ``begin`` (everything that was planned, who the devices are), ``frame`` (one photograph,
-hashed as it lies on the disk), ``shot`` (one pattern with all its photographs), ``end``.
+hashed as it lies on the disk), ``failed`` (one that did not come), ``shot`` (one pattern: all its
+photographs are there and its light lasted through them; frames of a pattern without it do not
+count), ``calibration``, ``end``.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import json
 import os
 import re
 import secrets
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -58,24 +61,34 @@ def check_pseudonym(text: str, field: str) -> str:
 
 
 class Journal:
-    """An append-only file of one JSON object a line, each on the disk before `write` returns."""
+    """An append-only file of one JSON object a line, each on the disk before `write` returns.
+
+    Several threads may write.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_EXCL, 0o644)
+        self._lock = threading.Lock()
         fsync_path(path.parent)
 
     def write(self, event: str, **facts: Any) -> None:
         """Append one event with its time."""
         line = json.dumps({"event": event, "time_utc": utc_now(), **facts}, allow_nan=False)
         data = line.encode() + b"\n"
-        if os.write(self._handle, data) != len(data):
-            raise CaptureError(self.path, found="a line cut short", expected="space on the disk")
-        os.fsync(self._handle)
+        with self._lock:
+            if self._handle < 0:
+                raise CaptureError(self.path, found="a journal that was closed", expected="open")
+            if os.write(self._handle, data) != len(data):
+                raise CaptureError(self.path, found="a cut line", expected="space on the disk")
+            os.fsync(self._handle)
 
     def close(self) -> None:
-        """Close the file."""
-        os.close(self._handle)
+        """Close the file; a later write is an error."""
+        with self._lock:
+            if self._handle >= 0:
+                os.close(self._handle)
+            self._handle = -1
 
 
 def read_journal(path: Path) -> list[dict[str, Any]]:
@@ -149,7 +162,7 @@ class SessionWriter:
         )
 
     def keep(self, pattern: str, camera: str, data: bytes, sha256: str, **facts: Any) -> Path:
-        """Put one photograph on the disk and into the journal.
+        """Put one photograph on the disk and into the journal; several threads may.
 
         It is written under a temporary name, flushed, read back and hashed; only when that hash is
         the one that the driver took does it get its name, and never in place of another file.
@@ -255,6 +268,8 @@ def session_from_journal(path: Path) -> SessionFile:
         for e in events
         if e["event"] == "frame"
     ]
+    patterns, cameras = begin["sequence"], begin["cameras"]
+    frames.sort(key=lambda frame: (patterns.index(frame.pattern), cameras.index(frame.camera)))
     shots = {e["pattern"]: e for e in events if e["event"] == "shot"}
     missing = [pattern for pattern in begin["sequence"] if pattern not in shots]
     if missing:

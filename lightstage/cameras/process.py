@@ -8,6 +8,7 @@ import selectors
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ class Worker:
         self.name = name
         self._buffer = bytearray()
         self._last_words = ""
+        self._closing = threading.Lock()
         self._stderr, name_on_disk = tempfile.mkstemp()
         os.unlink(name_on_disk)
         self._child = subprocess.Popen(
@@ -129,15 +131,17 @@ class Worker:
         )
 
     def _close_files(self) -> None:
-        if self._stderr >= 0:
-            words = os.pread(self._stderr, CHUNK, 0)
-            self._last_words = words.decode(errors="replace").strip()
-            os.close(self._stderr)
-            self._stderr = -1
-        for pipe in (self._child.stdin, self._child.stdout):
-            with contextlib.suppress(OSError):
-                if pipe is not None:
-                    pipe.close()
+        # A capture that gives up closes cameras while their threads may be doing the same.
+        with self._closing:
+            if self._stderr >= 0:
+                words = os.pread(self._stderr, CHUNK, 0)
+                self._last_words = words.decode(errors="replace").strip()
+                os.close(self._stderr)
+                self._stderr = -1
+            for pipe in (self._child.stdin, self._child.stdout):
+                with contextlib.suppress(OSError):
+                    if pipe is not None:
+                        pipe.close()
 
 
 class CameraProcess:

@@ -1,0 +1,192 @@
+"""`lightstage capture` as a user runs it: a device on a pty, real virtual cameras, real signals."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from lightstage.formats.files import sha256_file, write_json
+from lightstage.formats.session import load_session
+from lightstage.rig import rig_to_json, save_rig
+
+
+def arguments(stage, out, *more):
+    return [
+        *(sys.executable, "-m", "lightstage", "capture", "--rig", str(stage.rig_path)),
+        *("--out", str(out), "--leds", stage.device.url, "--cameras", str(stage.cameras_path)),
+        *more,
+    ]
+
+
+def run(stage, out, *more):
+    return subprocess.run(arguments(stage, out, *more), capture_output=True, text=True, timeout=120)
+
+
+def one_clear_message(done, *parts):
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    for part in parts:
+        assert part in done.stderr, done.stderr
+
+
+def test_every_photograph_is_the_one_that_the_acknowledged_light_gave(stage, tmp_path):
+    out = tmp_path / "S"
+    colour = {"schema": "lightstage.colour/1", "cameras": {}}
+    for camera in stage.rig.cameras:
+        colour["cameras"][camera.id] = {"linear_from_raw": np.eye(3).tolist()}
+    write_json(tmp_path / "colour.json", colour)
+    done = run(stage, out, "--json", "--subject", "p 7", "--colour", str(tmp_path / "colour.json"))
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout.splitlines()[-1])
+    assert facts["frames"] == 21
+    assert stage.device.dark
+    session = load_session(out)
+    assert session.file.subject == "p 7"
+    assert session.file.calibration.colour == "calibration/colour.json"
+    for frame in session.file.frames:
+        index = int(frame.camera[-1])
+        data = session.frame_path(frame).read_bytes()
+        assert data == stage.shown(session.levels(frame.pattern), index)
+        assert frame.path == f"frames/{frame.pattern}/{frame.camera}.dng"
+        assert frame.sha256 == sha256_file(session.frame_path(frame))
+    checked = subprocess.run(
+        [sys.executable, "-m", "lightstage", "check", str(out)], capture_output=True, text=True
+    )
+    assert checked.returncode == 0, checked.stderr
+    assert "21 frames whole and unchanged, 9 pattern sums" in checked.stdout
+    stray = [p for p in out.rglob(".*")]
+    assert stray == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_dark_with_whole_files(stage, tmp_path, number):
+    out = tmp_path / "S"
+    child = subprocess.Popen(
+        arguments(stage, out), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 60
+    while not list(out.glob("frames/x+/cam*.dng")):
+        assert child.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    child.send_signal(number)
+    _, said = child.communicate(timeout=60)
+    assert child.returncode not in (0, 2)
+    assert "Traceback" not in said
+    assert stage.device.dark
+    assert not (out / "session.json").exists()
+    assert list(out.rglob(".*")) == []
+    for line in (out / "journal.jsonl").read_text().splitlines():
+        event = json.loads(line)
+        if event["event"] == "frame":
+            assert sha256_file(out / event["path"]) == event["sha256"]
+
+
+def test_a_camera_whose_picture_is_gone_is_named_and_the_others_are_kept(stage, tmp_path):
+    gone = stage.seeds[1]
+    show = stage.device.on_state
+
+    def show_and_lose(levels):
+        show(levels)
+        if 0 < levels.mean() < 1:
+            gone.unlink(missing_ok=True)
+
+    stage.device.on_state = show_and_lose
+    out = tmp_path / "S"
+    done = run(stage, out, "--sequence", "full,x+,x-")
+    one_clear_message(done, "pattern x+: 2 of 3 photographs kept", "camera cam1", "error -1")
+    assert stage.device.dark
+    assert len(list(out.glob("frames/*/*.dng"))) == 5
+    assert not (out / "session.json").exists()
+
+
+def test_a_device_that_falls_silent_ends_the_capture(stage, tmp_path):
+    stage.device.dead_after = 4  # HELLO?, DARK, SET, STATE? are answered, nothing after
+    stage.device.url = stage.device.url.replace("timeout_s=5", "timeout_s=0.3&attempts=2")
+    done = run(stage, tmp_path / "S")
+    one_clear_message(done, "no answer to 2 SET", "The lights may still be on")
+
+
+def test_cameras_that_are_missing_unknown_or_mute_are_all_told_before_a_light_goes_on(
+    stage, tmp_path
+):
+    text = stage.cameras_path.read_text().replace('"serial", "iso"', '"serial"')
+    stage.cameras_path.write_text(text)
+    stage.seeds[2].unlink()
+    stage.seeds[2].parent.rmdir()
+    done = run(stage, tmp_path / "S")
+    one_clear_message(done, "3 problems", "camera cam0, iso", "camera cam1, iso", "camera cam2")
+    assert not (tmp_path / "S").exists()
+    assert all(not state.any() for state in stage.device.states)
+
+
+BAD = {
+    "pattern": (["--sequence", "full,z*"], ["pattern 'z*'", "an unknown name", "olat-NNN"]),
+    "olat": (["--sequence", "olat-999"], ["olat-999", "no light of this id"]),
+    "twice": (["--sequence", "full,full"], ["pattern 'full'", "twice"]),
+    "nothing": (["--sequence", ","], ["no pattern"]),
+    "subject": (["--subject", "a@b.org"], ["--subject", "a@b.org", "pseudonym"]),
+    "path": (["--subject", "../x"], ["--subject", "../x"]),
+    "url": (["--leds", "ftp://x"], ["--leds", "ftp://x", "serial:///dev"]),
+    "no device": (["--leds", "serial:///dev/null-none"], ["LED device", "a port that opens"]),
+    "no rig": (["--rig", "/none/rig.json"], ["/none/rig.json", "no such file"]),
+    "no cameras file": (["--cameras", "/none/c.toml"], ["/none/c.toml", "no such file"]),
+    "no colour": (["--colour", "/none/colour.json"], ["/none/colour.json", "no such file"]),
+    "unknown option": (["--sequense", "full"], ["--sequense"]),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_arguments_exit_2_with_one_message_and_leave_nothing(stage, tmp_path, name):
+    more, parts = BAD[name]
+    done = run(stage, tmp_path / "S", *more)
+    one_clear_message(done, *parts)
+    assert not (tmp_path / "S").exists()
+    assert stage.device.kinds == []
+
+
+def test_a_bad_rig_exits_2_with_every_fault(stage, tmp_path):
+    value = rig_to_json(stage.rig)
+    value["lights"][1]["id"] = 0
+    value["lights"][2]["position_mm"] = [0, 0, 0]
+    write_json(stage.rig_path, value)
+    done = run(stage, tmp_path / "S")
+    one_clear_message(done, "2 problems", "an id that corner0 has too", "from the origin")
+    assert not (tmp_path / "S").exists()
+
+
+def test_an_unknown_configuration_key_exits_2(stage, tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_text("[safety]\nmax_flashes = 9\n")
+    done = run(stage, tmp_path / "S", "--config", str(config))
+    one_clear_message(done, str(config), "max_flashes", "unknown key", "max_flashes_per_s")
+    assert not (tmp_path / "S").exists()
+
+
+def test_a_sequence_that_flashes_too_fast_or_burns_too_long_is_refused(stage, tmp_path):
+    config = tmp_path / "config.toml"
+    config.write_text("[safety]\nlight_interval_s = 0.1\nmax_light_on_s = 60\n")
+    done = run(stage, tmp_path / "S", "--config", str(config))
+    one_clear_message(done, "up to 8 flashes per second", "at most 3", "lights over the budget")
+    assert stage.device.kinds == []
+
+
+def test_another_stages_rig_is_refused_before_a_light_goes_on(stage, tmp_path):
+    save_rig(type(stage.rig)(stage.rig.lights[:-1], stage.rig.cameras), stage.rig_path)
+    done = run(stage, tmp_path / "S")
+    one_clear_message(done, "light count", "found 8", "expected 7")
+    assert not (tmp_path / "S").exists()
+
+
+def test_an_existing_session_is_never_touched(stage, tmp_path):
+    out = tmp_path / "S"
+    out.mkdir()
+    (out / "mine.txt").write_text("kept")
+    done = run(stage, out)
+    one_clear_message(done, "something there already", "a new folder")
+    assert os.listdir(out) == ["mine.txt"]

@@ -1,0 +1,218 @@
+"""The serial driver as a conversation: bytes it must send, bytes it gets; leftovers fail."""
+
+import binascii
+import hashlib
+import os
+import pty
+import struct
+import threading
+import time
+import tty
+
+import numpy as np
+import pytest
+from cobs import cobs
+
+from lightstage.errors import ConfigError, DeviceError
+from lightstage.leds.serial_controller import SerialAddress, SerialLeds, parse_url
+
+
+def packet(kind, sequence, payload=b""):
+    body = struct.pack("<BBH", 1, kind, sequence) + payload
+    return cobs.encode(body + struct.pack("<H", binascii.crc_hqx(body, 0xFFFF))) + b"\0"
+
+
+def hello(sequence, boot_id=7, lights=3):
+    return packet(0x02, sequence, struct.pack("<IH", boot_id, lights) + b"fw")
+
+
+def lit(sequence, *counts):
+    return packet(0x20, sequence, hashlib.sha256(np.array(counts, "<u2").tobytes()).digest())
+
+
+def set_(sequence, *counts):
+    return packet(
+        0x10, sequence, struct.pack("<H", len(counts)) + np.array(counts, "<u2").tobytes()
+    )
+
+
+class Conversation:
+    """The far end of a pty: expects bytes in order, answers with bytes in order."""
+
+    def __init__(self, *turns, timeout_s=0.3, delay_s=0.0):
+        self.device, self.host = pty.openpty()
+        for end in (self.device, self.host):
+            tty.setraw(end)
+        self.address = SerialAddress(os.ttyname(self.host), timeout_s=timeout_s)
+        self.turns = list(turns)
+        self.delay_s = delay_s
+        self.got = b""
+        self.thread = threading.Thread(target=self._serve, daemon=True)
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def _serve(self):
+        while True:
+            try:
+                self.got += os.read(self.device, 4096)
+            except OSError:
+                return
+            while self.turns and self.got.startswith(self.turns[0][0]):
+                expected, reply = self.turns.pop(0)
+                self.got = self.got[len(expected) :]
+                if expected[2:3] != b"\x01":
+                    time.sleep(self.delay_s)
+                os.write(self.device, reply)
+
+    def __exit__(self, kind, *_):
+        time.sleep(0.02)
+        os.close(self.host)
+        os.close(self.device)
+        if kind is None:
+            assert self.got == b"", f"sent unasked: {self.got.hex()}"
+            assert not self.turns, f"not sent: {[t[0].hex() for t in self.turns]}"
+
+
+OPENING = (packet(0x01, 5), hello(5))
+
+
+def test_hello_set_state_dark_in_their_exact_bytes():
+    turns = (
+        OPENING,
+        (set_(6, 0, 32768, 65535), lit(6, 0, 32768, 65535)),
+        (packet(0x12, 7), lit(7, 0, 32768, 65535)),
+        (packet(0x11, 8), lit(8, 0, 0, 0)),
+    )
+    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+        assert (leds.hello.boot_id, leds.hello.light_count, leds.hello.firmware) == (7, 3, "fw")
+        driven = leds.light(np.array([0, 0.5, 1]))
+        assert np.array_equal(driven, np.array([0, 32768, 65535]) / 65535)
+        leds.confirm()
+        leds.dark()
+
+
+def test_a_silent_device_is_asked_again_with_the_same_bytes():
+    request = set_(6, 1, 2, 3)
+    turns = (OPENING, (request, b""), (request, lit(6, 1, 2, 3)))
+    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+        leds.light(np.array([1, 2, 3]) / 65535)
+
+
+def test_a_damaged_answer_is_dropped_and_the_request_repeated():
+    request = set_(6, 1, 2, 3)
+    broken = bytearray(lit(6, 1, 2, 3))
+    broken[9] ^= 4
+    turns = (OPENING, (request, bytes(broken)), (request, lit(6, 1, 2, 3)))
+    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+        leds.light(np.array([1, 2, 3]) / 65535)
+
+
+def test_nothing_is_repeated_before_the_timeout():
+    turns = (OPENING, (set_(6, 9, 9, 9), lit(6, 9, 9, 9)))
+    with Conversation(*turns, timeout_s=10, delay_s=0.7) as far, SerialLeds(far.address, 5) as leds:
+        leds.light(np.array([9, 9, 9]) / 65535)
+
+
+def test_answers_to_other_requests_are_passed_over():
+    stale = lit(4, 0, 0, 0) + lit(5, 0, 0, 0)
+    turns = (OPENING, (set_(6, 1, 1, 1), stale + lit(6, 1, 1, 1)))
+    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+        leds.light(np.ones(3) / 65535)
+
+
+def test_a_device_that_boots_late_is_greeted_by_its_unasked_hello():
+    turns = ((packet(0x01, 5), hello(0)), (packet(0x11, 6), lit(6, 0, 0, 0)))
+    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+        leds.dark()
+
+
+def test_each_hello_has_a_number_of_its_own():
+    turns = ((packet(0x01, 0xFFFF), b""), (packet(0x01, 1), hello(1)))
+    with Conversation(*turns) as far:
+        SerialLeds(far.address, 0xFFFF).close()
+
+
+def test_lights_that_differ_from_what_was_set_are_an_error():
+    turns = (OPENING, (set_(6, 1, 2, 3), lit(6, 1, 2, 4)))
+    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+        with pytest.raises(DeviceError, match=r"SET: found type 0x20, state .*expected LIT"):
+            leds.light(np.array([1, 2, 3]) / 65535)
+
+
+def test_a_state_that_changed_since_is_an_error():
+    turns = (
+        OPENING,
+        (set_(6, 1, 2, 3), lit(6, 1, 2, 3)),
+        (packet(0x12, 7), lit(7, 0, 0, 0)),
+    )
+    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+        leds.light(np.array([1, 2, 3]) / 65535)
+        with pytest.raises(DeviceError, match="not as they were set"):
+            leds.confirm()
+
+
+def test_a_refusal_is_told_with_its_reason():
+    turns = (OPENING, (set_(6, 1, 2), packet(0x2F, 6, b"\x02I have 3")))
+    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+        with pytest.raises(DeviceError, match=r"refused \(wrong light count: I have 3\)"):
+            leds.light(np.array([1, 2]) / 65535)
+
+
+def test_a_device_that_was_reset_is_an_error():
+    turns = (OPENING, (set_(6, 1, 2, 3), hello(0, boot_id=8)))
+    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+        with pytest.raises(DeviceError, match="boot id: found another"):
+            leds.light(np.array([1, 2, 3]) / 65535)
+
+
+def test_a_device_that_never_answers_is_an_error_that_says_how_often_it_was_asked():
+    request = packet(0x11, 6)
+    turns = (OPENING, (request, b""), (request, b""), (request, b""))
+    with Conversation(*turns, timeout_s=0.1) as far, SerialLeds(far.address, 5) as leds:
+        with pytest.raises(DeviceError, match=r"no answer to 3 DARK of 0\.1 s"):
+            leds.dark()
+
+
+def test_a_malformed_hello_is_an_error():
+    with Conversation((packet(0x01, 5), packet(0x02, 5, b"abc"))) as far:
+        with pytest.raises(DeviceError, match="HELLO: found a HELLO of 3 bytes"):
+            SerialLeds(far.address, 5)
+
+
+def test_a_level_out_of_range_sends_nothing():
+    with Conversation(OPENING) as far, SerialLeds(far.address, 5) as leds:
+        with pytest.raises(DeviceError, match="levels"):
+            leds.light(np.array([0, 2.0, 0]))
+
+
+def test_a_port_that_is_not_there_or_in_use_is_an_error(tmp_path):
+    with pytest.raises(DeviceError, match="a port that opens"):
+        SerialLeds(SerialAddress(str(tmp_path / "ttyNONE")))
+    with Conversation(OPENING) as far, SerialLeds(far.address, 5):
+        with pytest.raises(DeviceError, match="no other program"):
+            SerialLeds(far.address)
+
+
+def test_urls_are_read():
+    assert parse_url("serial:///dev/ttyACM0?baud=115200&timeout_s=0.5&attempts=2") == (
+        SerialAddress("/dev/ttyACM0", 115200, 0.5, 2)
+    )
+    assert parse_url("pty:///dev/pts/3?timeout_s=30").timeout_s == 30
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("http://x/y", "http"),
+        ("serial://", "expected serial:///dev"),
+        ("serial:///dev/x?speed=9", "speed: found an unknown key"),
+        ("serial:///dev/x?timeout_s=soon", "timeout_s: found 'soon'"),
+        ("serial:///dev/x?timeout_s=-1", "a positive number"),
+        ("pty:///dev/x?baud=nan", "a positive number"),
+    ],
+)
+def test_a_malformed_url_is_refused(url, said):
+    with pytest.raises(ConfigError, match=said):
+        parse_url(url)
