@@ -7,3 +7,11 @@ from lightstage.errors import LightstageError
 
 class ProcessingError(LightstageError):
     """Base of this package's own errors."""
+
+
+class RegistrationError(ProcessingError):
+    """A scan, landmarks or a template that cannot be brought into correspondence."""
+
+
+class AtlasError(ProcessingError):
+    """Views and a mesh that cannot be merged into one texture."""

@@ -1,0 +1,1 @@
+"""Atlas: the views' maps merged into the template's UV tile."""

@@ -1,0 +1,102 @@
+"""Triangles that a deformation folded over or pushed through each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import open3d
+
+FOLD_COS = -0.5
+"""Neighbours whose normals are more than 120 degrees apart make a fold."""
+
+
+def folded_triangles(rest: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Triangles that a deformation folded over or collapsed.
+
+    A triangle counts when it makes a fold with a neighbour that was none at rest, or has less than
+    a thousandth of its area at rest.
+
+    Args:
+        rest: (n, 3) the undeformed mesh.
+        vertices: (n, 3) the deformed mesh.
+        triangles: (t, 3).
+
+    Returns:
+        (t,) bool; of a fold's two triangles the one that turned more against its surroundings.
+    """
+    normal_rest, area_rest = _normals(rest, triangles)
+    normal, area = _normals(vertices, triangles)
+    pairs = edge_pairs(triangles)
+    a, b = pairs.T
+    before = np.einsum("pk,pk->p", normal_rest[a], normal_rest[b])
+    after = np.einsum("pk,pk->p", normal[a], normal[b])
+    fold = (after < FOLD_COS) & (before >= FOLD_COS)
+    around = np.zeros_like(normal)
+    for axis in range(3):
+        weighted = area * normal[:, axis]
+        corner = np.bincount(triangles.ravel(), np.repeat(weighted, 3), minlength=len(rest))
+        around[:, axis] = corner[triangles].sum(axis=1) - 3 * weighted
+    agreement = np.einsum("tk,tk->t", around, normal)
+    worse = np.where(agreement[a] < agreement[b], a, b)
+    out = np.zeros(len(triangles), bool)
+    out[worse[fold]] = True
+    out |= (area < 1e-3 * area_rest) & (area_rest > 0)
+    return out
+
+
+def edge_pairs(triangles: np.ndarray) -> np.ndarray:
+    """(p, 2) pairs of triangles that share an edge (edges of exactly two triangles)."""
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
+    key = edges[:, 0] * (int(triangles.max()) + 1) + edges[:, 1]
+    order = np.argsort(key, kind="stable")
+    _, first, times = np.unique(key[order], return_index=True, return_counts=True)
+    starts = first[times == 2]
+    return np.stack([order[starts] // 3, order[starts + 1] // 3], axis=1)
+
+
+def grown(chosen: np.ndarray, triangles: np.ndarray, rings: int) -> np.ndarray:
+    """(n,) bool vertices grown by so many rings of neighbours."""
+    out = chosen.copy()
+    for _ in range(rings):
+        out[triangles[out[triangles].any(axis=1)]] = True
+    return out
+
+
+def crossing_triangles(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Triangles that an edge of the mesh pierces, edges that share a vertex with them aside.
+
+    Two triangles in general position cross exactly when an edge of one pierces the other.
+
+    Args:
+        vertices: (n, 3) mm.
+        triangles: (t, 3).
+
+    Returns:
+        (t,) bool: the pierced ones and those whose edges pierce.
+    """
+    scene = open3d.t.geometry.RaycastingScene()
+    centre = vertices.mean(axis=0)
+    scene.add_triangles(
+        open3d.core.Tensor((vertices - centre).astype(np.float32)),
+        open3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
+    )
+    start = triangles.reshape(-1)
+    end = triangles[:, [1, 2, 0]].reshape(-1)
+    rays = np.concatenate([vertices[start] - centre, vertices[end] - vertices[start]], axis=1)
+    found = scene.list_intersections(open3d.core.Tensor(rays.astype(np.float32)))
+    ray = found["ray_ids"].numpy().astype(np.int64)
+    face = found["primitive_ids"].numpy().astype(np.int64)
+    within = found["t_hit"].numpy() <= 1
+    touching = (triangles[face] == start[ray, None]) | (triangles[face] == end[ray, None])
+    pierced = within & ~touching.any(axis=1)
+    out = np.zeros(len(triangles), bool)
+    out[face[pierced]] = True
+    out[ray[pierced] // 3] = True
+    return out
+
+
+def _normals(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    corners = vertices[triangles]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    normal = np.divide(cross, length[:, None], out=np.zeros_like(cross), where=length[:, None] > 0)
+    return normal, length / 2

@@ -1,0 +1,298 @@
+"""Stage `register`: landmarks, pose, shape model, non-rigid ICP; the template laid onto a scan."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.files import write_json
+from lightstage.formats.landmarks import read_points_px
+from lightstage.formats.mesh import Mesh, read_ply, vertex_normals, write_obj
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import Session
+from lightstage.formats.template import Template
+from processing.errors import RegistrationError
+from processing.rays import MeshRays
+from processing.registration.landmarks import triangulate
+from processing.registration.modes import ModesConfig, fit_modes
+from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
+from processing.registration.rigid import Similarity, robust_umeyama, umeyama
+from processing.registration.target import Target
+
+SKY_MM = 2000.0
+SKY_DIRECTIONS = 100
+
+
+@dataclasses.dataclass(frozen=True)
+class RegisterConfig:
+    """Registration's settings."""
+
+    click_agree_mm: float = 2.5
+    """How far a click's ray may pass from its landmark; farther ones are left out and named."""
+    landmark_outlier_mm: float = 12.0
+    """A landmark this far from the fitted shape model, with no neighbour alike, is left out."""
+    least_open_sky: float = 0.08
+    """Vertices that see less than this share of all directions never follow the scan."""
+    modes: ModesConfig = dataclasses.field(default_factory=ModesConfig)
+    nonrigid: NonrigidConfig = dataclasses.field(default_factory=NonrigidConfig)
+
+
+def register(
+    session: Session,
+    out: Path,
+    template: Template,
+    config: RegisterConfig,
+    progress: ProgressCallback = quiet,
+) -> dict[str, Any]:
+    """Register a session's base mesh; writes registered_mesh.obj and head_from_world.json.
+
+    Args:
+        session: with landmarks.json in its folder.
+        out: processed folder with base_mesh.ply.
+        template: what is laid onto the scan.
+        config: settings.
+        progress: called with (done, total).
+
+    Returns:
+        Facts for the report, JSON-ready.
+
+    Raises:
+        RegistrationError: no landmarks, or landmarks that do not fit scan and template.
+        FormatError: no mesh.
+    """
+    folder = ProcessedFolder(out)
+    scan = read_ply(folder.base_mesh)
+    path = session.root / "landmarks.json"
+    if not path.is_file():
+        raise RegistrationError(
+            path,
+            found="no such file",
+            expected="68 iBUG landmarks in two cameras or more",
+            hint="Click them in the photographs (FORMATS describes landmarks.json).",
+        )
+    points_px = read_points_px(path)
+    unknown = sorted(set(points_px) - {camera.id for camera in session.rig.cameras})
+    if unknown:
+        raise RegistrationError(
+            path, field="points_px", found=", ".join(unknown), expected="cameras of rig.json"
+        )
+    found = triangulate(
+        points_px,
+        {camera.id: camera for camera in session.rig.cameras},
+        agree_mm=config.click_agree_mm,
+        surface=MeshRays(scan.vertices, scan.triangles()),
+    )
+    vertices, facts = register_mesh(scan, found.points_mm, template, config, progress)
+    write_obj(template.mesh.with_vertices(vertices), folder.registered_mesh)
+    head_from_world = head_pose(vertices, template)
+    write_json(
+        folder.head_pose,
+        {
+            "schema": "lightstage.head/1",
+            "template": template.name,
+            "head_from_world": head_from_world.matrix().tolist(),
+        },
+    )
+    several = found.views >= 2
+    residual = found.residual_mm[several]
+    return {
+        "landmarks_triangulated": int(several.sum()),
+        "landmarks_of_one_view": int((found.views == 1).sum()),
+        "landmark_rays_rms_mm": float(np.sqrt(np.mean(residual**2))) if several.any() else None,
+        "clicks_left_out": [str(outlier) for outlier in found.outliers],
+        **facts,
+    }
+
+
+def register_mesh(
+    scan: Mesh,
+    landmarks_mm: np.ndarray,
+    template: Template,
+    config: RegisterConfig,
+    progress: ProgressCallback = quiet,
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Lay the template onto a scan.
+
+    Args:
+        scan: triangles in mm, world; may be a part of a head.
+        landmarks_mm: (68, 3) on the scan, NaN where unknown.
+        template: topology, landmarks, and modes where it has them.
+        config: settings.
+        progress: called with (done, total).
+
+    Returns:
+        (n, 3) the template's vertices in the world, mm, and facts for a report.
+
+    Raises:
+        RegistrationError: fewer than four landmarks or all in one plane, other units, mirrored, or
+            landmarks that do not lie on the scan.
+    """
+    triangles = template.mesh.triangles()
+    target = Target(scan)
+    known = np.isfinite(landmarks_mm).all(axis=1)
+    start = _start(target, landmarks_mm, known, template)
+    free = ~open_to_sky(template.mesh.vertices, triangles, config.least_open_sky)
+    free[template.landmarks] = False
+    fit = fit_modes(template, triangles, target, landmarks_mm, start, config.modes, free=free)
+
+    offset = landmarks_mm - fit.vertices[template.landmarks]
+    gap = np.linalg.norm(offset, axis=1)
+    wrong = _unsupported(template.mesh.vertices[template.landmarks], offset, config)
+    kept = np.flatnonzero(known & ~wrong)
+    result = fit_nonrigid(
+        fit.vertices,
+        triangles,
+        target,
+        template.landmarks[kept],
+        landmarks_mm[kept],
+        config.nonrigid,
+        free=free,
+        progress=progress,
+    )
+    left = np.linalg.norm(result.vertices[template.landmarks] - landmarks_mm, axis=1)[kept]
+    back = Target(template.mesh.with_vertices(result.vertices)).closest(
+        scan.vertices[:: max(1, len(scan.vertices) // 50_000)]
+    )
+    facts: dict[str, Any] = {
+        "vertices": len(result.vertices),
+        "matched_share": float(result.matched.mean()),
+        "template_to_scan_median_mm": _quantile(result.distance_mm[result.matched], 0.5),
+        "template_to_scan_p95_mm": _quantile(result.distance_mm[result.matched], 0.95),
+        "scan_to_template_median_mm": _quantile(back.distance_mm, 0.5),
+        "scan_to_template_p95_mm": _quantile(back.distance_mm, 0.95),
+        "landmarks_used": len(kept),
+        "landmarks_left_out": [
+            f"landmark {i} ({gap[i]:.1f} mm from the fitted model)" for i in np.flatnonzero(wrong)
+        ],
+        "landmarks_mean_mm": float(left.mean()),
+        "landmarks_max_mm": float(left.max()),
+        "model_landmarks_mean_mm": float(gap[kept].mean()),
+        "size_against_template": fit.world_from_head.scale,
+        "triangles_flipped": int(result.faulty.sum()),
+        "triangles_flipped_before_mending": result.mended,
+    }
+    return result.vertices, facts
+
+
+def head_pose(vertices: np.ndarray, template: Template) -> Similarity:
+    """The rigid head_from_world of a registered mesh: robust, so that a moved jaw does not turn it.
+
+    Args:
+        vertices: (n, 3) mm, world.
+        template: whose axes are the head frame.
+    """
+    skin = template.regions.get("skin", np.arange(len(vertices)))
+    return robust_umeyama(vertices[skin], template.mesh.vertices[skin])[0]
+
+
+def open_to_sky(vertices: np.ndarray, triangles: np.ndarray, least_share: float) -> np.ndarray:
+    """Which vertices see the outside: the inside of mouth and nose does not, and no scan shows it.
+
+    Args:
+        vertices: (n, 3) mm.
+        triangles: (t, 3).
+        least_share: of a hundred even directions that must be unblocked.
+
+    Returns:
+        (n,) bool.
+    """
+    # A Fibonacci sphere: even directions without a random number.
+    index = np.arange(SKY_DIRECTIONS) + 0.5
+    z = 1 - 2 * index / SKY_DIRECTIONS
+    angle = np.pi * (1 + 5**0.5) * index
+    ring = np.sqrt(1 - z**2)
+    sky = SKY_MM * np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
+    centre = vertices.mean(axis=0)
+    normals = vertex_normals(vertices, triangles)
+    seen = MeshRays(vertices, triangles).visible(vertices, normals, centre + sky)
+    wide: np.ndarray = seen.mean(axis=1) >= least_share
+    return wide
+
+
+def _start(
+    target: Target, landmarks_mm: np.ndarray, known: np.ndarray, template: Template
+) -> Similarity:
+    """world_from_head by landmarks; refuses what cannot be aligned and says why."""
+    if known.sum() < 4:
+        raise RegistrationError(
+            "landmarks",
+            found=f"{int(known.sum())} of 68 known",
+            expected="at least 4",
+            hint="Mark eye corners, nose tip and mouth corners at least.",
+        )
+    world = landmarks_mm[known]
+    head = template.mesh.vertices[template.landmarks[known]]
+    spread = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
+    if spread[2] < 0.02 * spread[0]:
+        raise RegistrationError(
+            "landmarks",
+            found="all in one plane",
+            expected="points that span a volume",
+            hint="Add some off that plane, such as the nose tip and the jaw line.",
+        )
+    pose, residual = robust_umeyama(head, world, scale=True)
+    if not 0.6 < pose.scale < 1.6:
+        raise RegistrationError(
+            "landmarks",
+            field="units",
+            found=f"a scan {pose.scale:.3g} times as large as the template",
+            expected="both in mm",
+            hint="Scale the scan and its landmarks (metres x 1000, centimetres x 10), or the "
+            "template if that one is not in mm.",
+        )
+    mirrored = umeyama(head, world, scale=True, reflect=True)
+    if np.linalg.det(mirrored.rotation) < 0:
+        error = np.median(np.linalg.norm(mirrored.apply(head) - world, axis=1))
+        if error < 0.5 * np.median(residual):
+            raise RegistrationError(
+                "landmarks",
+                found=f"a mirror image ({error:.1f} mm against {np.median(residual):.1f} mm)",
+                expected="landmarks in iBUG's order, on a scan that is not mirrored",
+                hint="Points 0 to 16 go from the person's right ear to the left one; was an axis "
+                "of the scan negated?",
+            )
+    if np.median(residual) > 20:
+        raise RegistrationError(
+            "landmarks",
+            found=f"{np.median(residual):.0f} mm median from the template's after alignment",
+            expected="less than 20 mm",
+            hint="Are they in iBUG's order?",
+        )
+    away = np.median(target.closest(world).distance_mm)
+    if away > 20:
+        raise RegistrationError(
+            "landmarks",
+            found=f"{away:.0f} mm median from the scan's surface",
+            expected="points on the scan",
+            hint="Are landmarks and scan in the same coordinates?",
+        )
+    return pose
+
+
+def _unsupported(places: np.ndarray, offset: np.ndarray, config: RegisterConfig) -> np.ndarray:
+    """(68,) bool: landmarks far from the fitted model that no neighbour follows.
+
+    A jaw opened farther than the model can moves several landmarks alike; a wrong one is alone.
+
+    Args:
+        places: (68, 3) on the template, mm.
+        offset: (68, 3) from the fitted model to the landmark, NaN where unknown.
+        config: settings.
+    """
+    known = np.flatnonzero(np.isfinite(offset).all(axis=1))
+    gap = np.linalg.norm(offset[known], axis=1)
+    between = np.linalg.norm(places[known, None] - places[None, known], axis=2)
+    near = np.argsort(between, axis=1)[:, 1:7]
+    unlike = np.linalg.norm(offset[known][near] - offset[known][:, None], axis=2)
+    alone = (unlike > 0.5 * gap[:, None]).all(axis=1)
+    wrong = np.zeros(len(offset), bool)
+    wrong[known] = (gap > config.landmark_outlier_mm) & alone
+    return wrong
+
+
+def _quantile(values: np.ndarray, share: float) -> float | None:
+    return float(np.quantile(values, share)) if len(values) else None
