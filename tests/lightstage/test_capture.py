@@ -64,7 +64,7 @@ class FakeCamera:
     def open(self):
         return Summary(f"60{self.id[-1]}", "Nikon DSC D750", "100", "1/60", "f/8")
 
-    def capture(self, at_s):
+    def capture(self, _):
         self.log.append(f"capture {self.id}")
         self.shots += 1
         if self.shots == self.fail_at:
@@ -191,7 +191,7 @@ def test_a_second_ctrl_c_waits_until_the_lights_are_dark(parts):
 
 
 def test_lights_change_no_faster_than_the_flash_limit_allows(parts):
-    log, lights, cameras, shots, writer = parts
+    _, lights, cameras, shots, writer = parts
     times = []
     light = lights.light
     lights.light = lambda levels: (times.append(time.monotonic()), light(levels))[1]
@@ -201,7 +201,7 @@ def test_lights_change_no_faster_than_the_flash_limit_allows(parts):
 
 
 def test_the_lights_are_asked_for_their_state_while_cameras_are_slow(parts):
-    log, lights, cameras, shots, writer = parts
+    _, lights, cameras, shots, writer = parts
     release = threading.Event()
     take = cameras[0].capture
     cameras[0].capture = lambda at_s: (release.wait(20), take(at_s))[1]

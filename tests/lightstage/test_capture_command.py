@@ -60,8 +60,7 @@ def test_every_photograph_is_the_one_that_the_acknowledged_light_gave(stage, tmp
     )
     assert checked.returncode == 0, checked.stderr
     assert "21 frames whole and unchanged, 9 pattern sums" in checked.stdout
-    stray = [p for p in out.rglob(".*")]
-    assert stray == []
+    assert list(out.rglob(".*")) == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -72,7 +71,8 @@ def test_a_signal_ends_dark_with_whole_files(stage, tmp_path, number):
     )
     deadline = time.monotonic() + 60
     while not list(out.glob("frames/x+/cam*.dng")):
-        assert child.poll() is None and time.monotonic() < deadline
+        assert child.poll() is None
+        assert time.monotonic() < deadline
         time.sleep(0.01)
     child.send_signal(number)
     _, said = child.communicate(timeout=60)

@@ -1,6 +1,7 @@
 """The serial driver as a conversation: bytes it must send, bytes it gets; leftovers fail."""
 
 import binascii
+import contextlib
 import hashlib
 import os
 import pty
@@ -78,14 +79,20 @@ class Conversation:
 OPENING = (packet(0x01, 5), hello(5))
 
 
+@contextlib.contextmanager
+def talking(*turns, **settings):
+    """A controller that has greeted and whose next request has number 6."""
+    with Conversation(OPENING, *turns, **settings) as far, SerialLeds(far.address, 5) as leds:
+        yield leds
+
+
 def test_hello_set_state_dark_in_their_exact_bytes():
     turns = (
-        OPENING,
         (set_(6, 0, 32768, 65535), lit(6, 0, 32768, 65535)),
         (packet(0x12, 7), lit(7, 0, 32768, 65535)),
         (packet(0x11, 8), lit(8, 0, 0, 0)),
     )
-    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+    with talking(*turns) as leds:
         assert (leds.hello.boot_id, leds.hello.light_count, leds.hello.firmware) == (7, 3, "fw")
         driven = leds.light(np.array([0, 0.5, 1]))
         assert np.array_equal(driven, np.array([0, 32768, 65535]) / 65535)
@@ -95,8 +102,8 @@ def test_hello_set_state_dark_in_their_exact_bytes():
 
 def test_a_silent_device_is_asked_again_with_the_same_bytes():
     request = set_(6, 1, 2, 3)
-    turns = (OPENING, (request, b""), (request, lit(6, 1, 2, 3)))
-    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+    turns = ((request, b""), (request, lit(6, 1, 2, 3)))
+    with talking(*turns) as leds:
         leds.light(np.array([1, 2, 3]) / 65535)
 
 
@@ -104,21 +111,21 @@ def test_a_damaged_answer_is_dropped_and_the_request_repeated():
     request = set_(6, 1, 2, 3)
     broken = bytearray(lit(6, 1, 2, 3))
     broken[9] ^= 4
-    turns = (OPENING, (request, bytes(broken)), (request, lit(6, 1, 2, 3)))
-    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+    turns = ((request, bytes(broken)), (request, lit(6, 1, 2, 3)))
+    with talking(*turns) as leds:
         leds.light(np.array([1, 2, 3]) / 65535)
 
 
 def test_nothing_is_repeated_before_the_timeout():
-    turns = (OPENING, (set_(6, 9, 9, 9), lit(6, 9, 9, 9)))
-    with Conversation(*turns, timeout_s=10, delay_s=0.7) as far, SerialLeds(far.address, 5) as leds:
+    turns = ((set_(6, 9, 9, 9), lit(6, 9, 9, 9)),)
+    with talking(*turns, timeout_s=10, delay_s=0.7) as leds:
         leds.light(np.array([9, 9, 9]) / 65535)
 
 
 def test_answers_to_other_requests_are_passed_over():
     stale = lit(4, 0, 0, 0) + lit(5, 0, 0, 0)
-    turns = (OPENING, (set_(6, 1, 1, 1), stale + lit(6, 1, 1, 1)))
-    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+    turns = ((set_(6, 1, 1, 1), stale + lit(6, 1, 1, 1)),)
+    with talking(*turns) as leds:
         leds.light(np.ones(3) / 65535)
 
 
@@ -135,64 +142,72 @@ def test_each_hello_has_a_number_of_its_own():
 
 
 def test_lights_that_differ_from_what_was_set_are_an_error():
-    turns = (OPENING, (set_(6, 1, 2, 3), lit(6, 1, 2, 4)))
-    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
-        with pytest.raises(DeviceError, match=r"SET: found type 0x20, state .*expected LIT"):
-            leds.light(np.array([1, 2, 3]) / 65535)
+    turns = ((set_(6, 1, 2, 3), lit(6, 1, 2, 4)),)
+    with (
+        talking(*turns) as leds,
+        pytest.raises(DeviceError, match=r"SET: found type 0x20, state .*expected LIT"),
+    ):
+        leds.light(np.array([1, 2, 3]) / 65535)
 
 
 def test_a_state_that_changed_since_is_an_error():
     turns = (
-        OPENING,
         (set_(6, 1, 2, 3), lit(6, 1, 2, 3)),
         (packet(0x12, 7), lit(7, 0, 0, 0)),
     )
-    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+    with talking(*turns) as leds:
         leds.light(np.array([1, 2, 3]) / 65535)
         with pytest.raises(DeviceError, match="not as they were set"):
             leds.confirm()
 
 
 def test_a_refusal_is_told_with_its_reason():
-    turns = (OPENING, (set_(6, 1, 2), packet(0x2F, 6, b"\x02I have 3")))
-    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
-        with pytest.raises(DeviceError, match=r"refused \(wrong light count: I have 3\)"):
-            leds.light(np.array([1, 2]) / 65535)
+    turns = ((set_(6, 1, 2), packet(0x2F, 6, b"\x02I have 3")),)
+    with (
+        talking(*turns) as leds,
+        pytest.raises(DeviceError, match=r"refused \(wrong light count: I have 3\)"),
+    ):
+        leds.light(np.array([1, 2]) / 65535)
 
 
 def test_a_device_that_was_reset_is_an_error():
-    turns = (OPENING, (set_(6, 1, 2, 3), hello(0, boot_id=8)))
-    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
-        with pytest.raises(DeviceError, match="boot id: found another"):
-            leds.light(np.array([1, 2, 3]) / 65535)
+    turns = ((set_(6, 1, 2, 3), hello(0, boot_id=8)),)
+    with talking(*turns) as leds, pytest.raises(DeviceError, match="boot id: found another"):
+        leds.light(np.array([1, 2, 3]) / 65535)
 
 
 def test_a_device_that_never_answers_is_an_error_that_says_how_often_it_was_asked():
     request = packet(0x11, 6)
-    turns = (OPENING, (request, b""), (request, b""), (request, b""))
-    with Conversation(*turns, timeout_s=0.1) as far, SerialLeds(far.address, 5) as leds:
-        with pytest.raises(DeviceError, match=r"no answer to 3 DARK of 0\.1 s"):
-            leds.dark()
+    turns = ((request, b""), (request, b""), (request, b""))
+    with (
+        talking(*turns, timeout_s=0.1) as leds,
+        pytest.raises(DeviceError, match=r"no answer to 3 DARK of 0\.1 s"),
+    ):
+        leds.dark()
 
 
 def test_a_malformed_hello_is_an_error():
-    with Conversation((packet(0x01, 5), packet(0x02, 5, b"abc"))) as far:
-        with pytest.raises(DeviceError, match="HELLO: found a HELLO of 3 bytes"):
-            SerialLeds(far.address, 5)
+    with (
+        Conversation((packet(0x01, 5), packet(0x02, 5, b"abc"))) as far,
+        pytest.raises(DeviceError, match="HELLO: found a HELLO of 3 bytes"),
+    ):
+        SerialLeds(far.address, 5)
 
 
 def test_a_level_out_of_range_sends_nothing():
-    with Conversation(OPENING) as far, SerialLeds(far.address, 5) as leds:
-        with pytest.raises(DeviceError, match="levels"):
-            leds.light(np.array([0, 2.0, 0]))
+    with talking() as leds, pytest.raises(DeviceError, match="levels"):
+        leds.light(np.array([0, 2.0, 0]))
 
 
 def test_a_port_that_is_not_there_or_in_use_is_an_error(tmp_path):
     with pytest.raises(DeviceError, match="a port that opens"):
         SerialLeds(SerialAddress(str(tmp_path / "ttyNONE")))
-    with Conversation(OPENING) as far, SerialLeds(far.address, 5):
-        with pytest.raises(DeviceError, match="no other program"):
-            SerialLeds(far.address)
+    with (
+        Conversation(OPENING) as far,
+        SerialLeds(far.address, 5),
+        pytest.raises(DeviceError, match="no other program"),
+    ):
+        SerialLeds(far.address)
 
 
 def test_urls_are_read():
