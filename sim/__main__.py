@@ -12,11 +12,6 @@ from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_ap
 app = make_app("A light stage without the hardware: sessions, data sets and the template.")
 
 
-@app.callback()
-def _group() -> None:
-    """Keep the commands a group, however few there are."""
-
-
 @app.command()
 def session(
     subject: str = typer.Option(..., help="lps (the scanned head) or a parametric person's name."),
@@ -32,7 +27,14 @@ def session(
     """Photograph a simulated person in the light stage."""
     from lightstage.patterns import pattern_levels, sequence_patterns
     from lightstage.rig import default_rig, load_rig
-    from sim.session import SessionConfig, require_new, truth_path, write_direct
+    from sim.capture import capture_session
+    from sim.session import (
+        SessionConfig,
+        require_new,
+        truth_path,
+        write_direct,
+        write_landmarks,
+    )
     from sim.subjects import load_subject
     from sim.truth import write_truth
     from sim.world import World
@@ -48,8 +50,12 @@ def session(
         world = World(person, stage, progress)
     with progress_bar("truth") as progress:
         truth = write_truth(world, truth_path(out), progress)
-    with progress_bar("photographs") as progress:
-        write_direct(world, out, config, seed, progress)
+    if direct:
+        with progress_bar("photographs") as progress:
+            write_direct(world, out, config, seed, progress)
+    else:
+        capture_session(world, out, seed, sequence)
+        write_landmarks(world, out, seed, config.click_noise_px)
     count = len(sequence_patterns(sequence)) * len(stage.cameras)
     seconds = time.monotonic() - begun
     facts = {
@@ -60,6 +66,41 @@ def session(
         "seconds": round(seconds, 1),
     }
     finish(f"{out}: {count} photographs, truth in {truth}, {seconds:.1f} s", facts, as_json)
+
+
+@app.command()
+def dataset(
+    subjects: int = typer.Option(..., min=1, help="How many people."),
+    out: Path = typer.Option(..., help="Folder for all of them."),
+    expressions: int = typer.Option(1, min=1, max=7, help="Of each; the first one is neutral."),
+    seed: int = typer.Option(0, help="The same seed gives the same files to the byte."),
+    maps_only: bool = typer.Option(False, "--maps-only", help="Maps and meshes, no photographs."),
+    rows: int = typer.Option(1536, min=96, help="Rows of the maps, a multiple of 3."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Make many parametric people, as processed folders or as sessions."""
+    from sim.dataset import write_people, write_sessions
+
+    begun = time.monotonic()
+    with progress_bar("people") as progress:
+        write = write_people if maps_only else write_sessions
+        folders = write(out, subjects, expressions, seed, rows, progress)
+    seconds = time.monotonic() - begun
+    facts = {"out": str(out), "scans": len(folders), "rows": rows, "seconds": round(seconds, 1)}
+    finish(f"{out}: {len(folders)} scans of {subjects} people, {seconds:.1f} s", facts, as_json)
+
+
+@app.command()
+def template(
+    out: Path = typer.Option(..., help="Template folder."), as_json: bool = JsonFlag
+) -> None:
+    """Write our own template: mesh, UV, landmarks, regions, modes, skin maps."""
+    from sim.template import write_template
+
+    begun = time.monotonic()
+    path = write_template(out)
+    seconds = time.monotonic() - begun
+    finish(f"{path}: template, {seconds:.1f} s", {"template": str(path)}, as_json)
 
 
 def main() -> None:

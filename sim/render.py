@@ -62,6 +62,7 @@ def shade_kernel(
     specular: np.ndarray,
     roughness: np.ndarray,
     bits: np.ndarray,
+    lit: np.ndarray,
     lights: np.ndarray,
     reference2: np.ndarray,
     weights: np.ndarray,
@@ -71,8 +72,8 @@ def shade_kernel(
     """Light (s, n, 3) leaving n points under s states of m lights.
 
     All are float32: position, geometric, normal, view (n, 3); albedo (n, 3); specular and
-    roughness (n,); bits (n, ceil(m / 8)) uint8; lights (m, 3) mm; reference2 (m,) squared distance
-    from the origin; weights (s, m, 3).
+    roughness (n,); lights (m, 3) mm; reference2 (m,) squared distance from the origin; weights
+    (s, m, 3). bits (n, bytes) uint8 of all lights; lit (m,) int64, which of them these m are.
     """
     states, count = weights.shape[0], lights.shape[0]
     for i in numba.prange(len(position)):
@@ -84,7 +85,8 @@ def shade_kernel(
         m2 = m * m
         lambda_v = smith_lambda(n_v, m)
         for k in range(count):
-            if not (bits[i, k >> 3] >> (k & 7)) & 1:
+            bit = lit[k]
+            if not (bits[i, bit >> 3] >> (bit & 7)) & 1:
                 continue
             lx, ly, lz = lights[k, 0] - px, lights[k, 1] - py, lights[k, 2] - pz
             d2 = lx * lx + ly * ly + lz * lz
@@ -148,17 +150,19 @@ def shade(
     Returns:
         Diffuse and specular part, each (s, n, 3) float32.
     """
-    lights = np.ascontiguousarray(lights_mm, np.float32)
-    reference2 = np.sum(np.asarray(lights_mm, float) ** 2, axis=1).astype(np.float32)
+    lit = np.flatnonzero(np.asarray(weights).any(axis=(0, 2)))
+    lights = np.asarray(lights_mm, float)[lit]
+    reference2 = np.sum(lights**2, axis=1)
     shape = (len(weights), len(position), 3)
     diffuse_out, specular_out = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     surface = [position, geometric, normal, view, albedo, specular, roughness]
     shade_kernel(
         *(np.ascontiguousarray(a, np.float32) for a in surface),
         np.ascontiguousarray(bits, np.uint8),
-        lights,
-        reference2,
-        np.ascontiguousarray(weights, np.float32),
+        lit,
+        lights.astype(np.float32),
+        reference2.astype(np.float32),
+        np.ascontiguousarray(np.asarray(weights)[:, lit], np.float32),
         diffuse_out,
         specular_out,
     )

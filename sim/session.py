@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from lightstage.formats.session import Driven, Frame, SessionFile, save_session,
 from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import save_rig
 from sim.errors import SimError
-from sim.truth import landmarks_px, write_truth
+from sim.truth import landmarks_px
 from sim.world import World
 
 
@@ -35,9 +34,6 @@ class SessionConfig:
     sequence: str = "binary"
     click_noise_px: float = 0.5
     texture_rows: int = 1536
-
-
-ProgressFor = Callable[[str], ProgressCallback]
 
 
 def truth_path(session: Path) -> Path:
@@ -110,13 +106,3 @@ def write_landmarks(world: World, out: Path, seed: int, noise_px: float) -> Path
     rng = np.random.default_rng([seed, 68])
     points = {camera.id: landmarks_px(world, camera, rng, noise_px) for camera in world.rig.cameras}
     return write_points_px(points, out / "landmarks.json")
-
-
-__all__ = [
-    "SessionConfig",
-    "require_new",
-    "truth_path",
-    "write_direct",
-    "write_landmarks",
-    "write_truth",
-]

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet, write_lights
@@ -18,11 +19,13 @@ from lightstage.rig import Camera, Rig
 from sim.scene import Scene, Surface
 from sim.subject import Subject
 from sim.texture import raster_uv, texture_of
-from sim.world import World, light_weights
+from sim.world import World
 
 OCCLUSION_DIRECTIONS = 256
 OCCLUSION_START_MM = 0.2
 RELIT_CAMERA = "cam0"
+HIDDEN = 0.1
+"""Skin that sees less of the sky, such as behind a closed lid, is not scored in the atlas."""
 FACING = 0.15
 """A landmark whose normal makes a smaller cosine with the view is at the edge: hidden."""
 
@@ -78,14 +81,15 @@ def write_atlas(subject: Subject, occlusion: np.ndarray, folder: ProcessedFolder
     face, weights = raster_uv(mesh, rows, columns)
     triangles = mesh.triangles()
     covered = face >= 0
+    open_share = texture_of(occlusion[:, None], triangles, face, weights)[..., 0]
     maps = {
         "diffuse_albedo": subject.diffuse_albedo,
         "specular_albedo": subject.specular_albedo,
         "diffuse_normal": subject.normal,
         "specular_normal": subject.normal,
         "position": texture_of(mesh.vertices, triangles, face, weights),
-        "ambient_occlusion": texture_of(occlusion[:, None], triangles, face, weights)[..., 0],
-        "confidence": (subject.skin & covered).astype(np.float32),
+        "ambient_occlusion": open_share,
+        "confidence": (subject.skin & covered & (open_share > HIDDEN)).astype(np.float32),
     }
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda item: folder.write_atlas(*item), maps.items()))
@@ -211,9 +215,4 @@ def landmarks_px(
 
 def _normals_at(scene: Scene, points_mm: np.ndarray) -> np.ndarray:
     """Normals of the vertices nearest to (n, 3) points."""
-    from scipy.spatial import cKDTree
-
     return scene.normals[cKDTree(scene.vertices).query(points_mm)[1]]
-
-
-__all__ = ["landmarks_px", "light_weights", "relit_sets", "vertex_occlusion", "write_truth"]

@@ -7,9 +7,12 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import stage_lights
 from lightstage.rig import Rig
+from sim.errors import SimError
 from sim.render import shade
 from sim.scene import Scene, Surface
 from sim.subject import Subject
+
+EVERY = slice(None)
 
 
 class World:
@@ -39,26 +42,29 @@ class World:
         """Who sits in the stage."""
         return self.scene.subject
 
-    def pixels(self, camera_id: str, weights: np.ndarray) -> np.ndarray:
+    def pixels(
+        self, camera_id: str, weights: np.ndarray, chosen: np.ndarray | slice = EVERY
+    ) -> np.ndarray:
         """Light of the pixels that see the subject.
 
         Args:
             camera_id: the view.
             weights: (s, m, 3) what a white diffuser at the origin facing each light would read.
+            chosen: which of the n pixels of `surfaces[camera_id]`.
 
         Returns:
             (s, n, 3) float32.
         """
         surface = self.surfaces[camera_id]
         diffuse, specular = shade(
-            surface.position,
-            surface.geometric,
-            surface.normal,
-            surface.view,
-            surface.albedo,
-            surface.specular,
-            surface.roughness,
-            self._bits[camera_id],
+            surface.position[chosen],
+            surface.geometric[chosen],
+            surface.normal[chosen],
+            surface.view[chosen],
+            surface.albedo[chosen],
+            surface.specular[chosen],
+            surface.roughness[chosen],
+            self._bits[camera_id][chosen],
             self.rig.positions_mm,
             weights,
         )
@@ -76,6 +82,22 @@ class World:
         """
         light = self.pixels(camera_id, np.asarray(levels)[:, :, None] * self._full)
         return np.stack([self.surfaces[camera_id].picture(state) for state in light])
+
+    def skin_peak(self, quantile: float = 0.999) -> np.ndarray:
+        """(3,) what the brightest skin reads under `full`, of every 16th pixel of all cameras."""
+        light = []
+        for camera_id, surface in self.surfaces.items():
+            chosen = np.flatnonzero(surface.skin)[::16]
+            light.append(self.pixels(camera_id, self._full[None], chosen)[0])
+        seen = np.concatenate(light)
+        if not len(seen):
+            raise SimError(
+                f"subject {self.subject.name}",
+                found="no skin in any camera",
+                expected="a face",
+                hint="Do the rig's cameras look at the sphere's centre?",
+            )
+        return np.quantile(seen, quantile, axis=0)
 
     def relit(self, camera_id: str, weights: np.ndarray) -> np.ndarray:
         """(h, w, 3) float32 under coloured lights; `weights` (m, 3) as in `pixels`."""

@@ -1,0 +1,54 @@
+"""Nine cameras for libgphoto2's virtual camera: folders whose one file is what a shot gives."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+PORT = "usb:001,001"
+"""Where libgphoto2's virtual USB shows its one camera; each folder has a process of its own."""
+SEED = "SEED0001.JPG"
+"""libgphoto2's virtual camera looks for a file of this kind; its bytes may be any."""
+UNVERIFIABLE = ("serial", "iso", "aperture", "shutter")
+
+
+class CameraFolders:
+    """One VCAMERADIR for each camera.
+
+    Args:
+        root: folder for all of them, on one file system.
+        camera_ids: which.
+    """
+
+    def __init__(self, root: Path, camera_ids: Sequence[str]) -> None:
+        self.root = root
+        self.camera_ids = tuple(camera_ids)
+        for camera_id in camera_ids:
+            self._seed(camera_id).parent.mkdir(parents=True)
+
+    def folder(self, camera_id: str) -> Path:
+        """A camera's VCAMERADIR."""
+        return self.root / camera_id
+
+    def put(self, camera_id: str, data: bytes) -> None:
+        """Make `data` what the camera's next shot gives; never half of it is seen."""
+        # Beside the folder, not in it: the camera lists whatever lies there.
+        beside = self.root / f"{camera_id}.next"
+        beside.write_bytes(data)
+        os.replace(beside, self._seed(camera_id))
+
+    def cameras_file(self) -> str:
+        """The cameras file (TOML) that binds the rig's cameras to these folders."""
+        allowed = ", ".join(f'"{name}"' for name in UNVERIFIABLE)
+        lines = [f"allow_unverifiable = [{allowed}]"]
+        for camera_id in self.camera_ids:
+            lines += [
+                f"[cameras.{camera_id}]",
+                f'port = "{PORT}"',
+                f"virtual_folder = '{self.folder(camera_id)}'",
+            ]
+        return "\n".join(lines) + "\n"
+
+    def _seed(self, camera_id: str) -> Path:
+        return self.root / camera_id / "DCIM" / "100TEST" / SEED
