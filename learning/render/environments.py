@@ -95,8 +95,8 @@ def stack(environments: list[Environment]) -> Environment:
     )
 
 
-def random_environment(rng: np.random.Generator, config: RandomLightConfig) -> Environment:
-    """A few point lights in front of and beside the face, and ambient light; a batch of one.
+def random_lights(rng: np.random.Generator, config: RandomLightConfig) -> np.ndarray:
+    """Places of one to `lights` point lights: (n, 3) mm.
 
     Directions are uniform over the sphere's part with z > -0.2, so that some light comes from
     slightly behind, as in a room.
@@ -106,20 +106,33 @@ def random_environment(rng: np.random.Generator, config: RandomLightConfig) -> E
     turn = rng.uniform(0, 2 * np.pi, count)
     flat = np.sqrt(1 - height**2)
     direction = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-    position = direction * rng.uniform(*config.distance_mm, (count, 1))
+    return direction * rng.uniform(*config.distance_mm, (count, 1))
+
+
+def random_environment(
+    rng: np.random.Generator, config: RandomLightConfig, position_mm: np.ndarray
+) -> Environment:
+    """Lights at given places with random strength and colour, and ambient light; a batch of one.
+
+    Args:
+        rng: randomness.
+        config: the ranges.
+        position_mm: (n, 3) lights.
+    """
+    distance = np.linalg.norm(position_mm, axis=1)
     exposure = rng.uniform(*config.exposure)
     ambient = exposure * rng.uniform(*config.ambient_share)
-    share = rng.uniform(0.3, 1.0, count)
+    share = rng.uniform(0.3, 1.0, len(position_mm))
     # A face turned half to a light still receives light, so 0.3 stands for the grazing ones: rims
     # do not become arbitrarily bright to reach the exposure.
-    facing = np.maximum(height, 0.3)
+    facing = np.maximum(position_mm[:, 2] / distance, 0.3)
     strength = (exposure - ambient) * share / float((share * facing).sum())
-    rgb = strength[:, None] * np.exp(rng.normal(0, config.tint, (count, 3)))
+    rgb = strength[:, None] * np.exp(rng.normal(0, config.tint, (len(position_mm), 3)))
     return Environment(
-        torch.from_numpy(position.astype(np.float32))[None],
+        torch.from_numpy(position_mm.astype(np.float32))[None],
         torch.from_numpy(rgb.astype(np.float32))[None],
         torch.full((1, 3), float(ambient)),
-        torch.zeros(1, count, dtype=torch.bool),
+        torch.zeros(1, len(position_mm), dtype=torch.bool),
         torch.tensor([[0.0, 0.0, config.camera_mm]]),
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import open3d
 
@@ -13,6 +15,21 @@ from lightstage.formats.mesh import Mesh
 RAYS_AT_ONCE = 2_000_000
 OFFSET_MM = 0.3
 """Rays start so far off the surface, along its normal, to pass over the facet they start on."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PositionGrid:
+    """A position map as a surface.
+
+    Attributes:
+        position_mm: (rows, columns, 3).
+        normal: (rows, columns, 3) unit.
+        covered: (rows, columns) bool.
+    """
+
+    position_mm: np.ndarray
+    normal: np.ndarray
+    covered: np.ndarray
 
 
 def bake_visibility(
@@ -34,19 +51,72 @@ def bake_visibility(
     Returns:
         (L, rows, columns) float32, 1 = seen, 0 = shadowed, below the horizon or no surface.
     """
+    covered = raster.covered
+    points = raster.interpolate(mesh.vertices)[covered]
+    normals = raster.normals(mesh)[covered]
+    out = np.zeros((len(position_mm), *covered.shape), np.float32)
+    out[:, covered] = _visible(
+        mesh.vertices, raster.triangles, points, normals, position_mm, distant, progress
+    )
+    return out
+
+
+def bake_grid(surface: PositionGrid, position_mm: np.ndarray) -> np.ndarray:
+    """Shadows of point lights on a position map, whose neighbouring texels make the mesh.
+
+    Args:
+        surface: the map.
+        position_mm: (L, 3) lights.
+
+    Returns:
+        (L, rows, columns) float32, as `bake_visibility`.
+    """
+    rows, columns = surface.covered.shape
+    out = np.zeros((len(position_mm), rows, columns), np.float32)
+    out[:, surface.covered] = _visible(
+        surface.position_mm.reshape(-1, 3),
+        _grid_triangles(surface),
+        surface.position_mm[surface.covered],
+        surface.normal[surface.covered],
+        position_mm,
+        np.zeros(len(position_mm), bool),
+        quiet,
+    )
+    return out
+
+
+def _grid_triangles(surface: PositionGrid) -> np.ndarray:
+    """Two triangles for every four neighbours that belong together."""
+    index = np.arange(surface.covered.size).reshape(surface.covered.shape)
+    corners = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1)
+    corners = corners[surface.covered.ravel()[corners].all(axis=-1)]
+    points = surface.position_mm.reshape(-1, 3)[corners]
+    span = np.linalg.norm(points - points[:, [1, 2, 3, 0]], axis=2).max(axis=1)
+    # Across a seam of the texture neighbours lie far apart on the face.
+    corners = corners[span < 10 * np.median(span)]
+    return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+
+
+def _visible(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    position_mm: np.ndarray,
+    distant: np.ndarray,
+    progress: ProgressCallback,
+) -> np.ndarray:
+    """(L, n) float32 for n points with their normals."""
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        open3d.core.Tensor(np.ascontiguousarray(mesh.vertices, np.float32)),
-        open3d.core.Tensor(np.ascontiguousarray(raster.triangles, np.uint32)),
+        open3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
+        open3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
     )
-    covered = raster.covered
-    normals = raster.normals(mesh)[covered]
-    starts = raster.interpolate(mesh.vertices)[covered] + OFFSET_MM * normals
+    starts = (points + OFFSET_MM * normals).astype(np.float32)
     lights = np.asarray(position_mm, np.float32).reshape(-1, 3)
-    reach = 4 * float(np.ptp(mesh.vertices, axis=0).max()) + 1.0
-    out = np.zeros((len(lights), *covered.shape), np.float32)
+    reach = 4 * float(np.ptp(vertices, axis=0).max()) + 1.0
+    out = np.zeros((len(lights), len(starts)), np.float32)
     for index, light in enumerate(lights):
-        seen = np.zeros(len(starts), bool)
         for first in range(0, len(starts), RAYS_AT_ONCE):
             start = starts[first : first + RAYS_AT_ONCE]
             if distant[index]:
@@ -57,9 +127,8 @@ def bake_visibility(
             facing = np.einsum("nk,nk->n", toward, normals[first : first + len(start)]) > 0
             rays = np.concatenate([start[facing], toward[facing]], axis=1)
             blocked = scene.test_occlusions(open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
-            seen[first + np.flatnonzero(facing)] = ~blocked.numpy()
+            out[index, first + np.flatnonzero(facing)] = ~blocked.numpy()
             progress(index * len(starts) + first + len(start), len(lights) * len(starts))
-        out[index, covered] = seen
     return out
 
 

@@ -67,7 +67,10 @@ def blur(image: Tensor, sigma_px: float) -> Tensor:
     at = torch.arange(-radius, radius + 1, dtype=image.dtype, device=image.device)
     kernel = torch.exp(-0.5 * (at / sigma_px) ** 2)
     kernel = kernel / kernel.sum()
-    planes = image.flatten(0, 1)[:, None]  # (B C, 1, H, W)
-    planes = functional.conv2d(planes, kernel.view(1, 1, -1, 1), padding=(radius, 0))
-    planes = functional.conv2d(planes, kernel.view(1, 1, 1, -1), padding=(0, radius))
-    return planes[:, 0].unflatten(0, image.shape[:2])
+    # One group a plane: a depthwise convolution, several times faster than a batch of planes.
+    planes = image.flatten(0, 1)[None]  # (1, B C, H, W)
+    groups = planes.shape[1]
+    weights = kernel.view(1, 1, -1, 1).repeat(groups, 1, 1, 1)
+    planes = functional.conv2d(planes, weights, padding=(radius, 0), groups=groups)
+    planes = functional.conv2d(planes, weights.mT, padding=(0, radius), groups=groups)
+    return planes[0].unflatten(0, image.shape[:2])

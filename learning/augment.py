@@ -1,0 +1,63 @@
+"""Other skins from the same scan: complexion, gloss and translucency."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from torch import Tensor
+
+MELANIN = (0.71, 1.0, 1.95)
+"""Eumelanin's absorption at 610, 550, 450 nm relative to 550 nm: (wavelength)^-3.33 [Donner2006]."""
+HAEMOGLOBIN = (0.08, 1.0, 1.6)
+"""Blood's (75 % oxygenated) absorption at the same wavelengths, relative to 550 nm."""
+
+
+@dataclasses.dataclass(frozen=True)
+class AugmentConfig:
+    """Ranges of what is varied.
+
+    Attributes:
+        melanin: standard deviation of the added absorbance (natural logarithm, at 550 nm).
+        haemoglobin: the same of blood's.
+        shininess: smallest and largest exponent.
+        translucency: smallest and largest.
+    """
+
+    melanin: float = 0.12
+    haemoglobin: float = 0.04
+    shininess: tuple[float, float] = (12.0, 60.0)
+    translucency: tuple[float, float] = (0.2, 0.8)
+
+
+@dataclasses.dataclass(frozen=True)
+class Variation:
+    """One draw.
+
+    Attributes:
+        gain: of red, green and blue diffuse albedo.
+        shininess: Blinn-Phong's exponent.
+        translucency: 0..1.
+    """
+
+    gain: tuple[float, float, float]
+    shininess: float
+    translucency: float
+
+
+def draw(rng: np.random.Generator, config: AugmentConfig) -> Variation:
+    """Draw a variation; the complexion moves along melanin's and blood's absorption."""
+    absorbance = rng.normal(0, config.melanin) * np.array(MELANIN)
+    absorbance += rng.normal(0, config.haemoglobin) * np.array(HAEMOGLOBIN)
+    red, green, blue = np.exp(-absorbance).tolist()
+    low, high = np.log(config.shininess)
+    return Variation(
+        (red, green, blue),
+        float(np.exp(rng.uniform(low, high))),
+        float(rng.uniform(*config.translucency)),
+    )
+
+
+def recolour(albedo: Tensor, variation: Variation) -> Tensor:
+    """(B, 3, h, w) albedo under a variation, at most 1."""
+    return (albedo * albedo.new_tensor(variation.gain).view(1, 3, 1, 1)).clamp(0, 1)

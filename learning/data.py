@@ -1,0 +1,306 @@
+"""Training pairs: a patch of a person's maps, and the same patch with light baked in."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+
+import numpy as np
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+from learning import augment
+from learning.encoding import encode_maps, network_input, shrink
+from learning.errors import TrainingError
+from learning.maps import to_batch, typical_texel_mm
+from learning.render.environments import (
+    Environment,
+    RandomLightConfig,
+    random_environment,
+    random_lights,
+    stack,
+)
+from learning.render.occlusion import PositionGrid, bake_grid
+from learning.render.shading import ShadeOptions, SkinMaps, shade
+from learning.render.uv import texel_surface
+from lightstage.commands import ProgressCallback, quiet
+from processing.dataset import Store
+
+MARGIN_PX = 8
+"""Texels read around a patch, so that its normals need no texel that is missing."""
+READ = (
+    "diffuse_albedo",
+    "specular_albedo",
+    "diffuse_normal",
+    "specular_normal",
+    "position",
+    "confidence",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class DataConfig:
+    """Which patches are trained on.
+
+    Attributes:
+        patch_px: side of a patch.
+        stride_px: step from patch to patch.
+        min_coverage: smallest share of a patch's texels that must be measured.
+        held_out_subjects: people, the last ones by name, who are scored and never trained on.
+        patches_in_memory: at most so many patches are kept decoded.
+        shadow_rows: rows of the grid that shadows are baked on; 0 for no cast shadows.
+        shadow_sets: sets of light positions per scan whose shadows are baked.
+    """
+
+    patch_px: int = 512
+    stride_px: int = 256
+    min_coverage: float = 0.5
+    held_out_subjects: int = 1
+    patches_in_memory: int = 64
+    shadow_rows: int = 384
+    shadow_sets: int = 64
+
+
+@dataclasses.dataclass(frozen=True)
+class Region:
+    """Part of a scan's maps as tensors (1, c, h, w); `area` is relative to texel_mm squared.
+
+    Attributes:
+        maps: by FORMATS' names, and shape_normal, area.
+        texel_mm: edge of a texel of area 1.
+    """
+
+    maps: dict[str, Tensor]
+    texel_mm: float
+
+    def skin(self, variation: augment.Variation) -> SkinMaps:
+        """As the renderer takes it."""
+        one = torch.ones_like(self.maps["area"])
+        return SkinMaps(
+            diffuse_albedo=augment.recolour(self.maps["diffuse_albedo"], variation),
+            specular_albedo=self.maps["specular_albedo"],
+            diffuse_normal=self.maps["diffuse_normal"],
+            specular_normal=self.maps["specular_normal"],
+            shininess=variation.shininess * one,
+            translucency=variation.translucency * one,
+            position_mm=self.maps["position"],
+            area=self.maps["area"],
+            texel_mm=self.texel_mm,
+            ambient_occlusion=one,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Shadows:
+    """Sets of lights of one scan and the shadows they cast.
+
+    Attributes:
+        position_mm: (n, 3) of each set.
+        visibility: (1, n, rows, columns) of each set, None without shadows.
+    """
+
+    position_mm: list[np.ndarray]
+    visibility: list[Tensor] | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """What one training step takes.
+
+    Attributes:
+        inputs: (B, 9, h, w).
+        target: (B, 13, h, w).
+        covered: (B, 1, h, w), 1 where a surface is.
+        skin: the patches' true maps.
+        environment: the light that is baked into the inputs.
+        texture: (B, 3, h, w) linear, what `inputs` encodes.
+        places: (scan, row, column) of each patch.
+    """
+
+    inputs: Tensor
+    target: Tensor
+    covered: Tensor
+    skin: SkinMaps
+    environment: Environment
+    texture: Tensor
+    places: list[tuple[int, int, int]]
+
+
+class PatchData:
+    """Patches of some people of a store."""
+
+    def __init__(
+        self,
+        store: Store,
+        subjects: set[str],
+        config: DataConfig,
+        lights: RandomLightConfig,
+        variation: augment.AugmentConfig,
+        rng: np.random.Generator,
+        progress: ProgressCallback = quiet,
+    ) -> None:
+        """Find the patches and bake the shadows of random light sets.
+
+        Raises:
+            TrainingError: no patch is covered enough.
+        """
+        self._store, self._config = store, config
+        self._lights, self._variation = lights, variation
+        self._patches: collections.OrderedDict[tuple[int, int, int], Region]
+        self._patches = collections.OrderedDict()
+        self._whole: dict[int, Region] = {}
+        self._shadows: dict[int, Shadows] = {}
+        self.places: list[tuple[int, int, int]] = []
+        chosen = [scan for scan in store.scans if scan.subject in subjects]
+        for done, scan in enumerate(chosen):
+            origins = store.patch_origins(
+                scan.index, config.patch_px, config.stride_px, config.min_coverage
+            )
+            if origins:
+                self.places += [(scan.index, row, column) for row, column in origins]
+                whole = self._read_whole(scan.index)
+                self._shadows[scan.index] = self._bake(scan.index, rng)
+                self._whole[scan.index] = whole
+            progress(done + 1, len(chosen))
+        if not self.places:
+            raise TrainingError(
+                store.path,
+                field=f"patches of {config.patch_px} texels",
+                found=f"none covered by {100 * config.min_coverage:.0f} %",
+                expected="at least one",
+                hint="Are the maps smaller than a patch, or is their confidence 0?",
+            )
+
+    def batch(self, places: list[tuple[int, int, int]], rng: np.random.Generator) -> Batch:
+        """Light patches at random; the same place gives another pair each time."""
+        return join([self._example(place, rng) for place in places])
+
+    def draw(self, count: int, rng: np.random.Generator) -> Batch:
+        """A batch of random patches."""
+        chosen = rng.integers(0, len(self.places), count)
+        return self.batch([self.places[int(i)] for i in chosen], rng)
+
+    def patch(self, place: tuple[int, int, int]) -> Region:
+        """A patch's maps, from memory where they were read before."""
+        found = self._patches.pop(place, None)
+        if found is None:
+            found = self._read_patch(place)
+            while len(self._patches) >= self._config.patches_in_memory:
+                self._patches.popitem(last=False)
+        self._patches[place] = found
+        return found
+
+    def _example(self, place: tuple[int, int, int], rng: np.random.Generator) -> Batch:
+        scan, row, column = place
+        region, whole = self.patch(place), self._whole[scan]
+        variation = augment.draw(rng, self._variation)
+        skin, whole_skin = region.skin(variation), whole.skin(variation)
+        shadows = self._shadows[scan]
+        chosen = int(rng.integers(len(shadows.position_mm)))
+        environment = random_environment(rng, self._lights, shadows.position_mm[chosen])
+        size = self._config.patch_px
+        seen = whole_seen = None
+        if shadows.visibility is not None:
+            info = self._store.scans[scan]
+            grid = shadows.visibility[chosen]
+            sharpness = float(np.exp(rng.uniform(0, np.log(8))))
+            box = (row / info.rows, column / info.columns, size / info.rows, size / info.columns)
+            seen = _crop(grid, box, size, sharpness)
+            whole_seen = _crop(grid, (0.0, 0.0, 1.0, 1.0), size, 1.0)
+        options = ShadeOptions()
+        with torch.no_grad():
+            texture = shade(skin, environment, options, seen) * (skin.area > 0)
+            whole_texture = shade(whole_skin, environment, options, whole_seen)
+            whole_texture = whole_texture * (whole_skin.area > 0)
+            inputs = network_input(texture, region.maps["shape_normal"], whole_texture)
+            target = encode_maps(skin, whole_skin.diffuse_albedo)
+        covered = (skin.area > 0).to(texture)
+        return Batch(inputs, target, covered, skin, environment, texture, [place])
+
+    def _read_patch(self, place: tuple[int, int, int]) -> Region:
+        scan, row, column = place
+        info, size = self._store.scans[scan], self._config.patch_px
+        top, left = max(0, row - MARGIN_PX), max(0, column - MARGIN_PX)
+        rows = slice(top, min(info.rows, row + size + MARGIN_PX))
+        columns = slice(left, min(info.columns, column + size + MARGIN_PX))
+        arrays = {name: self._store.read(scan, name, rows, columns) for name in READ}
+        inner = (slice(row - top, row - top + size), slice(column - left, column - left + size))
+        return _region(arrays, inner)
+
+    def _read_whole(self, scan: int) -> Region:
+        """The whole scan, shrunk to a patch's size; what no texel covers stays empty."""
+        size = (self._config.patch_px, self._config.patch_px)
+        return _region(self._shrunk(scan, size), (slice(None), slice(None)))
+
+    def _shrunk(self, scan: int, size: tuple[int, int]) -> dict[str, np.ndarray]:
+        everything = slice(None)
+        seen = to_batch(self._store.read(scan, "confidence", everything, everything) > 0)
+        weight = shrink(seen, size)
+        arrays = {}
+        for name in READ:
+            if name != "confidence":
+                image = to_batch(self._store.read(scan, name, everything, everything))
+                mean = shrink(image * seen, size) / weight.clamp_min(1e-3) * (weight > 0.5)
+                arrays[name] = mean[0].permute(1, 2, 0).numpy()
+        arrays["confidence"] = (weight > 0.5).float()[0].permute(1, 2, 0).numpy()
+        return arrays
+
+    def _bake(self, scan: int, rng: np.random.Generator) -> Shadows:
+        sets = [random_lights(rng, self._lights) for _ in range(self._config.shadow_sets)]
+        if not self._config.shadow_rows:
+            return Shadows(sets, None)
+        info = self._store.scans[scan]
+        rows = min(self._config.shadow_rows, info.rows)
+        columns = max(2, round(rows * info.columns / info.rows))
+        arrays = self._shrunk(scan, (rows, columns))
+        covered = arrays["confidence"][:, :, 0] > 0
+        surface = texel_surface(arrays["position"], covered, smooth_px=1.0)
+        grid = PositionGrid(arrays["position"], surface.normal, covered)
+        return Shadows(sets, [torch.from_numpy(bake_grid(grid, lights))[None] for lights in sets])
+
+
+def _region(arrays: dict[str, np.ndarray], inner: tuple[slice, slice]) -> Region:
+    covered = arrays["confidence"][:, :, 0] > 0
+    surface = texel_surface(arrays["position"], covered)
+    texel_mm = typical_texel_mm(surface.area_mm2)
+    maps = {name: to_batch(array[inner]) for name, array in arrays.items() if name != "confidence"}
+    maps["shape_normal"] = to_batch(surface.normal[inner])
+    maps["area"] = to_batch(surface.area_mm2[inner] / texel_mm**2)
+    return Region(maps, texel_mm)
+
+
+def _crop(
+    grid: Tensor, box: tuple[float, float, float, float], size: int, sharpness: float
+) -> Tensor:
+    """Sample (1, n, rows, columns) visibility in a box (top, left, height, width) of 0..1.
+
+    The grid is coarser than the texture; `sharpness` makes its blurred edges as hard as shadows
+    of small lamps are.
+    """
+    top, left, height, width = box
+    theta = grid.new_tensor(
+        [[[width, 0.0, 2 * left + width - 1], [0.0, height, 2 * top + height - 1]]]
+    )
+    where = functional.affine_grid(theta, [1, 1, size, size], align_corners=False)
+    values = functional.grid_sample(grid, where, padding_mode="border", align_corners=False)
+    return ((values - 0.5) * sharpness + 0.5).clamp(0, 1)
+
+
+def join(examples: list[Batch]) -> Batch:
+    """Many batches as one; the subsurface kernel is that of the mean texel."""
+    skins = [example.skin for example in examples]
+    fields = [f.name for f in dataclasses.fields(SkinMaps) if f.name != "texel_mm"]
+    skin = SkinMaps(
+        **{name: torch.cat([getattr(s, name) for s in skins]) for name in fields},
+        texel_mm=float(np.mean([s.texel_mm for s in skins])),
+    )
+    return Batch(
+        torch.cat([e.inputs for e in examples]),
+        torch.cat([e.target for e in examples]),
+        torch.cat([e.covered for e in examples]),
+        skin,
+        stack([e.environment for e in examples]),
+        torch.cat([e.texture for e in examples]),
+        [place for e in examples for place in e.places],
+    )

@@ -1,0 +1,117 @@
+"""What the networks see: maps as channels in -1..1, and back.
+
+Albedo and textures are encoded as sRGB (so that a step looks the same in dark and light skin),
+specular albedo linearly over 0..0.1, normals as they are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+from learning.render.shading import SkinMaps, unit
+
+SPECULAR_MOST = 0.1
+"""Specular albedo that stands for 1; skin has about 0.03."""
+
+
+def srgb_from_linear(rgb: Tensor) -> Tensor:
+    """sRGB's curve of values clipped to 0..1 [IEC61966]."""
+    x = rgb.clamp(0.0, 1.0)
+    return torch.where(
+        x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
+    )
+
+
+def linear_from_srgb(image: Tensor) -> Tensor:
+    """The inverse of `srgb_from_linear` for values in 0..1."""
+    return torch.where(
+        image <= 0.04045, image / 12.92, ((image.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
+    )
+
+
+def encode_colour(rgb_linear: Tensor) -> Tensor:
+    """Linear 0..1 (clipped) to sRGB in -1..1."""
+    return 2 * srgb_from_linear(rgb_linear) - 1
+
+
+def decode_colour(channels: Tensor) -> Tensor:
+    """-1..1 to linear 0..1."""
+    return linear_from_srgb((channels + 1) / 2)
+
+
+def network_input(texture: Tensor, shape_normal: Tensor, whole_texture: Tensor) -> Tensor:
+    """The nine input channels.
+
+    Args:
+        texture: (B, 3, h, w) linear, light baked in.
+        shape_normal: (B, 3, h, w) unit, head frame; zero where no surface is.
+        whole_texture: (B, 3, h, w) linear, the whole texture shrunk to the patch's size.
+    """
+    return torch.cat([encode_colour(texture), shape_normal, encode_colour(whole_texture)], dim=1)
+
+
+def encode_maps(skin: SkinMaps, whole_albedo: Tensor) -> Tensor:
+    """The thirteen channels the generator should give for a skin; where no surface is, 0."""
+    channels = torch.cat(
+        [
+            encode_colour(skin.diffuse_albedo),
+            (2 / SPECULAR_MOST) * skin.specular_albedo.clamp(0, SPECULAR_MOST) - 1,
+            unit(skin.diffuse_normal),
+            unit(skin.specular_normal),
+            encode_colour(whole_albedo),
+        ],
+        dim=1,
+    )
+    return channels * (skin.area > 0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Reflectance:
+    """What the generator says, in physical units.
+
+    Attributes:
+        diffuse_albedo: (B, 3, h, w).
+        specular_albedo: (B, 1, h, w).
+        diffuse_normal: (B, 3, h, w), unit where the network is sure of any direction.
+        specular_normal: (B, 3, h, w).
+    """
+
+    diffuse_albedo: Tensor
+    specular_albedo: Tensor
+    diffuse_normal: Tensor
+    specular_normal: Tensor
+
+    def on(self, skin: SkinMaps) -> SkinMaps:
+        """This reflectance on the surface of `skin`."""
+        return dataclasses.replace(
+            skin,
+            diffuse_albedo=self.diffuse_albedo,
+            specular_albedo=self.specular_albedo,
+            diffuse_normal=self.diffuse_normal,
+            specular_normal=self.specular_normal,
+        )
+
+
+def decode_maps(channels: Tensor) -> Reflectance:
+    """Thirteen channels (the whole albedo is dropped) to reflectance.
+
+    Normals shorter than 0.1 keep a shorter length, so that the gradient of an untrained network,
+    whose outputs are near zero, stays small.
+    """
+    return Reflectance(
+        decode_colour(channels[:, :3]),
+        (channels[:, 3:4] + 1) * (SPECULAR_MOST / 2),
+        unit(channels[:, 4:7], floor=0.1),
+        unit(channels[:, 7:10], floor=0.1),
+    )
+
+
+def shrink(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """Resize to (h, w) by averaging over areas."""
+    return functional.interpolate(
+        image, size=size, mode="bilinear", align_corners=False, antialias=True
+    )

@@ -1,0 +1,59 @@
+"""Losses of the generator beside the adversarial ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from learning.data import Batch
+from learning.encoding import decode_maps
+from learning.render.environments import RandomLightConfig, around
+from learning.render.shading import ShadeOptions, shade
+
+
+def rendering_loss(
+    found: Tensor,
+    batch: Batch,
+    environments: int,
+    lights: RandomLightConfig,
+    rng: np.random.Generator,
+) -> Tensor:
+    """How different the found skin looks from the true one, in some environments [Lattas2021].
+
+    The sum runs over the input's own environment and `environments` ones drawn around it, and is
+    divided by `environments`; the norm is not squared. It is the Euclidean norm of a texel's rgb
+    difference, averaged over the surface, in linear light.
+
+    Args:
+        found: (B, 13, h, w), the generator's output.
+        batch: the truth.
+        environments: n_L.
+        lights: how far the draws go.
+        rng: randomness.
+    """
+    skin = decode_maps(found).on(batch.skin)
+    total = found.new_zeros(())
+    options = ShadeOptions()
+    for index in range(environments + 1):
+        environment = batch.environment
+        if index:
+            environment = around(batch.environment, rng, lights)
+        with torch.no_grad():
+            truth = shade(batch.skin, environment, options)
+        difference = shade(skin, environment, options) - truth
+        # The square root's gradient at 0 is infinite; 1e-4 is far below what a texel shows.
+        norm = (difference.square().sum(dim=1, keepdim=True) + 1e-8).sqrt()
+        total = total + masked_mean(norm, batch.covered)
+    return total / environments
+
+
+def maps_loss(found: Tensor, batch: Batch) -> Tensor:
+    """L1 of the thirteen channels on the surface."""
+    return masked_mean((found - batch.target).abs(), batch.covered)
+
+
+def masked_mean(values: Tensor, covered: Tensor) -> Tensor:
+    """Mean of (B, c, h, w) over channels and the texels of (B, 1, h, w) that are 1."""
+    channels = values.shape[1]
+    return (values * covered).sum() / (covered.sum() * channels).clamp_min(1.0)
