@@ -59,8 +59,8 @@ def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
 def face_azimuth_deg() -> np.ndarray:
     """Azimuth of each column on the face: (columns + 1,) degrees, -180 to 180, dense in front."""
     half = COLUMNS // 2
-    columns = np.array([23.0, 30.0, 47.0, half])
-    azimuth = np.array([28.0, 50.0, 112.0, 180.0])
+    columns = np.array([23.0, 29.0, 35.0, 46.0, half])
+    azimuth = np.array([28.0, 46.0, 76.0, 105.0, 180.0])
     curve = PchipInterpolator(
         np.concatenate([-columns[::-1], [0.0], columns]),
         np.concatenate([-azimuth[::-1], [0.0], azimuth]),
@@ -91,6 +91,7 @@ def row_elevation_deg(azimuth_deg: np.ndarray) -> np.ndarray:
     """
     a = np.abs(azimuth_deg)
     flat = np.zeros_like(a)
+    behind = smoothstep(35.0, 140.0, a)
     eye = (a - EYE_AZIMUTH_DEG) / EYE_HALF_DEG
     inside = smoothstep(1.75, 1.0, np.abs(eye))
     canthus = 2.9 + 0.55 * np.clip(eye, -1, 1)
@@ -100,9 +101,9 @@ def row_elevation_deg(azimuth_deg: np.ndarray) -> np.ndarray:
     lips = smoothstep(2.6, 1.0, mouth)
     bow = 0.28 * np.exp(-((mouth / 0.09) ** 2)) - 0.22 * np.exp(-(((mouth - 0.22) / 0.12) ** 2))
     taper = np.sqrt(np.clip(1 - np.clip(mouth, 0, 1) ** 2, 0, 1))
-    line = -27.6 - 1.9 * np.clip(mouth, 0, 1.0) ** 2 + 0.25 * np.exp(-((mouth / 0.2) ** 2)) * -1
-    lip_up = line + 0.9 + 3.0 * taper**1.2 - bow
-    lip_low = line - 0.9 - 2.8 * taper**1.1
+    line = -27.6 - 2.7 * np.clip(mouth, 0, 1.0) ** 2 - 0.25 * np.exp(-((mouth / 0.2) ** 2))
+    lip_up = line + 0.6 + 3.3 * taper**1.7 - bow
+    lip_low = line - 0.6 - 3.2 * taper**1.45
     anchors = {
         0: flat + 90.0 - SLIT_DEG,
         ROW_HAIRLINE: flat + 43.0,
@@ -110,12 +111,12 @@ def row_elevation_deg(azimuth_deg: np.ndarray) -> np.ndarray:
         ROW_LID_UP: inside * up + (1 - inside) * 5.9,
         ROW_LID_LOW: inside * low + (1 - inside) * 1.0,
         ROW_NOSE: flat - 18.6,
-        ROW_LIP_UP: lips * lip_up + (1 - lips) * -23.4,
-        ROW_MOUTH: lips * line + (1 - lips) * -27.8,
-        ROW_LIP_LOW: lips * lip_low + (1 - lips) * -32.2,
-        ROW_CHIN: flat - 45.0,
-        ROW_THROAT: flat - 59.0,
-        ROWS: flat - 62.0,
+        ROW_LIP_UP: lips * lip_up + (1 - lips) * -24.4,
+        ROW_MOUTH: lips * line + (1 - lips) * -29.6,
+        ROW_LIP_LOW: lips * lip_low + (1 - lips) * -33.6,
+        ROW_CHIN: -45.0 + 2.0 * behind,
+        ROW_THROAT: -59.0 + 6.0 * behind,
+        ROWS: -62.0 + 7.0 * behind,
     }
     rows = np.array(sorted(anchors), float)
     values = np.stack([anchors[int(r)] for r in rows])
@@ -128,7 +129,7 @@ def head_rays() -> Rays:
     face = face_azimuth_deg()
     theta = 90.0 - row_elevation_deg(face)
     t = (np.arange(COLUMNS + 1) - half) / half
-    slit = np.degrees(np.arccos(1 - 2 * np.abs(t) ** 1.5)) * np.sign(t)
+    slit = np.degrees(np.arccos(1 - 2 * np.abs(t) ** 1.3)) * np.sign(t)
     weight = smoothstep(SLIT_DEG, 60.0, theta)
     azimuth = np.radians((1 - weight) * slit + weight * face)
     closing = SLIT_DEG**2 * (1 - smoothstep(SLIT_DEG, 70.0, theta))

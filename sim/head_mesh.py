@@ -7,7 +7,7 @@ import functools
 import numpy as np
 
 from lightstage.formats.mesh import Mesh
-from sim.head_features import add_features
+from sim.head_features import add_features, ear_share
 from sim.head_grid import (
     COLUMNS,
     EYE_AZIMUTH_DEG,
@@ -136,11 +136,10 @@ def regions() -> dict[str, np.ndarray]:
     rows = np.arange(ROWS + 1)[:, None]
     mouth = np.abs(azimuth) / MOUTH_HALF_DEG
     eye = np.abs(np.abs(azimuth) - EYE_AZIMUTH_DEG) / EYE_HALF_DEG
-    lips = (rows >= ROW_LIP_UP) & (rows <= ROW_LIP_LOW) & (mouth <= 1.0)
+    lips = (rows >= ROW_LIP_UP) & (rows <= ROW_LIP_LOW) & (mouth <= 0.98)
     eyes = (rows > ROW_LID_UP) & (rows < ROW_LID_LOW) & (eye <= 1.0)
     points = neutral_mesh().vertices[index]
-    ears = (np.abs(points[..., 0]) > 60) & (np.abs(points[..., 1] + 14) < 33)
-    ears &= (points[..., 2] > -38) & (points[..., 2] < 5)
+    ears = ear_share(points) > 0.5
     hair = hairline_mm(points) > 0
     chosen = {"lips": lips, "eyes": eyes & ~lips, "ears": ears}
     chosen["hair"] = hair & ~ears

@@ -126,7 +126,7 @@ def identity_modes() -> np.ndarray:
     """(IDENTITY_MODES, n, 3) principal modes of the fields, mm at one standard deviation."""
     _, fields = identity_fields()
     flat = fields.reshape(len(fields), -1)
-    values, vectors = np.linalg.eigh(flat @ flat.T)
+    _, vectors = np.linalg.eigh(flat @ flat.T)
     # With unit draws a, a . F = sum_i (a . w_i) (w_i . F): w_i . F is one deviation of mode i.
     modes = vectors[:, ::-1][:, :IDENTITY_MODES].T @ flat
     largest = np.abs(modes).argmax(axis=1)

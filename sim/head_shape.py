@@ -57,16 +57,17 @@ def bump(
 
 # What is added to the surface, mm: height, centre, spread.
 BUMPS: tuple[tuple[float, tuple[float, float, float], tuple[float, float, float]], ...] = (
-    (3.0, (22, 15, 92), (13, 5.5, 20)),  # brow ridge
+    (2.2, (24, 15, 92), (14, 6.5, 20)),  # brow ridge
     (2.5, (44, 13, 78), (10, 6, 20)),  # its outer end
     (-1.0, (0, 13, 98), (6, 8, 20)),  # between the brows
-    (-6.0, (22, -3, 84), (8, 7, 18)),  # inner eye socket
+    (-4.0, (21, -3, 84), (8, 7, 18)),  # inner eye socket
     (-4.0, (38, -20, 78), (14, 8, 18)),  # below the eye
     (4.0, (54, -26, 55), (13, 10, 20)),  # cheekbone
     (3.5, (36, -38, 74), (13, 11, 18)),  # apple of the cheek
     (-2.0, (50, -66, 50), (12, 14, 25)),  # hollow cheek
     (-2.5, (60, 20, 50), (10, 20, 18)),  # temple
-    (2.0, (32, -62, 76), (6, 12, 18)),  # beside the mouth
+    (2.0, (33, -64, 76), (6, 12, 18)),  # beside the mouth
+    (-1.4, (22, -55, 92), (4, 8, 16)),  # fold from the nose to the mouth
 )
 
 
@@ -78,7 +79,7 @@ def base_distance(points: np.ndarray) -> np.ndarray:
     d = join(d, ellipsoid(p, (0, 30, 22), (62, 66, 72)), 18)  # forehead
     d = join(d, ellipsoid(p, (0, -34, 22), (65, 66, 64)), 16)  # middle of the face
     d = join(d, ellipsoid(p, (0, -70, 50), (36, 42, 43)), 16)  # jaws and teeth
-    d = join(d, cone(p, (46, -58, 4), (16, -101, 66), 14, 14), 26)  # jaw line
+    d = join(d, cone(p, (45, -58, 4), (14, -101, 67), 13, 13), 24)  # jaw line
     d = join(d, ellipsoid(p, (0, -103, 77), (16, 13, 17)), 14)  # chin
     d = join(d, cone(p, (0, -50, -24), (0, -190, -40), 50, 57), 30)  # neck
     for height, centre, sigma in BUMPS:
@@ -88,12 +89,13 @@ def base_distance(points: np.ndarray) -> np.ndarray:
 
 
 def _nose(p: np.ndarray, d: np.ndarray) -> np.ndarray:
-    n = cone(p, (0, 2, 86), (0, -26, 94), 7.5, 10.0)
-    n = join(n, cone(p, (0, -24, 95), (0, -41, 105), 9.5, 10.5), 7)
-    n = join(n, ellipsoid(p, (0, -42.5, 107), (10.5, 9, 10.5)), 6)  # tip
-    n = join(n, ellipsoid(p, (11, -46, 96), (7.0, 7.5, 11)), 5)  # wing
+    n = cone(p, (0, 2, 86.5), (0, -26, 95.5), 7.0, 8.5)
+    n = join(n, cone(p, (0, -24, 96.5), (0, -41, 106), 8.2, 9.2), 6)
+    n = join(n, ellipsoid(p, (0, -42.5, 107.5), (10, 8.6, 10)), 5)  # tip
+    n = join(n, ellipsoid(p, (11.2, -46, 96), (6.8, 7.2, 10)), 4)  # wing
     n = join(n, cone(p, (0, -49, 105), (0, -53, 96), 4, 5), 4)  # columella
-    d = join(d, n, 12)
+    n = join(n, cone(p, (0, -12, 84), (0, -45, 92), 8.5, 11.5), 8)  # what it stands on
+    d = join(d, n, 10)
     return carve(d, ellipsoid(p, (6.6, -54.5, 100.5), (3.2, 3.5, 5.2)), 4)  # nostril
 
 

@@ -46,7 +46,7 @@ def parametric_subject(
     head = random_head(head_rng, expression)
     skin = make_skin(random_complexion(skin_rng), texture_rows, skin_rng)
     turn = Rotation.from_rotvec(np.radians(np.clip(pose_rng.normal(0, 2.0, 3), -4, 4))).as_matrix()
-    place = np.clip(pose_rng.normal(0, 3.0, 3), -6, 6) + (0.0, 0.0, 6.0)
+    place = np.clip(pose_rng.normal(0, 3.0, 3), -6, 6) + np.array([0.0, 0.0, 6.0])
     # world = turn (head - middle) + place
     shift = place - turn @ FACE_MIDDLE_MM
     mesh = head.with_vertices(head.vertices @ turn.T + shift)

@@ -15,7 +15,7 @@ from sim.head_grid import smoothstep
 from sim.skin_parts import Face, brow_share, eye_colour, face_of, hair_share, lash_share
 
 # Linear albedo of the lightest skin, and optical density (natural log) of one unit of pigment.
-LIGHT_ALBEDO = np.array([0.57, 0.385, 0.305])
+LIGHT_ALBEDO = np.array([0.58, 0.40, 0.30])
 MELANIN_DENSITY = np.array([1.50, 1.80, 2.02])
 BLOOD_DENSITY = np.array([0.13, 0.62, 0.50])
 
@@ -146,17 +146,17 @@ def _pigments(face: Face, c: Complexion, rng: np.random.Generator) -> np.ndarray
     melanin += 0.22 * c.freckles * freckle * face.freckled
     for _ in range(c.moles):
         melanin += face.spot(rng, 0.7, 1.9) * rng.uniform(0.25, 0.7)
-    blood = 0.16 + 0.55 * face.cheeks + 0.5 * face.nose + 0.35 * face.ears + 0.22 * face.chin
+    blood = 0.10 + 0.30 * face.cheeks + 0.30 * face.nose + 0.28 * face.ears + 0.14 * face.chin
     blood += 0.2 * face.lid_rims + 0.12 * face.below_eyes
-    blood *= 1 + 0.22 * face.noise(9.0, 3, 5)
-    blood += 0.05 * face.noise(2.2, 2, 6) + 0.10 * face.noise(30.0, 2, 7)
+    blood *= 1 + 0.18 * face.noise(9.0, 3, 5)
+    blood += 0.03 * face.noise(2.2, 2, 6) + 0.05 * face.noise(30.0, 2, 7)
     for _ in range(c.moles):
         blood += face.spot(rng, 1.0, 2.6) * rng.uniform(0.1, 0.5)
-    blood = np.maximum(blood, 0) * (1 - face.lips) + face.lips * (1.05 + 0.1 * face.noise(3, 2, 8))
+    blood = np.maximum(blood, 0) * (1 - face.lips) + face.lips * (0.82 + 0.08 * face.noise(3, 2, 8))
     melanin += 0.10 * face.lips * (0.4 + c.melanin)
     density = melanin[..., None] * MELANIN_DENSITY.astype(np.float32)
     density += (c.blood * blood)[..., None] * BLOOD_DENSITY.astype(np.float32)
-    density += c.yellowness * np.array([-0.02, 0.0, 0.10], np.float32)
+    density += c.yellowness * np.array([-0.02, 0.0, 0.09], np.float32)
     hairs, _ = face.cells(1.1, 9)
     beard = c.stubble * face.beard * (0.35 + 0.65 * smoothstep(0.55, 0.2, hairs))
     density += beard[..., None] * np.array([0.42, 0.40, 0.33], np.float32)
@@ -182,7 +182,7 @@ def _creases(face: Face, c: Complexion) -> np.ndarray:
     crow = -0.10 * c.age * face.crow * smoothstep(0.2, 1.0, fan)
     grain = face.noise_of(face.position * np.array([1.0, 0.18, 0.18], np.float32), 1.5, 2, 26)
     lips = -0.075 * face.lips * np.maximum(grain, 0)
-    return np.asarray(forehead + crow + lips + 0.05 * face.noise(5.0, 2, 27) * (1 - face.lips))
+    return np.asarray(forehead + crow + lips + 0.03 * face.noise(5.0, 2, 27) * (1 - face.lips))
 
 
 def _gloss(face: Face, height: np.ndarray) -> np.ndarray:

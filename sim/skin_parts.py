@@ -172,7 +172,7 @@ def eye_colour(face: Face, iris: tuple[float, float, float]) -> np.ndarray:
     """(rows, columns, 3) linear albedo of the eyeball: sclera, iris, pupil."""
     p = face.position.copy()
     p[..., 0] = np.abs(p[..., 0])
-    front = EYE_CENTRE_MM + (0.0, 0.6, EYE_RADIUS_MM)
+    front = EYE_CENTRE_MM + np.array([0.0, -0.3, EYE_RADIUS_MM])
     radius = np.hypot(p[..., 0] - front[0], p[..., 1] - front[1])
     turn = np.arctan2(p[..., 1] - front[1], p[..., 0] - front[0])
     fibres = 0.85 + 0.25 * np.sin(31 * turn + 1.5 * np.sin(7 * turn)) * smoothstep(2, 4, radius)
