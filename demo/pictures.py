@@ -105,7 +105,7 @@ def wireframe(image: np.ndarray, mesh: Mesh, camera: Camera) -> np.ndarray:
         camera: the view.
 
     Returns:
-        A copy with the wires.
+        A copy with the wires, half transparent, since they lie dense.
     """
     shown = image.copy()
     scale = image.shape[0] / camera.height_px
@@ -122,7 +122,7 @@ def wireframe(image: np.ndarray, mesh: Mesh, camera: Camera) -> np.ndarray:
         if seen[corners].all():
             ring = (pixels[corners] * scale * 2**SHIFT).astype(np.int32).reshape(-1, 1, 2)
             cv2.polylines(shown, [ring], True, (40, 90, 160), 1, cv2.LINE_AA, SHIFT)
-    return shown
+    return np.asarray(cv2.addWeighted(shown, 0.5, image, 0.5, 0))
 
 
 def marks(

@@ -265,7 +265,9 @@ def _read_scan(folder: ProcessedFolder) -> tuple[dict[str, Any], dict[str, np.nd
             hint="Make the atlas again with one --atlas-rows.",
         )
     maps = {name: image.reshape(*image.shape[:2], -1) for name, image in maps.items()}
-    rotation, translation = head_from_world[:, :3], head_from_world[:, 3]
+    # Single precision: coordinates are under a metre, so this rounds by less than 1e-4 mm.
+    pose = head_from_world.astype(np.float32)
+    rotation, translation = pose[:, :3], pose[:, 3]
     surface = (maps["position"] != 0).any(axis=2, keepdims=True)
     maps["position"] = np.where(surface, maps["position"] @ rotation.T + translation, 0)
     for name in NORMALS:

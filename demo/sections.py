@@ -1,0 +1,363 @@
+"""The report's sections: a picture of every stage, with words for a newcomer."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import zarr
+
+from demo.context import FRONT, LARGEST, SPECULAR_WHITE, Demo, show, show_difference
+from demo.pictures import (
+    labelled,
+    line_chart,
+    marks,
+    mesh_picture,
+    stage_picture,
+    wireframe,
+)
+from lightstage.formats.exr import read_exr
+from lightstage.formats.files import read_json
+from lightstage.formats.landmarks import read_points_mm
+from lightstage.formats.mesh import read_obj, read_ply
+from lightstage.formats.template import default_template_path, load_template
+from processing.closest import ClosestPoints
+from processing.frames import read_frames
+from processing.report import (
+    Picture,
+    Section,
+    display,
+    display_error,
+    display_normals,
+    resize,
+    side_by_side,
+)
+
+ROW_PX = 300
+NAMES = {
+    "diffuse_albedo": "Diffuse albedo: the skin's own colour, without light or shadow.",
+    "specular_albedo": "Specular albedo: how much a mirror-like part reflects, seen straight on; "
+    f"{SPECULAR_WHITE} shows as white, skin is near 0.028.",
+    "diffuse_normal": "Diffuse normals: which way the skin faces, from its shading; red, green and "
+    "blue are right, up and toward the camera.",
+    "specular_normal": "Specular normals: the same with the finest relief, from the highlights.",
+    "ambient_occlusion": "Ambient occlusion: white where the surface sees the whole stage, darker "
+    "in folds.",
+}
+WHITE = (255, 255, 255)
+
+
+def stage_section(demo: Demo) -> Section:
+    """The lights, and the photographs that they gave."""
+    session = demo.session
+    shown = "x+" if "x+" in session.file.sequence else session.file.sequence[0]
+    lights = [
+        labelled(stage_picture(session.rig, session.levels(name)), name) for name in ("full", shown)
+    ]
+    cameras = session.camera_ids()
+    full = [_photo(demo, camera, 0) for camera in cameras]
+    half = -(-len(full) // 2)
+    rows = [side_by_side(full[:half], ROW_PX), side_by_side(full[half:], ROW_PX)]
+    frames = read_frames(demo.at.processed, FRONT)
+    patterns = [
+        labelled(resize(display(image[demo.crop(FRONT)]), ROW_PX), name)
+        for name, image in zip(frames.patterns, frames.images, strict=True)
+    ]
+    return Section(
+        "The stage and its photographs",
+        [
+            f"{len(session.rig.lights)} lamps on a sphere of 2.5 m look at a head in its middle, "
+            f"and so do {len(cameras)} cameras. Each light pattern is photographed by all cameras. "
+            "In this demo stage and head are simulated; every photograph is a RAW file that came "
+            "through the same drivers, and the same checks, as one from a real camera.",
+            Picture(
+                side_by_side(lights, 420),
+                f"The stage from the front. Left: every lamp lit. Right: {shown}, the lamps on the "
+                "side of positive x. Lit lamps are yellow, cameras are blue squares, the head is "
+                "the disc in the middle. Half the sphere should be lit, the other half dark.",
+                "lamps",
+            ),
+            Picture(
+                _stack(rows),
+                f"One photograph by each of the {len(cameras)} cameras, all lamps lit, decoded "
+                "from RAW to linear light. The head should be sharp, evenly lit and nowhere burnt "
+                "out.",
+                "photographs",
+            ),
+            Picture(
+                side_by_side(patterns, ROW_PX + 24),
+                "All patterns by the frontal camera. x is the person's left and right, y up and "
+                "down, z front and back: the light should come from the side that the name says, "
+                "and each pair added should give `full`.",
+                "light patterns",
+            ),
+        ],
+    )
+
+
+def _photo(demo: Demo, camera: str, pattern: int) -> np.ndarray:
+    return display(read_frames(demo.at.processed, camera).images[pattern])
+
+
+def _stack(rows: list[np.ndarray]) -> np.ndarray:
+    width = max(row.shape[1] for row in rows)
+    padded = [
+        np.pad(r, ((0, 6), (0, width - r.shape[1]), (0, 0)), constant_values=255) for r in rows
+    ]
+    return np.concatenate(padded, axis=0)
+
+
+def maps_section(demo: Demo) -> Section:
+    """Masks, coarse and exact maps beside the truth."""
+    masks = []
+    for camera in demo.session.camera_ids()[:5]:
+        photo, mask = _photo(demo, camera, 0), demo.found.read_mask(camera)
+        tinted = photo.copy()
+        tinted[~mask] = photo[~mask] // 4 + np.array([0, 0, 70], np.uint8)
+        masks.append(tinted)
+    crop = demo.crop(FRONT)
+    mask = demo.truth.read_mask(FRONT)[crop] & (demo.found.read_view(FRONT, "confidence")[crop] > 0)
+    parts: list[str | Picture] = [
+        "From the photographs each camera's own maps are solved twice: coarsely, as if the head "
+        "were a far-away sphere, to get a first shape; and again when the mesh is known, with the "
+        "true distance, the cast shadows and Fresnel's reflection.",
+        Picture(
+            side_by_side(masks, ROW_PX),
+            "What counts as face in five of the views; blue is left out. Hair, eyes' surroundings "
+            "and background may be left out, the skin may not.",
+            "masks",
+        ),
+    ]
+    for name, words in NAMES.items():
+        row = []
+        for label, folder in (
+            ("coarse", demo.coarse),
+            ("with the mesh", demo.found),
+            ("truth", demo.truth),
+        ):
+            if folder.view_path(FRONT, name).is_file():
+                image = show(name, folder.read_view(FRONT, name)[crop])
+                row.append(labelled(resize(image, ROW_PX), label))
+        found, true = (f.read_view(FRONT, name)[crop] for f in (demo.found, demo.truth))
+        difference = show_difference(name, found, true, mask)
+        unit = " degrees" if name.endswith("_normal") else ""
+        row.append(labelled(resize(difference, ROW_PX), "difference"))
+        parts.append(
+            Picture(
+                side_by_side(row, ROW_PX + 24),
+                f"{words} The second should look like the truth. Difference: dark is none, "
+                f"yellow {LARGEST[name]:g}{unit} or more.",
+                name,
+            )
+        )
+    return Section("Maps of each view", parts)
+
+
+def geometry_section(demo: Demo) -> Section:
+    """Reconstructed and registered mesh."""
+    base, true = read_ply(demo.found.base_mesh), read_ply(demo.truth.base_mesh)
+    away = ClosestPoints(true.vertices, true.triangles()).query(base.vertices).distance_mm
+    colours = display_error(away[None], 1.0)[0] / 255.0
+    ids = demo.session.camera_ids()
+    side = demo.session.rig.camera(ids[min(3, len(ids) - 1)])
+    views = (demo.camera, side)
+    row = [mesh_picture(base, camera, 420) for camera in views]
+    row += [mesh_picture(true, camera, 420) for camera in views]
+    row.append(mesh_picture(base, demo.camera, 420, colours))
+    registered = read_obj(demo.found.registered_mesh)
+    template = load_template(default_template_path())
+    height = demo.camera.height_px
+    marked = mesh_picture(registered, demo.camera, height)
+    wires = wireframe(marked, registered, demo.camera)
+    marked = marks(
+        marked, read_points_mm(demo.at.truth / "landmarks_mm.json"), demo.camera, (30, 150, 50)
+    )
+    marked = marks(marked, registered.vertices[template.landmarks], demo.camera, (220, 40, 40))
+    faces = [mesh_picture(registered, camera, height)[demo.crop(camera.id)] for camera in views]
+    crop = demo.crop(FRONT)
+    return Section(
+        "Shape",
+        [
+            "Pairs of views give depth, all of them together a surface. Then a template head, "
+            "whose every vertex has a name and a place in the texture, is bent onto that surface.",
+            Picture(
+                side_by_side(row, 420),
+                "Reconstructed mesh from the front and from the side, the true mesh likewise, and "
+                "the distance between them: dark 0, yellow 1 mm or more. The face should be "
+                "smooth and dark; hair, ears and neck may be rough or missing.",
+                "mesh",
+            ),
+            Picture(
+                side_by_side([*faces, wires[crop], marked[crop]], 480),
+                "The template on this person, from the front and from the side, its quads, and its "
+                "68 landmarks (red) on the true ones (green). Quads should flow around eyes and "
+                "mouth; red should cover green.",
+                "registration",
+            ),
+        ],
+    )
+
+
+def atlas_section(demo: Demo) -> Section:
+    """The atlas beside the truth in the same texture."""
+    parts: list[str | Picture] = [
+        "All views are blended into the template's texture: the same place of every face lies at "
+        "the same texel. Black was seen by no camera."
+    ]
+    covered = demo.found.read_atlas("confidence") > 0
+    for name in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal"):
+        found, true = demo.found.read_atlas(name), demo.true_atlas[name]
+        mask = demo.true_atlas["confidence"] > 0
+        shape = covered if found.ndim == 2 else covered[:, :, None]
+        row = [
+            labelled(resize(show(name, found * shape), 420), "atlas"),
+            labelled(resize(show(name, true), 420), "truth"),
+            labelled(resize(show_difference(name, found, true, mask), 420), "difference"),
+        ]
+        unit = " degrees" if name.endswith("_normal") else ""
+        parts.append(
+            Picture(
+                side_by_side(row, 444),
+                f"{NAMES[name]} No seams should show where one view ends and the next begins. "
+                f"Difference over the skin: yellow is {LARGEST[name]:g}{unit} or more.",
+                f"atlas {name}",
+            )
+        )
+    return Section("Atlas", parts)
+
+
+def dataset_section(demo: Demo) -> Section:
+    """The people learnt from, and the published patches."""
+    people = [
+        display(read_exr(demo.at.people.joinpath(folder, "atlas", "diffuse_albedo.exr")))
+        for folder in sorted(p.parent.name for p in demo.at.people.glob("*/report.json"))
+    ]
+    names = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "shape")
+    arrays = {n: zarr.open_array(demo.at.published / "patches" / n, mode="r") for n in names}
+    count = min(6, arrays["shape"].shape[0])
+    rows = []
+    for name in names:
+        patches = [np.asarray(arrays[name][i], np.float32) for i in range(count)]
+        if name == "shape":
+            reach = max(float(abs(patch).max()) for patch in patches) or 1.0
+            shown = [display_normals(patch / reach) for patch in patches]
+        else:
+            shown = [show(name, patch) for patch in patches]
+        rows.append(side_by_side(shown, 150))
+    facts = read_json(demo.at.published / "dataset.json")
+    return Section(
+        "Dataset",
+        [
+            "The network learns from other people than the one captured: simulated ones, whose "
+            "maps are known. The lab keeps whole maps; what could be published are patches that do "
+            "not overlap, shuffled, without name or place.",
+            Picture(
+                side_by_side(people, ROW_PX),
+                "Diffuse albedo of the simulated people: different skins, the same layout.",
+                "people",
+            ),
+            Picture(
+                _stack(rows),
+                f"{count} of {facts['counts']['patches']} published patches, from top to bottom: "
+                "diffuse albedo, specular albedo, diffuse normals, and the shape as colour (the "
+                "patch's mean place removed). Neighbours in a row come from anywhere.",
+                "patches",
+            ),
+            f"What publishing cannot protect: {facts['cannot_protect']}",
+        ],
+    )
+
+
+def learning_section(demo: Demo) -> Section:
+    """Training curve and the maps inferred from a lit texture."""
+    lines = [json.loads(x) for x in (demo.at.training / "metrics.jsonl").read_text().splitlines()]
+    curves = {}
+    for name in ("generator", "discriminator", "pixel", "rendering"):
+        known = [(x["seconds"], x[name]) for x in lines if x.get(name, 0) > 0]
+        if len(known) > 1:
+            x, y = np.array(known).T
+            curves[name] = (x, y)
+    rows = [("texture with light in it", display(read_exr(demo.at.baked)))]
+    for name in ("diffuse_albedo", "specular_normal"):
+        label = name.replace("_", " ")
+        inferred = read_exr(demo.at.inferred / f"{name}.exr")
+        rows.append((f"inferred {label}", show(name, inferred)))
+        rows.append((f"true {label}", show(name, demo.true_atlas[name])))
+    return Section(
+        "Learning",
+        [
+            "A network is shown a texture with light and shadow in it, as a photograph gives, and "
+            "learns to say albedo and normals. Two minutes of training on four simulated people "
+            "show that everything works; they do not make a good network.",
+            Picture(
+                line_chart(curves, "seconds of training", "loss"),
+                "Losses while training; they should fall and then wander.",
+                "losses",
+                lossless=True,
+            ),
+            Picture(
+                side_by_side([labelled(resize(i, 420), t) for t, i in rows], 444),
+                "The captured head's texture under a light that no pattern used, and what the "
+                "network makes of it beside the truth: light and shadow should go, the skin's "
+                "colour should stay. The network never saw this person.",
+                "inference",
+            ),
+        ],
+    )
+
+
+def relit_section(demo: Demo) -> Section:
+    """The captured head under new light beside the truth."""
+    crop = demo.crop(FRONT)
+    parts: list[str | Picture] = [
+        "The purpose of it all: the captured head under light in which it was never photographed, "
+        "drawn by the project's renderer from the captured maps, beside the picture that the "
+        "simulator makes of the true head by other code."
+    ]
+    mask = demo.truth.read_mask(FRONT)[crop]
+    for relit in demo.relit:
+        scale = exposure(relit.true[crop][mask])
+        error = abs(relit.found - relit.true).mean(axis=2)[crop] * scale
+        row = [
+            labelled(resize(display(relit.found[crop], scale), 420), "captured, relit"),
+            labelled(resize(display(relit.true[crop], scale), 420), "truth"),
+            labelled(resize(display_error(error, 0.2, mask), 420), "difference"),
+        ]
+        share = relit.errors["relative_rmse"]
+        parts.append(
+            Picture(
+                side_by_side(row, 444),
+                f"Light set {relit.name}: error over the skin {share:.0%} of the picture's own "
+                f"level, {relit.errors['srgb_psnr_db']:.1f} dB. Highlights and cast shadows should "
+                "lie in the same places. Hair and clothes are not captured.",
+                f"relit {relit.name}",
+            )
+        )
+    return Section("Relighting", parts)
+
+
+def exposure(values: np.ndarray) -> float:
+    """The factor that brings the 99th percentile of linear values to 0.8."""
+    return 0.8 / max(float(np.percentile(values, 99)), 1e-6)
+
+
+def readme_strip(demo: Demo, width: int = 1600) -> np.ndarray:
+    """Photograph, albedo, normals, mesh, relit and truth in a row, for the README."""
+    crop = demo.crop(FRONT)
+    relit = demo.relit[0]
+    mask = demo.truth.read_mask(FRONT)[crop]
+    scale = exposure(relit.true[crop][mask])
+    whole = mesh_picture(read_ply(demo.found.base_mesh), demo.camera, demo.camera.height_px)
+    panels = [
+        ("photograph", _photo(demo, FRONT, 0)[crop]),
+        (
+            "diffuse albedo",
+            show("diffuse_albedo", demo.found.read_view(FRONT, "diffuse_albedo")[crop]),
+        ),
+        ("normals", show("specular_normal", demo.found.read_view(FRONT, "specular_normal")[crop])),
+        ("mesh", whole[crop]),
+        ("relit", display(relit.found[crop], scale)),
+        ("truth", display(relit.true[crop], scale)),
+    ]
+    row = side_by_side([labelled(resize(image, 480), text) for text, image in panels], 504)
+    return resize(row, max(1, round(row.shape[0] * width / row.shape[1])))

@@ -1,0 +1,70 @@
+"""The demo stops at the first step that fails, and touches no folder of somebody else's."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from demo import run as demo_run
+from demo.steps import DemoConfig, Layout, Step, steps
+from lightstage.errors import LightstageError
+
+
+def planned(*arguments: tuple[str, ...]) -> object:
+    def plan(config: DemoConfig, at: Layout) -> Iterator[Step]:
+        for number, words in enumerate(arguments):
+            yield Step(f"step {number}", "a step", words)
+
+    return plan
+
+
+def test_a_failing_step_stops_the_demo_with_its_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bad = ("json.tool", str(tmp_path / "absent.json"))
+    monkeypatch.setattr(demo_run, "steps", planned(("this",), bad, ("this",)))
+    assert demo_run.run(DemoConfig("lps"), tmp_path / "demo") not in (0, 130)
+    said = capfd.readouterr()
+    assert "absent.json" in said.err
+    assert "step 1 ended with status" in said.err
+    done = json.loads((tmp_path / "demo" / "steps.json").read_text())["steps"]
+    assert [step["name"] for step in done] == ["step 0"]
+    assert done[0]["seconds"] > 0
+    assert done[0]["peak_mb"] > 1
+    assert not (tmp_path / "demo" / "report.html").exists()
+
+
+def test_an_earlier_demo_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo_run, "steps", planned(("json.tool", str(tmp_path / "no"))))
+    demo_run.run(DemoConfig("lps"), tmp_path / "demo")
+    (tmp_path / "demo" / "old").touch()
+    demo_run.run(DemoConfig("lps"), tmp_path / "demo")
+    assert not (tmp_path / "demo" / "old").exists()
+
+
+def test_a_folder_that_no_demo_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(LightstageError, match="no demo made"):
+        demo_run.run(DemoConfig("lps"), tmp_path)
+    assert (tmp_path / "letter.txt").read_text() == "dear"
+
+
+def test_paths_with_spaces_stay_one_argument(tmp_path: Path) -> None:
+    at = Layout(tmp_path / "my demo")
+    (at.processed / "views").mkdir(parents=True)
+    first = next(iter(steps(DemoConfig("parametric", rig=tmp_path / "a rig.json"), at)))
+    assert str(at.session) in first.arguments
+    assert first.arguments[first.arguments.index("--rig") + 1] == str(tmp_path / "a rig.json")
+
+
+def test_every_step_runs_one_of_the_packages(tmp_path: Path) -> None:
+    at = Layout(tmp_path)
+    (at.processed / "views").mkdir(parents=True)
+    (at.truth / "relit").mkdir(parents=True)
+    (at.truth / "relit" / "key.json").touch()
+    plan = list(steps(DemoConfig("lps"), at))
+    assert {step.arguments[0] for step in plan} == {"sim", "lightstage", "processing", "learning"}
+    assert len({step.name for step in plan}) == len(plan) >= 13
