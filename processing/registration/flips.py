@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import open3d
+import scipy.sparse as sp
 
 FOLD_COS = -0.5
 """Neighbours whose normals are more than 120 degrees apart make a fold."""
@@ -92,6 +93,57 @@ def crossing_triangles(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarra
     out[face[pierced]] = True
     out[ray[pierced] // 3] = True
     return out
+
+
+def mend(
+    rest: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, *, rounds: int
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Smooth the places where a deformation folded the mesh or made it cross itself.
+
+    Each round moves the faulty triangles' vertices, and rings of neighbours that grow with the
+    rounds, toward the mean of their neighbours: a Tutte-like embedding, which has no folds.
+
+    Args:
+        rest: (n, 3) the undeformed mesh.
+        vertices: (n, 3) the deformed one.
+        triangles: (t, 3).
+        rounds: at most.
+
+    Returns:
+        (n, 3) mended vertices, (t,) bool what is still at fault, and how many were before.
+    """
+    crossing_at_rest = crossing_triangles(rest, triangles)
+
+    def faults(moved: np.ndarray) -> np.ndarray:
+        crossing = crossing_triangles(moved, triangles) & ~crossing_at_rest
+        return folded_triangles(rest, moved, triangles) | crossing
+
+    faulty = faults(vertices)
+    before = int(faulty.sum())
+    trial, trial_faulty = vertices, faulty
+    mean = _neighbour_mean(triangles, len(rest))
+    for turn in range(rounds):
+        if not trial_faulty.any():
+            break
+        seeds = np.zeros(len(rest), bool)
+        seeds[triangles[trial_faulty]] = True
+        patch = grown(seeds, triangles, turn // 4)[:, None]
+        for _ in range(5):
+            trial = np.where(patch, 0.5 * (trial + mean @ trial), trial)
+        trial_faulty = faults(trial)
+        if trial_faulty.sum() < faulty.sum():
+            vertices, faulty = trial, trial_faulty
+    return vertices, faulty, before
+
+
+def _neighbour_mean(triangles: np.ndarray, count: int) -> sp.csr_matrix:
+    """(n, n) matrix that averages each vertex's neighbours."""
+    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    both = np.concatenate([ends, ends[:, ::-1]])
+    joined = sp.coo_matrix((np.ones(len(both)), both.T), shape=(count, count)).tocsr()
+    joined.data[:] = 1
+    degree = np.maximum(np.asarray(joined.sum(axis=1)).ravel(), 1)
+    return (sp.diags(1 / degree) @ joined).tocsr()
 
 
 def _normals(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import splu
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import vertex_normals
-from processing.registration.flips import crossing_triangles, folded_triangles, grown
+from processing.registration.flips import mend
 from processing.registration.laplacian import cotangent_laplacian, tie_components
 from processing.registration.target import Closest, Target
 
@@ -25,7 +25,7 @@ from processing.registration.target import Closest, Target
 class NonrigidConfig:
     """Non-rigid ICP's settings."""
 
-    stiffness_mm: tuple[float, ...] = (60.0, 40.0, 25.0, 15.0, 10.0, 6.0, 4.0, 2.5, 1.7)
+    stiffness_mm: tuple[float, ...] = (40.0, 25.0, 15.0, 10.0, 6.0, 4.0, 2.5, 1.7)
     """Annealed: details of the displacement shorter than about 2 pi times this are suppressed."""
     iterations: int = 4
     """Closest-point rounds per stiffness."""
@@ -34,12 +34,15 @@ class NonrigidConfig:
     least_gate_mm: float = 3.0
     normal_gate_deg: float = 50.0
     """Nor does one whose normal is farther than this from the vertex's."""
-    landmark_area_mm2: float = 100.0
-    """A landmark pulls like so much surface."""
-    stretch_share: float = 0.1
+    landmark_pull: float = 2.0
+    """A landmark pulls so many times as hard as the plate resists: a point on a thin plate that
+    lies on springs is held by 8 l^2, so the pull follows the stiffness l down."""
+    stretch_share: float = 0.3
     """Weight of first against second derivatives: keeps unseen parts from running away."""
-    mend_rounds: int = 6
-    """At most so often are folded or crossing places let go of the scan and solved again."""
+    intricate_stiffness_mm: float = 10.0
+    """Ears, whose folds no template shares with a person, stop following below this."""
+    mend_rounds: int = 20
+    """At most so often are folded or crossing places smoothed and looked at again."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,6 +73,7 @@ def fit_nonrigid(
     config: NonrigidConfig,
     *,
     free: np.ndarray | None = None,
+    intricate: np.ndarray | None = None,
     progress: ProgressCallback = quiet,
 ) -> Fit:
     """Draw a mesh onto a scan.
@@ -87,6 +91,7 @@ def fit_nonrigid(
         landmarks_mm: (m, 3), finite.
         config: settings.
         free: (n,) bool, vertices that never follow the scan (inside of the mouth).
+        intricate: (n,) bool, vertices that follow its coarse shape only (ears).
         progress: called once a round.
 
     Returns:
@@ -94,40 +99,19 @@ def fit_nonrigid(
     """
     system = _System(rest, triangles, landmark_vertices, landmarks_mm, config)
     allowed = np.ones(len(rest), bool) if free is None else ~free
+    stiff = np.zeros(len(rest), bool) if intricate is None else intricate
     vertices = rest.copy()
     rounds = len(config.stiffness_mm) * config.iterations
     for step in range(rounds):
         stiffness = config.stiffness_mm[step // config.iterations]
         closest = target.closest(vertices)
-        matched = allowed & _gated(vertices, triangles, closest, stiffness, config)
+        followed = allowed if stiffness >= config.intricate_stiffness_mm else allowed & ~stiff
+        matched = followed & _gated(vertices, triangles, closest, stiffness, config)
         vertices = system.solve(vertices, closest, matched, stiffness)
         progress(step + 1, rounds)
-    crossing_at_rest = crossing_triangles(rest, triangles)
-
-    def faults(moved: np.ndarray) -> np.ndarray:
-        crossing = crossing_triangles(moved, triangles) & ~crossing_at_rest
-        return folded_triangles(rest, moved, triangles) | crossing
-
-    faulty = faults(vertices)
-    mended = int(faulty.sum())
-    stiffness = config.stiffness_mm[-1]
-    released = np.zeros(len(rest), bool)
-    trial, trial_faulty = vertices, faulty
-    for turn in range(config.mend_rounds):
-        if not faulty.any():
-            break
-        # Let go of what is at fault and a growing ring around it; the thin plate lays it flat.
-        seeds = np.zeros(len(rest), bool)
-        seeds[triangles[trial_faulty]] = True
-        released |= grown(seeds, triangles, 1 + turn)
-        closest = target.closest(trial)
-        matched = allowed & ~released & _gated(trial, triangles, closest, stiffness, config)
-        trial = system.solve(trial, closest, matched, stiffness, released)
-        trial_faulty = faults(trial)
-        if trial_faulty.sum() < faulty.sum():
-            vertices, faulty = trial, trial_faulty
+    vertices, faulty, mended = mend(rest, vertices, triangles, rounds=config.mend_rounds)
     closest = target.closest(vertices)
-    matched = allowed & _gated(vertices, triangles, closest, stiffness, config)
+    matched = allowed & _gated(vertices, triangles, closest, config.stiffness_mm[-1], config)
     return Fit(vertices, matched, closest.distance_mm, faulty, mended)
 
 
@@ -157,16 +141,15 @@ class _System:
         closest: Closest,
         matched: np.ndarray,
         stiffness_mm: float,
-        released: np.ndarray | None = None,
     ) -> np.ndarray:
-        """One optimal step from `vertices`; landmarks on released vertices let go too."""
+        """One optimal step from `vertices`."""
         weight = self._areas * matched
         gap = np.einsum("nk,nk->n", closest.normal, closest.point - vertices)
         goal = vertices + gap[:, None] * closest.normal
         right = weight[:, None] * (goal - self._rest)
-        pull = np.full(len(self._landmark_vertices), self._config.landmark_area_mm2)
-        if released is not None:
-            pull[released[self._landmark_vertices]] = 0
+        pull = np.full(
+            len(self._landmark_vertices), self._config.landmark_pull * 8 * stiffness_mm**2
+        )
         offset = self._landmarks_mm - self._rest[self._landmark_vertices]
         np.add.at(weight, self._landmark_vertices, pull)
         np.add.at(right, self._landmark_vertices, pull[:, None] * offset)

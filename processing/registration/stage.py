@@ -33,7 +33,7 @@ class RegisterConfig:
 
     click_agree_mm: float = 2.5
     """How far a click's ray may pass from its landmark; farther ones are left out and named."""
-    landmark_outlier_mm: float = 12.0
+    landmark_outlier_mm: float = 18.0
     """A landmark this far from the fitted shape model, with no neighbour alike, is left out."""
     least_open_sky: float = 0.08
     """Vertices that see less than this share of all directions never follow the scan."""
@@ -151,6 +151,7 @@ def register_mesh(
         landmarks_mm[kept],
         config.nonrigid,
         free=free,
+        intricate=_region(template, "ears"),
         progress=progress,
     )
     left = np.linalg.norm(result.vertices[template.landmarks] - landmarks_mm, axis=1)[kept]
@@ -185,8 +186,11 @@ def head_pose(vertices: np.ndarray, template: Template) -> Similarity:
         vertices: (n, 3) mm, world.
         template: whose axes are the head frame.
     """
-    skin = template.regions.get("skin", np.arange(len(vertices)))
-    return robust_umeyama(vertices[skin], template.mesh.vertices[skin])[0]
+    # The neck bends and its length is anyone's: skin above the chin, ears aside, carries the pose.
+    head = template.mesh.vertices
+    face = _region(template, "skin") if "skin" in template.regions else np.ones(len(head), bool)
+    face &= (head[:, 1] > head[template.landmarks[8], 1]) & ~_region(template, "ears")
+    return robust_umeyama(vertices[face], head[face])[0]
 
 
 def open_to_sky(vertices: np.ndarray, triangles: np.ndarray, least_share: float) -> np.ndarray:
@@ -271,6 +275,13 @@ def _start(
             hint="Are landmarks and scan in the same coordinates?",
         )
     return pose
+
+
+def _region(template: Template, name: str) -> np.ndarray:
+    """(n,) bool: vertices of a region; none where the template does not have it."""
+    inside = np.zeros(len(template.mesh.vertices), bool)
+    inside[template.regions.get(name, np.zeros(0, int))] = True
+    return inside
 
 
 def _unsupported(places: np.ndarray, offset: np.ndarray, config: RegisterConfig) -> np.ndarray:
