@@ -1,0 +1,132 @@
+"""`lightstage check`: a good session passes, each damage is named, all in one message."""
+
+import hashlib
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from lightstage.checks import check_session
+from lightstage.errors import FormatError
+from lightstage.formats.exr import write_exr
+from lightstage.formats.files import sha256_file, write_json
+from lightstage.patterns import pattern_levels
+from lightstage.session import SessionWriter
+
+PATTERNS = ["full", "x+", "x-"]
+
+
+@pytest.fixture
+def session(tmp_path, small_rig, dng):
+    root = tmp_path / "S"
+    writer = SessionWriter(root, small_rig, PATTERNS, "p1", "neutral", {})
+    for pattern in PATTERNS:
+        levels = pattern_levels(pattern, small_rig)
+        for index, camera in enumerate(small_rig.cameras):
+            data = dng(512 + int(4000 * levels.mean()), seed=index)
+            writer.keep(pattern, camera.id, data, hashlib.sha256(data).hexdigest())
+        writer.shot(pattern, levels.tolist())
+    writer.finish()
+    writer.close()
+    return root
+
+
+def rehash(root, relative):
+    """Pretend that a file was so from the beginning."""
+    value = json.loads((root / "session.json").read_text())
+    for frame in value["frames"]:
+        if frame["path"] == relative:
+            frame["sha256"] = sha256_file(root / relative)
+    write_json(root / "session.json", value)
+
+
+def test_a_good_session_passes(session):
+    report = check_session(session)
+    assert (report.frames, report.sums) == (9, 3)
+    assert report.worst_sum < 0.01
+    assert report.clipped == 0
+
+
+def test_missing_truncated_changed_and_misnamed_frames_make_one_message(session):
+    (session / "frames/full/cam0.dng").unlink()
+    cut = session / "frames/x+/cam1.dng"
+    cut.write_bytes(cut.read_bytes()[:-50])
+    changed = session / "frames/x-/cam2.dng"
+    data = bytearray(changed.read_bytes())
+    data[-1] ^= 1
+    changed.write_bytes(data)
+    done = subprocess.run(
+        [sys.executable, "-m", "lightstage", "check", str(session)], capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert "3 problems" in done.stderr
+    assert f"{session}/frames/full/cam0.dng: found no such file, expected" in done.stderr
+    assert "frames/x+/cam1.dng, sha256: found" in done.stderr
+    assert "frames/x-/cam2.dng, sha256: found" in done.stderr
+
+
+def test_a_frame_truncated_before_it_was_hashed_is_found_by_its_header(session):
+    cut = session / "frames/x+/cam1.dng"
+    cut.write_bytes(cut.read_bytes()[:-50])
+    rehash(session, "frames/x+/cam1.dng")
+    with pytest.raises(FormatError, match=r"x\+/cam1.dng: found \d+ bytes, expected picture data"):
+        check_session(session)
+
+
+def test_a_frame_of_another_size_is_found(session, dng):
+    (session / "frames/x+/cam1.dng").write_bytes(dng(2512, width=48, height=32))
+    rehash(session, "frames/x+/cam1.dng")
+    with pytest.raises(FormatError, match=r"found 48 x 32 pixels, expected 32 x 48 \(rig.json"):
+        check_session(session)
+
+
+def test_a_photograph_under_another_light_than_recorded_is_found(session, dng):
+    (session / "frames/x+/cam1.dng").write_bytes(dng(512))
+    rehash(session, "frames/x+/cam1.dng")
+    with pytest.raises(FormatError, match=r"patterns of cam1: found x\+ \+ x- = .* full = "):
+        check_session(session)
+
+
+def test_an_overexposed_photograph_is_found(session, dng):
+    (session / "frames/full/cam1.dng").write_bytes(dng(16383))
+    rehash(session, "frames/full/cam1.dng")
+    with pytest.raises(FormatError, match=r"exposure: found 100\.0 % of the pixels clipped"):
+        check_session(session)
+
+
+def test_a_raw_that_libraw_does_not_read_is_found(session, dng):
+    (session / "frames/full/cam1.dng").write_bytes(dng(1000, width=16, height=16))
+    rehash(session, "frames/full/cam1.dng")
+    with pytest.raises(FormatError, match=r"full/cam1.dng: found .*expected a RAW that LibRaw"):
+        check_session(session)
+
+
+def test_a_linear_frame_with_nan_is_found(session):
+    image = np.ones((48, 32, 3), np.float32)
+    image[3, 4, 1] = np.nan
+    path = write_exr(session / "frames/full/cam0.exr", image)
+    value = json.loads((session / "session.json").read_text())
+    value["frames"][0] |= {"path": "frames/full/cam0.exr", "encoding": "linear"}
+    value["frames"][0]["sha256"] = sha256_file(path)
+    write_json(session / "session.json", value)
+    with pytest.raises(FormatError, match=r"cam0.exr, element \(3, 4, 1\): found 1 values"):
+        check_session(session)
+
+
+def test_an_encoding_that_the_bytes_contradict_is_found(session):
+    value = json.loads((session / "session.json").read_text())
+    value["frames"][0]["encoding"] = "linear"
+    write_json(session / "session.json", value)
+    with pytest.raises(FormatError, match=r"encoding: found raw, expected linear"):
+        check_session(session)
+
+
+def test_an_interrupted_capture_is_told_from_no_session(session, tmp_path):
+    (session / "session.json").unlink()
+    with pytest.raises(FormatError, match="The capture was interrupted"):
+        check_session(session)
+    with pytest.raises(FormatError, match="no such file"):
+        check_session(tmp_path / "none")

@@ -1,0 +1,115 @@
+"""`lightstage import`: photographs taken elsewhere become a session, whole or not at all."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from lightstage.checks import check_session
+from lightstage.errors import CaptureError, FormatError
+from lightstage.formats.exr import write_exr
+from lightstage.formats.session import load_session
+from lightstage.importing import find_photographs, import_session
+from lightstage.patterns import pattern_levels
+from lightstage.rig import save_rig
+
+PATTERNS = ["x-", "full", "x+"]
+
+
+@pytest.fixture
+def folder(tmp_path, small_rig):
+    """Linear EXR photographs: every pixel is the mean level."""
+    for pattern in PATTERNS:
+        value = pattern_levels(pattern, small_rig).mean()
+        for camera in small_rig.cameras:
+            image = np.full((48, 32, 3), value, np.float32)
+            write_exr(tmp_path / "in" / pattern / f"{camera.id}.exr", image)
+    return tmp_path / "in"
+
+
+def test_linear_photographs_become_a_session_that_passes_its_check(folder, tmp_path, small_rig):
+    out = tmp_path / "S"
+    assert import_session(folder, small_rig, out, "p1", "smile") == 9
+    session = load_session(out)
+    assert session.file.sequence == ["full", "x+", "x-"]
+    assert {frame.encoding for frame in session.file.frames} == {"linear"}
+    assert session.file.patterns == {}
+    assert np.array_equal(session.levels("x+"), pattern_levels("x+", small_rig))
+    for frame in session.file.frames:
+        original = folder / frame.pattern / f"{frame.camera}.exr"
+        assert session.frame_path(frame).read_bytes() == original.read_bytes()
+    assert check_session(out).sums == 3
+
+
+def test_a_sessions_own_folder_imports_too(folder, tmp_path, small_rig):
+    import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")
+    assert import_session(tmp_path / "S", small_rig, tmp_path / "T", "p1", "neutral") == 9
+
+
+def test_raw_photographs_are_named_by_their_bytes(tmp_path, small_rig, dng):
+    for camera in small_rig.cameras:
+        path = tmp_path / "in" / "full" / f"{camera.id}.NEF"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(dng(1000))
+    import_session(tmp_path / "in", small_rig, tmp_path / "S", "p1", "neutral")
+    names = sorted(os.listdir(tmp_path / "S" / "frames" / "full"))
+    assert names == ["cam0.dng", "cam1.dng", "cam2.dng"]
+
+
+def test_every_misnamed_or_missing_photograph_is_told_at_once(folder, small_rig):
+    (folder / "z*").mkdir()
+    (folder / "full" / "cam7.exr").write_bytes(b"")
+    (folder / "full" / "cam0.dng").write_bytes(b"")
+    (folder / "x+" / "cam1.exr").unlink()
+    with pytest.raises(Exception, match="4 problems") as caught:
+        find_photographs(folder, small_rig)
+    said = str(caught.value)
+    assert "cam7.exr: found no camera of the rig" in said
+    assert "found a second photograph" in said
+    assert "x+/cam1: found no photograph" in said
+    assert "pattern 'z*'" in said
+
+
+@pytest.mark.parametrize("damage", ["nan", "cut", "jpeg", "empty"])
+def test_a_damaged_photograph_leaves_nothing_behind(folder, tmp_path, small_rig, damage):
+    path = folder / "x+" / "cam1.exr"
+    if damage == "nan":
+        write_exr(path, np.full((48, 32, 3), np.nan))
+    elif damage == "cut":
+        path.write_bytes(path.read_bytes()[:-20])
+    else:
+        path.write_bytes(b"\xff\xd8\xff\xe0" if damage == "jpeg" else b"")
+    before = sorted(os.listdir(tmp_path))
+    with pytest.raises(FormatError, match=r"x\+/cam1.exr"):
+        import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")
+    assert sorted(os.listdir(tmp_path)) == before
+
+
+def test_an_existing_folder_is_never_touched(folder, tmp_path, small_rig):
+    (tmp_path / "S").mkdir()
+    (tmp_path / "S" / "a").write_text("mine")
+    with pytest.raises(CaptureError, match="something there already"):
+        import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")
+    assert os.listdir(tmp_path / "S") == ["a"]
+
+
+def test_the_command_imports_and_says_how_many(folder, tmp_path, small_rig):
+    rig = save_rig(small_rig, tmp_path / "rig.json")
+
+    def run(source, out):
+        command = [sys.executable, "-m", "lightstage", "import", str(source), "--rig", str(rig)]
+        command += ["--out", str(out), "--json"]
+        return subprocess.run(command, capture_output=True, text=True)
+
+    done = run(folder, tmp_path / "S")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["frames"] == 9
+    again = run(folder, tmp_path / "S")
+    assert again.returncode == 2
+    assert "something there already" in again.stderr
+    nothing = run(tmp_path / "none", tmp_path / "T")
+    assert nothing.returncode == 2
+    assert "no such folder" in nothing.stderr

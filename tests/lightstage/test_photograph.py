@@ -1,0 +1,85 @@
+"""Telling photographs by their bytes."""
+
+import io
+import struct
+
+import numpy as np
+import pytest
+import tifffile
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lightstage.errors import FormatError
+from lightstage.formats.exr import write_exr
+from lightstage.photograph import identify
+
+
+def tiff(order, make, **extra):
+    file = io.BytesIO()
+    tags = [(271, 2, 0, make, True)] if make else []
+    tifffile.imwrite(
+        file, np.zeros((4, 4), np.uint16), byteorder=order, metadata=None, extratags=tags, **extra
+    )
+    return file.getvalue()
+
+
+def test_a_dng_is_told_by_its_version_tag(dng):
+    kind = identify(dng(1000), "x")
+    assert (kind.suffix, kind.encoding) == (".dng", "raw")
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(
+    ("make", "suffix"),
+    [("NIKON CORPORATION", ".nef"), ("Canon", ".cr2"), ("SONY", ".arw"), ("PENTAX", ".pef")],
+)
+def test_makers_raw_files_are_told_by_their_maker(order, make, suffix):
+    assert identify(tiff(order, make), "x").suffix == suffix
+
+
+def test_other_containers_are_told_by_their_first_bytes():
+    assert identify(b"\0\0\0\x18ftypcrx \0\0", "x").suffix == ".cr3"
+    assert identify(b"FUJIFILMCCD-RAW 0201", "x").suffix == ".raf"
+
+
+def test_an_exr_is_linear(tmp_path):
+    data = write_exr(tmp_path / "a.exr", np.ones((2, 2, 3))).read_bytes()
+    kind = identify(data, "x")
+    assert (kind.suffix, kind.encoding) == (".exr", "linear")
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "0 bytes that begin with none"),
+        (b"\xff\xd8\xff\xe1 Exif", "a JPEG"),
+        (b"\x89PNG\r\n\x1a\n", "89504e47"),
+        (tiff("<", ""), "a TIFF without DNGVersion"),
+        (tiff("<", "Scanner"), "of no known maker"),
+    ],
+)
+def test_what_holds_no_raw_light_is_refused(data, said):
+    with pytest.raises(FormatError, match=said):
+        identify(data, "x")
+
+
+def test_every_truncation_of_a_dng_is_refused(dng):
+    data = dng(1000)
+    for size in range(len(data)):
+        with pytest.raises(FormatError):
+            identify(data[:size], "x")
+
+
+@given(st.binary(max_size=200), st.sampled_from([b"", b"II*\0", b"MM\0*", b"II*\0\x08\0\0\0"]))
+def test_noise_is_refused_not_crashed_on(noise, head):
+    try:
+        identify(head + noise, "x")
+    except FormatError:
+        return
+    assert (head + noise)[:4] in (b"II*\0", b"MM\0*", b"\x76\x2f\x31\x01") or b"ftypcrx" in noise
+
+
+def test_directories_in_a_ring_end():
+    ring = b"II*\0" + struct.pack("<IHI", 8, 0, 8)
+    with pytest.raises(FormatError, match="without DNGVersion"):
+        identify(ring, "x")
