@@ -95,9 +95,9 @@ def read_obj(path: Path) -> Mesh:
                 if not words:
                     continue
                 if words[0] == "v":
-                    vertices.append([float(w) for w in words[1:4]])
+                    vertices.append(_numbers(words[1:4], 3))
                 elif words[0] == "vt":
-                    uvs.append([float(w) for w in words[1:3]])
+                    uvs.append(_numbers(words[1:3], 2))
                 elif words[0] == "f":
                     corners = [w.split("/") for w in words[1:]]
                     if len(corners) not in (3, 4):
@@ -123,6 +123,12 @@ def read_obj(path: Path) -> Mesh:
     )
     _check(mesh, path)
     return mesh
+
+
+def _numbers(words: list[str], count: int) -> list[float]:
+    if len(words) != count:
+        raise ValueError(f"{len(words)} coordinates instead of {count}")
+    return [float(word) for word in words]
 
 
 def _index(word: str, count: int) -> int:
@@ -153,6 +159,8 @@ def _check(mesh: Mesh, path: Path) -> None:
                 found=f"{len(mesh.face_uvs)} of {len(mesh.faces)} faces with UV",
                 expected="all or none",
             )
+        if mesh.uvs is not None and not np.isfinite(mesh.uvs).all():
+            raise FormatError(path, field="uv", found="NaN or infinity", expected="finite UV")
         if mesh.uvs is None or mesh.face_uvs.max() >= len(mesh.uvs):
             raise FormatError(path, field="uv", found="an index of no vt", expected="a mesh")
 
