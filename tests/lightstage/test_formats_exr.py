@@ -1,0 +1,96 @@
+"""OpenEXR maps: exact round trips, and NaN or damage refused."""
+
+import os
+
+import numpy as np
+import OpenEXR
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from lightstage.errors import FormatError
+from lightstage.formats.exr import read_exr, require_finite, write_exr
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (1, 1), (1, 9, 3)])
+@pytest.mark.parametrize("half", [True, False])
+def test_a_picture_survives_its_file(tmp_path, shape, half):
+    image = np.random.default_rng(0).uniform(-2, 900, shape)
+    read = read_exr(write_exr(tmp_path / "a.exr", image, half=half))
+    assert read.dtype == np.float32
+    assert np.array_equal(read, image.astype(np.float16 if half else np.float32))
+
+
+def test_one_channel_may_come_with_its_axis(tmp_path):
+    image = np.arange(6.0).reshape(2, 3, 1)
+    assert np.array_equal(read_exr(write_exr(tmp_path / "a.exr", image)), image[:, :, 0])
+
+
+def test_channels_have_the_names_that_other_programs_expect(tmp_path):
+    image = np.random.default_rng(1).uniform(0, 1, (4, 6, 3)).astype(np.float32)
+    path = write_exr(tmp_path / "a.exr", image, half=False)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = file.channels()
+        assert sorted(channels) == ["B", "G", "R"]
+        assert np.array_equal(channels["G"].pixels, image[:, :, 1])
+
+
+@given(arrays(np.float32, (3, 4), elements=st.floats(-1e6, 1e6, width=32)))
+def test_float_maps_are_exact_at_every_scale(tmp_path_factory, image):
+    path = tmp_path_factory.mktemp("exr") / "a.exr"
+    assert np.array_equal(read_exr(write_exr(path, image, half=False)), image)
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 2, 2), (2, 2, 4), (0, 3), (1, 2, 3, 4)])
+def test_other_shapes_are_refused(tmp_path, shape):
+    with pytest.raises(FormatError, match="shape"):
+        write_exr(tmp_path / "a.exr", np.ones(shape))
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("value", [65536.0, -1e6, np.inf])
+def test_values_beyond_half_are_refused(tmp_path, value):
+    with pytest.raises(FormatError, match="65504"):
+        write_exr(tmp_path / "a.exr", np.full((2, 2), value))
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_texture_with_nan_or_infinity_is_refused_and_its_place_named(tmp_path, bad):
+    image = np.ones((4, 5, 3), np.float32)
+    image[2, 3, 1] = bad
+    path = write_exr(tmp_path / "texture.exr", image, half=False)
+    with pytest.raises(FormatError, match=r"texture.exr, element \(2, 3, 1\): found 1 values"):
+        read_exr(path, finite=True)
+    assert read_exr(path).shape == (4, 5, 3)
+
+
+def test_a_missing_empty_or_foreign_file_is_refused(tmp_path):
+    with pytest.raises(FormatError, match="no such file"):
+        read_exr(tmp_path / "none.exr")
+    for data in (b"", b"\x89PNG\r\n\x1a\n" * 9):
+        (tmp_path / "a.exr").write_bytes(data)
+        with pytest.raises(FormatError, match="a whole OpenEXR file"):
+            read_exr(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
+def test_a_truncated_file_is_refused(tmp_path, share):
+    path = write_exr(tmp_path / "a.exr", np.random.default_rng(0).uniform(0, 1, (90, 60, 3)))
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(FormatError, match=r"a.exr: found .*expected a whole OpenEXR file"):
+        read_exr(path)
+
+
+def test_other_channels_are_refused(tmp_path):
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"Z": np.ones((2, 2), np.float32)}) as file:
+        file.write(str(tmp_path / "a.exr"))
+    with pytest.raises(FormatError, match=r"channels \['Z'\], expected R G B or Y"):
+        read_exr(tmp_path / "a.exr")
+
+
+def test_finite_arrays_pass():
+    require_finite(np.zeros((2, 2)), "x")

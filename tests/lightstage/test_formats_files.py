@@ -1,0 +1,115 @@
+"""Files and folders that are whole or absent."""
+
+import hashlib
+import json
+import os
+
+import pytest
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import (
+    atomic_folder,
+    atomic_path,
+    check_schema,
+    read_json,
+    sha256_file,
+    write_bytes,
+    write_json,
+    write_text,
+)
+
+
+def test_a_written_file_is_there_and_alone(tmp_path):
+    path = write_bytes(tmp_path / "new" / "a.bin", b"123")
+    assert path.read_bytes() == b"123"
+    assert os.listdir(path.parent) == ["a.bin"]
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = write_text(tmp_path / "a.exr", "old")
+
+    def fail():
+        with atomic_path(path) as beside:
+            assert beside.suffix == ".exr"
+            beside.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.exr"]
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    out = tmp_path / "store"
+
+    def fill(text, fail):
+        with atomic_folder(out, "mark.json") as beside:
+            (beside / "mark.json").write_text(text)
+            if fail:
+                raise ValueError("stop")
+
+    with pytest.raises(ValueError, match="stop"):
+        fill("a", fail=True)
+    assert os.listdir(tmp_path) == []
+    fill("b", fail=False)
+    assert (out / "mark.json").read_text() == "b"
+    with pytest.raises(ValueError, match="stop"):
+        fill("c", fail=True)
+    assert (out / "mark.json").read_text() == "b"
+    fill("d", fail=False)
+    assert (out / "mark.json").read_text() == "d"
+    assert os.listdir(tmp_path) == ["store"]
+
+
+def test_somebody_elses_folder_is_refused(tmp_path):
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "a.jpg").write_text("mine")
+
+    def fill():
+        with atomic_folder(tmp_path / "photos", "mark.json"):
+            raise AssertionError("never here")
+
+    with pytest.raises(FormatError, match=r"holds no mark\.json"):
+        fill()
+    assert os.listdir(tmp_path / "photos") == ["a.jpg"]
+
+
+def test_json_with_nan_is_refused_and_leaves_nothing(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(tmp_path / "a.json", {"x": float("nan")})
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "a readable JSON file"),
+        ("[]", "schema: found None"),
+        ('{"schema": "lightstage.rig/2"}', "newer version"),
+        ('{"schema": "lightstage.rig/x"}', "expected 'lightstage.rig/1'"),
+        ('{"schema": "other/1"}', "expected 'lightstage.rig/1'"),
+    ],
+)
+def test_json_of_another_kind_is_refused(tmp_path, text, said):
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(FormatError, match=said) as caught:
+        read_json(path, "lightstage.rig/1")
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_json_file_is_an_error_with_its_name(tmp_path):
+    with pytest.raises(FormatError, match=r"none\.json: found no such file"):
+        read_json(tmp_path / "none.json")
+
+
+def test_a_minor_version_is_taken(tmp_path):
+    check_schema(tmp_path, {"schema": "lightstage.rig/1.3"}, "lightstage.rig/1")
+    assert read_json(write_json(tmp_path / "a.json", {"schema": "a/1", "b": 2}), "a/1")["b"] == 2
+    assert json.loads((tmp_path / "a.json").read_text())["b"] == 2
+
+
+def test_a_hash_is_of_the_bytes_on_disk(tmp_path):
+    data = os.urandom(300_000)
+    assert sha256_file(write_bytes(tmp_path / "a", data)) == hashlib.sha256(data).hexdigest()

@@ -1,0 +1,140 @@
+"""Meshes: topology and UV kept, damage refused, normals against known shapes."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lightstage.errors import FormatError
+from lightstage.formats.mesh import (
+    Mesh,
+    read_mesh,
+    read_obj,
+    read_ply,
+    vertex_normals,
+    write_obj,
+    write_ply,
+)
+
+MIXED = """# a quad and a triangle
+mtllib x.mtl
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 2 0 0 0.5 0.5 0.5
+vn 0 0 1
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+g face
+f 1/1/1 2/2/1 3/3/1 4/4/1
+f -4/2 -1/3 -3/4
+"""
+
+
+def obj(tmp_path, text):
+    path = tmp_path / "m.obj"
+    path.write_text(text)
+    return path
+
+
+def test_quads_triangles_negative_indices_and_uv_are_read(tmp_path):
+    mesh = read_obj(obj(tmp_path, MIXED))
+    assert mesh.faces.tolist() == [[0, 1, 2, 3], [1, 4, 2, -1]]
+    assert mesh.face_uvs.tolist() == [[0, 1, 2, 3], [1, 2, 3, -1]]
+    assert mesh.triangles().tolist() == [[0, 1, 2], [0, 2, 3], [1, 4, 2]]
+    assert mesh.triangle_uvs().tolist() == [[0, 1, 2], [0, 2, 3], [1, 2, 3]]
+    assert mesh.vertices.shape == (5, 3)
+
+
+def test_topology_and_uv_survive_the_file(tmp_path):
+    mesh = read_obj(obj(tmp_path, MIXED))
+    again = read_mesh(write_obj(mesh, tmp_path / "again.obj"))
+    for name in ("vertices", "faces", "uvs", "face_uvs"):
+        assert np.array_equal(getattr(again, name), getattr(mesh, name))
+
+
+def test_a_mesh_without_uv_survives_too(tmp_path):
+    mesh = Mesh(np.eye(3) * 12.345678, np.array([[0, 1, 2]], np.int32))
+    again = read_obj(write_obj(mesh, tmp_path / "a.obj"))
+    assert again.uvs is None
+    assert np.allclose(again.vertices, mesh.vertices, atol=5e-7)
+    with pytest.raises(FormatError, match="uv"):
+        again.triangle_uvs()
+
+
+def test_a_ply_mesh_survives_its_file(tmp_path):
+    rng = np.random.default_rng(0)
+    mesh = Mesh(rng.normal(0, 80, (9, 3)), np.array([[0, 1, 2], [3, 4, 5], [6, 7, 8]], np.int32))
+    again = read_mesh(write_ply(mesh, tmp_path / "a.ply"))
+    assert np.array_equal(again.vertices, mesh.vertices)
+    assert np.array_equal(again.faces, mesh.faces)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "0 vertices, 0 faces"),
+        ("v 0 0 0\n", "1 vertices, 0 faces"),
+        ("v 0 0 x\n", "readable OBJ"),
+        ("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "2 coordinates instead of 3"),
+        (MIXED.replace("vt 1 1", "vt 1 nan"), "uv: found NaN"),
+        (MIXED + "f 1 2 9\n", "an index of no vertex"),
+        (MIXED + "f 1 2 -9\n", "an index of no vertex"),
+        (MIXED + "f 1 2 3\n", "2 of 3 faces with UV"),
+        (MIXED + "f 1/9 2/1 3/1\n", "an index of no vt"),
+        (MIXED + "f 1 2 3 4 5\n", "line 16: found a face of 5 corners"),
+        (MIXED.replace("v 2 0 0", "v nan 0 0"), "vertices: found NaN"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "a face of 2 corners"),
+    ],
+)
+def test_a_damaged_obj_is_refused(tmp_path, text, said):
+    with pytest.raises(FormatError, match=said) as caught:
+        read_obj(obj(tmp_path, text))
+    assert "m.obj" in str(caught.value)
+
+
+def test_a_missing_mesh_or_another_suffix_is_refused(tmp_path):
+    for name in ("none.obj", "none.ply", "none.stl"):
+        with pytest.raises(FormatError, match=name):
+            read_mesh(tmp_path / name)
+    (tmp_path / "a.ply").write_bytes(b"ply\nnonsense")
+    with pytest.raises(FormatError, match=r"a\.ply"):
+        read_ply(tmp_path / "a.ply")
+
+
+def sphere(count=1500):
+    """Points of a spiral on the unit sphere, and their hull."""
+    from scipy.spatial import ConvexHull
+
+    i = np.arange(count) + 0.5
+    polar, azimuth = np.arccos(1 - 2 * i / count), np.pi * (1 + 5**0.5) * i
+    points = np.stack(
+        [np.cos(azimuth) * np.sin(polar), np.sin(azimuth) * np.sin(polar), np.cos(polar)], 1
+    )
+    faces = ConvexHull(points).simplices
+    first, second, third = np.moveaxis(points[faces], 1, 0)
+    inward = (np.cross(second - first, third - first) * first).sum(1) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return points, faces
+
+
+def test_normals_of_a_sphere_point_outward():
+    points, faces = sphere()
+    normals = vertex_normals(points, faces)
+    angles_deg = np.degrees(np.arccos(np.clip((normals * points).sum(1), -1, 1)))
+    assert angles_deg.max() < 3
+
+
+@given(st.floats(1e-6, 1e6))
+def test_normals_do_not_depend_on_scale(scale):
+    points, faces = sphere(40)
+    assert np.allclose(vertex_normals(points * scale, faces), vertex_normals(points, faces))
+
+
+def test_degenerate_triangles_have_no_normal_and_no_nan():
+    points = np.array([[0, 0, 0], [1, 1, 1], [2, 2, 2], [5, 5, 5.0]])
+    normals = vertex_normals(points, np.array([[0, 1, 2], [3, 3, 3]]))
+    assert (normals == 0).all()
