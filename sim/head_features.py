@@ -122,8 +122,9 @@ def _add_ears(grid: np.ndarray) -> np.ndarray:
     weight = smoothstep(1.7, 1.05, np.abs(row)) * smoothstep(_EAR_FRONT - 6, _EAR_FRONT, column)
     weight = weight * smoothstep(_EAR_RIM + 6, _EAR_RIM + 2, column)
     # Square to disc, short of its corners, where quads would flatten.
-    back = 16.5 * across * np.sqrt(1 - 0.5 * np.clip(row, -1, 1) ** 2) * (1 + 0.12 * row)
-    up = 31.0 * row * np.sqrt(1 - 0.48 * np.clip(across, -1, 1) ** 2)
+    bend = 0.3 + 0.18 * smoothstep(-0.4, 0.4, row)
+    back = 16.5 * across * np.sqrt(1 - bend * np.clip(row, -1, 1) ** 2) * (1 + 0.12 * row)
+    up = 31.0 * row * np.sqrt(1 - bend * np.clip(across, -1, 1) ** 2)
     tilt = np.radians(16.0)
     y = -14.0 + up * np.cos(tilt) - back * np.sin(tilt)
     z = -11.0 - up * np.sin(tilt) - back * np.cos(tilt)
@@ -138,6 +139,9 @@ def _add_ears(grid: np.ndarray) -> np.ndarray:
     height = height * smoothstep(_EAR_RIM + 3, _EAR_RIM + 2.9, column)
     result = grid.copy()
     result[..., 0] += np.sign(grid[..., 0]) * (0.9 * height)
-    result[..., 1] += weight * (y - grid[..., 1])
-    result[..., 2] += weight * (z - grid[..., 2]) - 0.45 * height
+    # Beside the ear the grid follows the shift of the ear's own front and back.
+    nearest = np.clip(column[0], _EAR_FRONT, _EAR_RIM + 3) * np.where(grid[-1, :, 0] < 0, -1, 1)
+    nearest = (COLUMNS // 2 + nearest).astype(int)
+    result[..., 1] += weight * (y - grid[..., 1])[:, nearest]
+    result[..., 2] += weight * (z - grid[..., 2])[:, nearest] - 0.45 * height
     return result

@@ -95,8 +95,8 @@ def row_elevation_deg(azimuth_deg: np.ndarray) -> np.ndarray:
     eye = (a - EYE_AZIMUTH_DEG) / EYE_HALF_DEG
     inside = smoothstep(1.75, 1.0, np.abs(eye))
     canthus = 2.9 + 0.55 * np.clip(eye, -1, 1)
-    up = canthus + 0.55 + 3.0 * almond(eye, -0.08)
-    low = canthus - 0.55 - 2.1 * almond(eye, 0.2)
+    up = canthus + 0.85 + 2.75 * almond(eye, -0.08)
+    low = canthus - 0.85 - 1.9 * almond(eye, 0.2)
     mouth = a / MOUTH_HALF_DEG
     lips = smoothstep(2.6, 1.0, mouth)
     bow = 0.28 * np.exp(-((mouth / 0.09) ** 2)) - 0.22 * np.exp(-(((mouth - 0.22) / 0.12) ** 2))

@@ -70,14 +70,14 @@ def cell_noise(points: np.ndarray, cell_mm: float, seed: int) -> tuple[np.ndarra
 
     Returns:
         (n,) float32 distance in mm and (n,) float32 a number 0..1 that belongs to the nearest
-        point.
+        point; infinite and NaN where the point is NaN.
     """
     distance = np.empty(len(points), np.float32)
     label = np.empty(len(points), np.float32)
     for i in numba.prange(len(points)):
         px, py, pz = points[i, 0] / cell_mm, points[i, 1] / cell_mm, points[i, 2] / cell_mm
         x0, y0, z0 = int(np.floor(px)), int(np.floor(py)), int(np.floor(pz))
-        best, found = 1e9, 0
+        best, found = np.inf, -1
         for dx in range(-1, 2):
             for dy in range(-1, 2):
                 for dz in range(-1, 2):
@@ -89,7 +89,7 @@ def cell_noise(points: np.ndarray, cell_mm: float, seed: int) -> tuple[np.ndarra
                     if d < best:
                         best, found = d, _hash(h, dx + x0, dy + y0, seed)
         distance[i] = np.sqrt(best) * cell_mm
-        label[i] = found / _MASK
+        label[i] = found / _MASK if found >= 0 else np.nan
     return distance, label
 
 

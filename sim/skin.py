@@ -12,12 +12,13 @@ import dataclasses
 import numpy as np
 
 from sim.head_grid import smoothstep
-from sim.skin_parts import Face, brow_share, eye_colour, face_of, hair_share, lash_share
+from sim.skin_parts import Face, add_eyes, brow_share, face_of, hair_share, lash_share
 
 # Linear albedo of the lightest skin, and optical density (natural log) of one unit of pigment.
 LIGHT_ALBEDO = np.array([0.58, 0.40, 0.30])
 MELANIN_DENSITY = np.array([1.50, 1.80, 2.02])
 BLOOD_DENSITY = np.array([0.13, 0.62, 0.50])
+MOUTH_ALBEDO = np.array([0.05, 0.02, 0.018], np.float32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,7 +117,8 @@ def make_skin(complexion: Complexion, rows: int, rng: np.random.Generator) -> Sk
     albedo += (brow + hair - brow * hair)[..., None] * (dark - albedo)
     lash = lash_share(face)
     albedo += 0.85 * lash[..., None] * (np.float32(0.6) * dark - albedo)
-    albedo += face.eyes[..., None] * (eye_colour(face, complexion.iris) - albedo)
+    albedo += 0.9 * face.mouth_inside[..., None] * (MOUTH_ALBEDO - albedo)
+    add_eyes(albedo, face, complexion.iris)
     gloss = _gloss(face, height)
     specular = gloss * (1 - 0.35 * np.maximum(brow, hair))
     specular += face.eyes * (0.026 - specular)
@@ -126,6 +128,7 @@ def make_skin(complexion: Complexion, rows: int, rng: np.random.Generator) -> Sk
     through = 0.6 + 0.35 * face.ears + 0.2 * face.lips + 0.2 * face.nose
     through = through * (1 - 0.9 * face.eyes) * (1 - 0.5 * hair)
     bare = (face.skin + face.lips > 0.5) & (brow < 0.25) & (hair < 0.25) & (lash < 0.3)
+    bare &= face.mouth_inside < 0.3
     return Skin(
         np.clip(albedo, 0.004, 0.95).astype(np.float32),
         np.clip(specular, 0.012, 0.05).astype(np.float32),

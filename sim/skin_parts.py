@@ -5,13 +5,16 @@ from __future__ import annotations
 import dataclasses
 import functools
 
+import cv2
 import numpy as np
 
 from sim.head_grid import (
     EYE_AZIMUTH_DEG,
     EYE_HALF_DEG,
+    MOUTH_HALF_DEG,
     ROW_LID_LOW,
     ROW_LID_UP,
+    ROW_MOUTH,
     face_azimuth_deg,
     smoothstep,
 )
@@ -19,6 +22,9 @@ from sim.head_maps import region_map, tile_rows_columns, to_tile
 from sim.head_mesh import hairline_mm, neutral_mesh
 from sim.head_noise import cell_noise, octaves
 from sim.head_shape import EYE_CENTRE_MM, EYE_RADIUS_MM
+
+TILE_HEIGHT_MM = 310.0
+"""About the height of the face's part of the tile, were all of it as dense."""
 
 # Brow: along the arch for x >= 0, mm; and half its height there.
 _BROW_MM = np.array([[12, 14.5], [20, 16.5], [30, 19.0], [40, 19.5], [48, 17.0], [56, 12.5]])
@@ -51,6 +57,7 @@ class Face:
     oily: np.ndarray
     crow: np.ndarray
     eye_angle: np.ndarray
+    mouth_inside: np.ndarray
     margin_rows: np.ndarray
 
     def noise(self, cell_mm: float, count: int, salt: int) -> np.ndarray:
@@ -59,7 +66,17 @@ class Face:
 
     def noise_of(self, points: np.ndarray, cell_mm: float, count: int, salt: int) -> np.ndarray:
         """The same at other points (rows, columns, 3)."""
-        return octaves(points, cell_mm, count, self.seed + 1009 * salt)
+        rows, columns = points.shape[:2]
+        finest_texels = cell_mm / 2 ** (count - 1) / TILE_HEIGHT_MM * rows
+        step = 4 if finest_texels > 11 else 2 if finest_texels > 5.5 else 1
+        # Smooth noise is evaluated on fewer texels and enlarged.
+        size = (-(-columns // step), -(-rows // step))
+        if step > 1:
+            points = cv2.resize(points, size, interpolation=cv2.INTER_AREA)
+        found = octaves(points, cell_mm, count, self.seed + 1009 * salt)
+        if step > 1:
+            found = cv2.resize(found, (columns, rows), interpolation=cv2.INTER_CUBIC)
+        return np.asarray(found, np.float32)
 
     def cells(self, cell_mm: float, salt: int) -> tuple[np.ndarray, np.ndarray]:
         """(rows, columns) distance in mm to scattered points, and a number 0..1 of each point."""
@@ -135,6 +152,8 @@ def _places(rows: int, columns: int) -> Face:
         "oily": np.clip(nose + forehead + 0.5 * at((0, -106, 84), (15, 11, 25)), 0, 1),
         "crow": at((57, -9, 62), (8, 10, 16)),
         "eye_angle": np.arctan2(dy, dx + 8),
+        "mouth_inside": smoothstep(0.95, 0.3, np.abs(row - ROW_MOUTH))[:, None]
+        * smoothstep(0.96, 0.86, azimuth / MOUTH_HALF_DEG),
         "margin_rows": nearest + 0 * beside + 9 * (1 - beside),
     }
     return Face(position=p, seed=0, **{k: np.asarray(v, np.float32) for k, v in values.items()})
@@ -168,20 +187,21 @@ def hair_share(face: Face) -> np.ndarray:
     return np.asarray(cover * np.clip(0.72 + 0.16 * grain, 0, 1), np.float32)
 
 
-def eye_colour(face: Face, iris: tuple[float, float, float]) -> np.ndarray:
-    """(rows, columns, 3) linear albedo of the eyeball: sclera, iris, pupil."""
-    p = face.position.copy()
-    p[..., 0] = np.abs(p[..., 0])
+def add_eyes(albedo: np.ndarray, face: Face, iris: tuple[float, float, float]) -> None:
+    """Paint sclera, iris and pupil into (rows, columns, 3) linear albedo, in place."""
+    here = face.eyes > 0
+    p = face.position[here]
+    p[:, 0] = np.abs(p[:, 0])
     front = EYE_CENTRE_MM + np.array([0.0, -0.3, EYE_RADIUS_MM])
-    radius = np.hypot(p[..., 0] - front[0], p[..., 1] - front[1])
-    turn = np.arctan2(p[..., 1] - front[1], p[..., 0] - front[0])
+    radius = np.hypot(p[:, 0] - front[0], p[:, 1] - front[1])
+    turn = np.arctan2(p[:, 1] - front[1], p[:, 0] - front[0])
     fibres = 0.85 + 0.25 * np.sin(31 * turn + 1.5 * np.sin(7 * turn)) * smoothstep(2, 4, radius)
-    colour = np.array(iris, np.float32) * fibres[..., None]
-    ring = 1 - 0.65 * smoothstep(4.6, 5.7, radius)
-    colour = colour * ring[..., None]
+    shade = fibres * (1 - 0.65 * smoothstep(4.6, 5.7, radius))
+    colour = shade[:, None] * np.array(iris)
     corner = smoothstep(8.0, 15.0, radius)
-    veins = 0.04 * np.maximum(face.noise(1.4, 2, 54), 0) * smoothstep(6, 11, radius)
-    white = np.array([0.62, 0.57, 0.53], np.float32) * (1 - 0.18 * corner - veins)[..., None]
-    white = white - (corner + 2 * veins)[..., None] * np.array([0.0, 0.12, 0.12], np.float32)
-    out = white + smoothstep(6.1, 5.5, radius)[..., None] * (colour - white)
-    return np.asarray(out * smoothstep(1.8, 2.2, radius)[..., None] + 0.004, np.float32)
+    red = np.maximum(octaves(p, 1.4, 2, face.seed + 54), 0) * smoothstep(6, 11, radius)
+    white = np.array([0.62, 0.57, 0.53]) * (1 - 0.18 * corner - 0.04 * red)[:, None]
+    white = white - (corner + 0.08 * red)[:, None] * np.array([0.0, 0.12, 0.12])
+    out = white + smoothstep(6.1, 5.5, radius)[:, None] * (colour - white)
+    out = out * smoothstep(1.8, 2.2, radius)[:, None] + 0.004
+    albedo[here] += face.eyes[here][:, None] * (out - albedo[here])
