@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,7 @@ class Demo:
         errors: evaluation of `found`.
         inference: errors of the network's maps.
         input_errors: errors of taking the lit texture for the albedo.
+        metrics: lines that the training wrote; the last holds the scores of the person held out.
         relit: one entry a light set.
         source: who made the person shown.
     """
@@ -71,6 +73,7 @@ class Demo:
     errors: dict[str, Any]
     inference: dict[str, float]
     input_errors: dict[str, float]
+    metrics: list[dict[str, Any]]
     relit: tuple[Relit, ...]
     source: str
 
@@ -107,6 +110,7 @@ def read_demo(root: Path) -> Demo:
         found = read_exr(at.relit / f"{lights.stem}.exr", finite=True)
         true = read_exr(lights.with_suffix(".exr"), finite=True)
         relit.append(Relit(lights.stem, found, true, picture_errors(found, true, skin)))
+    lines = (at.training / "metrics.jsonl").read_text()
     return Demo(
         at=at,
         session=load_session(at.session),
@@ -118,6 +122,7 @@ def read_demo(root: Path) -> Demo:
         errors=read_json(at.processed / "evaluation.json"),
         inference=evaluate_maps(at.inferred, true_atlas),
         input_errors=_input_errors(at.baked, true_atlas),
+        metrics=[json.loads(line) for line in lines.splitlines()],
         relit=tuple(relit),
         source=str(read_json(at.truth / "report.json").get("source", "")),
     )

@@ -115,6 +115,7 @@ def error_rows(demo: Demo) -> list[Row]:
             "dB",
         )
     )
+    rows += _pick("inference, simulated person held out", demo.metrics[-1], HELD_OUT_ROWS)
     for relit in demo.relit:
         part = f"relit, {relit.name}"
         rows.append((part, "RMSE as a share of the picture's", relit.errors["relative_rmse"], "1"))
@@ -149,6 +150,13 @@ ATLAS_ROWS = (
     ("specular_albedo_rmse", "specular albedo RMSE", "1"),
     ("diffuse_normal_mean_deg", "diffuse normals, mean", "deg"),
     ("specular_normal_mean_deg", "specular normals, mean", "deg"),
+)
+
+
+HELD_OUT_ROWS = (
+    ("psnr_db", "diffuse albedo PSNR", "dB"),
+    ("psnr_input_db", "the lit texture itself taken as albedo, PSNR", "dB"),
+    ("psnr_mean_db", "the mean of the other people taken as albedo, PSNR", "dB"),
 )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import zarr
 
@@ -270,13 +268,6 @@ def dataset_section(demo: Demo) -> Section:
 
 def learning_section(demo: Demo) -> Section:
     """Training curve and the maps inferred from a lit texture."""
-    lines = [json.loads(x) for x in (demo.at.training / "metrics.jsonl").read_text().splitlines()]
-    curves = {}
-    for name in ("generator", "discriminator", "pixel", "rendering"):
-        known = [(x["seconds"], x[name]) for x in lines if x.get(name, 0) > 0]
-        if len(known) > 1:
-            x, y = np.array(known).T
-            curves[name] = (x, y)
     rows = [("texture with light in it", display(read_exr(demo.at.baked)))]
     for name in ("diffuse_albedo", "specular_normal"):
         label = name.replace("_", " ")
@@ -289,12 +280,7 @@ def learning_section(demo: Demo) -> Section:
             "A network is shown a texture with light and shadow in it, as a photograph gives, and "
             "learns to say albedo and normals. Two minutes of training on four simulated people "
             "show that everything works; they do not make a good network.",
-            Picture(
-                line_chart(curves, "seconds of training", "loss"),
-                "Losses while training; they should fall and then wander.",
-                "losses",
-                lossless=True,
-            ),
+            _losses(demo),
             Picture(
                 side_by_side([labelled(resize(i, 420), t) for t, i in rows], 444),
                 "The captured head's texture under a light that no pattern used, and what the "
@@ -303,6 +289,25 @@ def learning_section(demo: Demo) -> Section:
                 "inference",
             ),
         ],
+    )
+
+
+def _losses(demo: Demo) -> str | Picture:
+    """The training's curves, or a sentence where it was too short for any."""
+    curves = {}
+    for name in ("maps", "rendering", "features", "discriminators"):
+        known = [(x["seconds"], x[name]) for x in demo.metrics if x.get(name, 0) > 0]
+        if len(known) > 1:
+            x, y = np.array(known).T
+            curves[name] = (x, y)
+    if not curves:
+        return "The training was too short for a curve."
+    return Picture(
+        line_chart(curves, "seconds of training", "loss"),
+        "Losses while training: of the maps themselves, of a rendering of them, of the "
+        "discriminators' features, and the discriminators' own. The first three should fall.",
+        "losses",
+        lossless=True,
     )
 
 

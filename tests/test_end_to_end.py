@@ -1,0 +1,144 @@
+"""The demo's commands on a tiny rig, from lighting the stage to the report, judged against truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from demo.run import run
+from demo.steps import DemoConfig, Layout
+from lightstage.formats.exr import read_exr
+from lightstage.formats.files import read_json
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import load_session
+from lightstage.rig import default_rig, save_rig
+
+CAMERAS = ("cam0", "cam1", "cam2", "cam5", "cam6")
+PATTERNS = ("full", "x+", "x-", "y+", "y-", "z+", "z-")
+
+
+def tiny_rig(path: Path) -> Path:
+    """Five cameras of 240 x 360 pixels and every fourth of the default lights."""
+    rig = default_rig().scaled(360 / 6016)
+    cameras = tuple(camera for camera in rig.cameras if camera.id in CAMERAS)
+    return save_rig(dataclasses.replace(rig, lights=rig.lights[::4], cameras=cameras), path)
+
+
+@pytest.mark.slow
+def test_the_demo_runs_end_to_end_on_a_tiny_rig(tmp_path: Path) -> None:
+    at = Layout(tmp_path / "demo")
+    config = DemoConfig(
+        "parametric",
+        rig=tiny_rig(tmp_path / "rig.json"),
+        scale=1.0,
+        atlas_rows=384,
+        people=2,
+        patch_px=128,
+        train_seconds=5,
+    )
+    assert run(config, at.root) == 0
+    session_is_whole(at)
+    maps_are_near_the_truth(at)
+    published_patches_are_there(at)
+    report_shows_everything(at)
+    nothing_is_half_written(at.root)
+    a_second_run_skips_what_is_done(at)
+    an_interrupt_leaves_whole_files(at, tmp_path / "interrupted")
+
+
+def session_is_whole(at: Layout) -> None:
+    session = load_session(at.session)
+    assert tuple(session.file.sequence) == PATTERNS
+    assert {(f.pattern, f.camera) for f in session.file.frames} == {
+        (p, c) for p in PATTERNS for c in CAMERAS
+    }
+    assert {f.encoding for f in session.file.frames} == {"raw"}
+    assert (at.session / "journal.jsonl").stat().st_size > 0
+
+
+def maps_are_near_the_truth(at: Layout) -> None:
+    """Bounds a few times above what is measured: a broken stage fails them, noise does not."""
+    found = ProcessedFolder(at.processed)
+    for camera in CAMERAS:
+        for name in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal"):
+            assert np.isfinite(found.read_view(camera, name)).all()
+    facts = read_json(at.processed / "evaluation.json")
+    coarse = read_json(at.coarse / "evaluation.json")["views"]
+    views = facts["views"]
+    assert views["coverage_share"] > 0.7
+    assert views["diffuse_albedo_rmse"] < 0.06
+    assert views["diffuse_normal_median_deg"] < 6
+    assert views["diffuse_normal_mean_deg"] < coarse["diffuse_normal_mean_deg"]
+    assert facts["base_mesh"]["skin_median_mm"] < 1.5
+    assert facts["registered_mesh"]["skin_median_mm"] < 2
+    assert facts["registered_mesh"]["landmark_mean_mm"] < 6
+    assert facts["atlas"]["coverage_share"] > 0.5
+    assert facts["atlas"]["diffuse_albedo_srgb_psnr_db"] > 18
+    assert found.read_atlas("diffuse_albedo").shape == (384, 256, 3)
+
+
+def published_patches_are_there(at: Layout) -> None:
+    facts = read_json(at.published / "dataset.json")
+    assert facts["counts"]["patches"] > 0
+    assert facts["counts"]["subjects"] == 2
+    assert "person-" not in (at.published / "dataset.json").read_text()
+
+
+def report_shows_everything(at: Layout) -> None:
+    page = at.report.read_text()
+    assert page.count("<figure>") >= 20
+    assert "<script" not in page
+    figures = read_json(at.root / "figures.json")
+    names = [step["name"] for step in figures["steps"]]
+    for name in ("session", "check", "processing", "train", "infer"):
+        assert name in names
+    assert all(s["seconds"] > 0 and s["peak_mb"] > 10 for s in figures["steps"])
+    assert all(np.isfinite(row["value"]) for row in figures["errors"])
+    # A black picture has a relative error of 1, one lit from the wrong side more.
+    assert len(figures["relit"]) == 3
+    for errors in figures["relit"].values():
+        assert errors["relative_rmse"] < 0.5
+    assert (at.root / "readme.jpg").stat().st_size < 300_000
+    assert read_exr(at.inferred / "diffuse_albedo.exr", finite=True).shape == (384, 256, 3)
+
+
+def nothing_is_half_written(root: Path) -> None:
+    left = [p for p in root.rglob("*") if p.name.startswith(".") or p.suffix in (".tmp", ".part")]
+    assert left == []
+
+
+def process(at: Layout, out: Path) -> list[str]:
+    command = [sys.executable, "-m", "processing", "run", str(at.session), "--out", str(out)]
+    return [*command, "--atlas-rows", "384", "--json"]
+
+
+def a_second_run_skips_what_is_done(at: Layout) -> None:
+    before = (at.processed / "base_mesh.ply").stat().st_mtime_ns
+    done = subprocess.run(process(at, at.processed), capture_output=True, text=True, check=True)
+    facts: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    assert facts["ran"] == []
+    assert (at.processed / "base_mesh.ply").stat().st_mtime_ns == before
+
+
+def an_interrupt_leaves_whole_files(at: Layout, out: Path) -> None:
+    running = subprocess.Popen(process(at, out), stderr=subprocess.DEVNULL, process_group=0)
+    until = time.monotonic() + 60
+    while not (out / "stages.json").exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    assert running.poll() is None
+    os.killpg(running.pid, signal.SIGINT)
+    assert running.wait(60) != 0
+    nothing_is_half_written(out)
+    for path in out.rglob("*.exr"):
+        read_exr(path, finite=True)
+    assert "atlas" not in read_json(out / "stages.json")["stages"]
