@@ -15,3 +15,11 @@ class RegistrationError(ProcessingError):
 
 class AtlasError(ProcessingError):
     """Views and a mesh that cannot be merged into one texture."""
+
+
+class PoseError(ProcessingError):
+    """A camera that does not stand where the rig says."""
+
+
+class ReconstructionError(ProcessingError):
+    """Photographs that give no surface."""

@@ -1,0 +1,1 @@
+"""Photographs to a mesh: poses checked, depth of every view, cross-view consistency, fusion."""

@@ -1,0 +1,51 @@
+"""Defaults of the stage `reconstruct`."""
+
+from __future__ import annotations
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class ReconstructConfig:
+    """Settings of pose check, matching, consistency and fusion.
+
+    Attributes:
+        max_residual_px: a camera whose matches miss the rig's geometry by more is refused, in
+            pixels of its own pictures at 1000 rows (scaled with the pictures' height).
+        min_matches: verified matches below which a camera's pose is called unchecked.
+        finest_rows: pictures are halved until they have at most this many rows.
+        coarsest_rows: the pyramid ends at the first level with at most this many rows.
+        depth_reach_mm: the surface lies within this depth of the point the cameras look at.
+        source_views: each view is matched with this many others.
+        min_angle_deg, max_angle_deg: between the directions of two views that are matched.
+        patch_radius_px, patch_stride_px: a patch has (2 radius / stride + 1)^2 samples.
+        min_cosine: a view that sees a plane under a smaller cosine does not judge it.
+        contrast_floor: share of the radiance below which contrast is noise.
+        smoothness: weight of the neighbours' planes beside the matching cost.
+        iterations: sweeps of propagation a level, from the coarsest level to the finest.
+        max_cost: a depth of a higher matching cost is dropped.
+        agree_mm: two views agree where their surfaces lie within this, along the normal.
+        agree_views: a point is kept when at least this many other views agree.
+        cell_mm: width of the finest cells of the fused surface.
+        trim_mm: the surface is cut where no point lies within this distance.
+    """
+
+    max_residual_px: float = 2.0
+    min_matches: int = 20
+    finest_rows: int = 600
+    coarsest_rows: int = 170
+    depth_reach_mm: float = 200.0
+    source_views: int = 4
+    min_angle_deg: float = 8.0
+    max_angle_deg: float = 50.0
+    patch_radius_px: int = 4
+    patch_stride_px: int = 2
+    min_cosine: float = 0.2
+    contrast_floor: float = 0.003
+    smoothness: float = 0.1
+    iterations: tuple[int, ...] = (4, 3, 2, 2)
+    max_cost: float = 0.7
+    agree_mm: float = 0.4
+    agree_views: int = 1
+    cell_mm: float = 0.8
+    trim_mm: float = 2.0

@@ -1,0 +1,131 @@
+"""Oriented points to one mesh: screened Poisson surface, cut where nothing was seen."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import open3d
+
+from lightstage.formats.mesh import Mesh, vertex_normals
+from processing.errors import ReconstructionError
+from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.consistency import Points
+
+MIN_POINTS = 500
+"""Fewer points make no surface."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Holes:
+    """Boundary loops of a mesh.
+
+    Attributes:
+        outline_mm: length of the longest loop, the mesh's own outline (0 for a closed mesh).
+        lengths_mm: lengths of all others, longest first.
+    """
+
+    outline_mm: float
+    lengths_mm: tuple[float, ...]
+
+
+def fuse(points: Points, config: ReconstructConfig) -> Mesh:
+    """Fit a surface to oriented points [Kazhdan2013].
+
+    Args:
+        points: that several views agree on.
+        config: cell width and trimming distance.
+
+    Returns:
+        One connected mesh, oriented outward; holes where no point lies within `trim_mm` are kept.
+
+    Raises:
+        ReconstructionError: too few points.
+    """
+    if len(points.positions) < MIN_POINTS:
+        raise ReconstructionError(
+            "fusion",
+            found=f"{len(points.positions)} points that two views agree on",
+            expected=f"at least {MIN_POINTS}",
+            hint="Are the cameras' poses right, and do neighbouring views overlap?",
+        )
+    cloud = open3d.geometry.PointCloud(
+        open3d.utility.Vector3dVector(points.positions.astype(float))
+    )
+    cloud.normals = open3d.utility.Vector3dVector(points.normals.astype(float))
+    cloud = cloud.voxel_down_sample(0.5 * config.cell_mm)
+    cloud.normalize_normals()
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        # One thread: the solver's sums depend on the order in which threads finish.
+        surface, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+            cloud, depth=0, width=config.cell_mm, n_threads=1
+        )
+    vertices = np.asarray(surface.vertices)
+    triangles = np.asarray(surface.triangles).astype(np.int32)
+    near = np.asarray(
+        open3d.geometry.PointCloud(surface.vertices).compute_point_cloud_distance(cloud)
+    )
+    kept = triangles[(near < config.trim_mm)[triangles].all(axis=1)]
+    mesh = compact(vertices, largest_component(kept, len(vertices)))
+    return oriented(mesh, np.asarray(cloud.points), np.asarray(cloud.normals))
+
+
+def largest_component(triangles: np.ndarray, vertices: int) -> np.ndarray:
+    """The triangles of the part, connected through shared vertices, that has most of them."""
+    from scipy import sparse
+
+    if not len(triangles):
+        raise ReconstructionError(
+            "fusion", found="a surface far from every point", expected="a mesh"
+        )
+    ones = np.ones(2 * len(triangles), np.int8)
+    rows = np.concatenate([triangles[:, 0], triangles[:, 1]])
+    columns = np.concatenate([triangles[:, 1], triangles[:, 2]])
+    graph = sparse.coo_array((ones, (rows, columns)), shape=(vertices, vertices))
+    labels = sparse.csgraph.connected_components(graph, directed=False)[1]
+    part = labels[triangles[:, 0]]
+    return triangles[part == np.bincount(part).argmax()]
+
+
+def compact(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
+    """A mesh without the vertices that no triangle uses."""
+    used, faces = np.unique(triangles, return_inverse=True)
+    return Mesh(vertices[used], faces.reshape(-1, 3).astype(np.int32))
+
+
+def oriented(mesh: Mesh, positions: np.ndarray, normals: np.ndarray) -> Mesh:
+    """The mesh with its triangles turned, all together, to the side of the nearest points' normals.
+
+    Args:
+        mesh: consistently oriented.
+        positions, normals: (n, 3) oriented points on it.
+    """
+    from scipy.spatial import cKDTree
+
+    some = np.arange(0, len(mesh.vertices), max(1, len(mesh.vertices) // 2000))
+    nearest = cKDTree(positions).query(mesh.vertices[some])[1]
+    own = vertex_normals(mesh.vertices, mesh.faces)[some]
+    inward = np.einsum("nk,nk->n", own, normals[nearest]).sum() < 0
+    return Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()) if inward else mesh
+
+
+def boundary_loops(mesh: Mesh) -> Holes:
+    """Lengths of the loops of edges that one triangle alone has."""
+    from scipy import sparse
+
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    _, first, counts = np.unique(
+        np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    border = edges[first[counts == 1]]
+    if not len(border):
+        return Holes(0.0, ())
+    count = len(mesh.vertices)
+    graph = sparse.coo_array(
+        (np.ones(len(border), np.int8), (border[:, 0], border[:, 1])), shape=(count, count)
+    )
+    labels = sparse.csgraph.connected_components(graph, directed=False)[1][border[:, 0]]
+    length = np.linalg.norm(mesh.vertices[border[:, 0]] - mesh.vertices[border[:, 1]], axis=1)
+    loops = np.bincount(labels, weights=length)
+    ordered = np.sort(loops[loops > 0])[::-1]
+    return Holes(float(ordered[0]), tuple(float(loop) for loop in ordered[1:]))

@@ -1,0 +1,202 @@
+"""Depth of every view, coarse to fine, on the planes that photometric normals give."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.rig import Camera
+from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.patches import NO_MATCH, Stereo
+from processing.reconstruction.sweeps import polish, propagate, sweep
+from processing.reconstruction.views import Level, View, plane_slopes, pyramid
+
+
+def focus_point(cameras: Sequence[Camera]) -> np.ndarray:
+    """(3,) the point nearest to all optical axes, mm: where the head is."""
+    lhs, rhs = np.zeros((3, 3)), np.zeros(3)
+    for camera in cameras:
+        axis = camera.cam_from_world[2, :3]
+        across = np.eye(3) - np.outer(axis, axis)
+        lhs += across
+        rhs += across @ camera.centre_mm
+    return np.linalg.lstsq(lhs, rhs, rcond=None)[0]
+
+
+def pick_sources(
+    cameras: Sequence[Camera], usable: Sequence[bool], config: ReconstructConfig
+) -> list[np.ndarray]:
+    """The views that each view is matched with: the nearest by angle that are not too near.
+
+    Args:
+        cameras: of the views.
+        usable: false for views that show nothing.
+        config: angles and count.
+
+    Returns:
+        For each view (s,) int64 indices, the nearest first; empty where nothing fits.
+    """
+    focus = focus_point([c for c, use in zip(cameras, usable, strict=True) if use])
+    toward = np.array([camera.centre_mm - focus for camera in cameras])
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    angles = np.degrees(np.arccos(np.clip(toward @ toward.T, -1, 1)))
+    chosen = []
+    for index in range(len(cameras)):
+        near = np.argsort(angles[index], kind="stable")
+        fit = [
+            k
+            for k in near
+            if usable[k] and config.min_angle_deg <= angles[index, k] <= config.max_angle_deg
+        ]
+        chosen.append(np.array(fit[: config.source_views] if usable[index] else [], np.int64))
+    return chosen
+
+
+def transfer(level: Level, reference: int, other: int) -> tuple[np.ndarray, np.ndarray]:
+    """M (3, 3) and m (3,) that carry the reference's pixels at inverse depth w: M x + m w."""
+    relative = level.poses[other][:, :3] @ level.poses[reference][:, :3].T
+    shift = level.poses[other][:, 3] - relative @ level.poses[reference][:, 3]
+    lens = _matrix(level.lenses[other])
+    return lens @ relative @ np.linalg.inv(_matrix(level.lenses[reference])), lens @ shift
+
+
+def make_stereo(
+    level: Level, reference: int, sources: np.ndarray, config: ReconstructConfig
+) -> Stereo:
+    """Gather what the kernels need of one reference view at one level."""
+    pairs = [transfer(level, reference, other) for other in sources]
+    pose = level.poses[reference]
+    centres = np.array([_centre(level.poses[other]) for other in sources])
+    baselines = np.linalg.norm(centres - _centre(pose), axis=1)
+    lens = level.lenses[reference]
+    reach = np.arange(-config.patch_radius_px, config.patch_radius_px + 1, config.patch_stride_px)
+    offsets = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
+    return Stereo(
+        level.pictures,
+        reference,
+        sources,
+        np.array([m for m, _ in pairs], np.float32),
+        np.array([m for _, m in pairs], np.float32),
+        lens.astype(np.float32),
+        (centres @ pose[:, :3].T + pose[:, 3]).astype(np.float32),
+        plane_slopes(level.normals[reference], lens, pose),
+        offsets.astype(np.int64),
+        np.float32(config.min_cosine),
+        np.float32(config.contrast_floor),
+        np.float32(1.0 / (lens[:2].mean() * baselines.mean())),
+    )
+
+
+def match_views(
+    views: Sequence[View], config: ReconstructConfig, progress: ProgressCallback = quiet
+) -> tuple[Level, list[np.ndarray], list[np.ndarray]]:
+    """Depth maps of all views.
+
+    Args:
+        views: at least two that see the same surface.
+        config: the stage's settings.
+        progress: called after each view of each level.
+
+    Returns:
+        The finest level, and for each view (h, w) float32 inverse depth (1/mm along the optical
+        axis, 0 where there is none) and matching cost (0..2).
+    """
+    levels = pyramid(views, config.finest_rows, config.coarsest_rows)
+    cameras = [view.camera for view in views]
+    usable = [bool(np.isfinite(view.textures).any()) for view in views]
+    sources = pick_sources(cameras, usable, config)
+    focus = focus_point([c for c, use in zip(cameras, usable, strict=True) if use])
+    depths: list[np.ndarray] = []
+    costs: list[np.ndarray] = []
+    total, done = len(levels) * len(views), 0
+    for number, level in enumerate(levels):
+        shape = level.masks.shape[1:]
+        coarser, depths, costs = depths, [], []
+        for index in range(len(views)):
+            depth = np.zeros(shape, np.float32)
+            cost = np.full(shape, NO_MATCH, np.float32)
+            if len(sources[index]):
+                stereo = make_stereo(level, index, sources[index], config)
+                if number == 0:
+                    _start(level, stereo, focus, config, depth, cost)
+                else:
+                    depth[:] = doubled(coarser[index], stereo.slopes)
+                    polish(stereo, np.float32(0.5) * stereo.step, depth.copy(), cost, depth)
+                iterations = config.iterations[min(number, len(config.iterations) - 1)]
+                _propagate(stereo, iterations, config, depth, cost)
+                if number == len(levels) - 1:
+                    polish(stereo, np.float32(0.3) * stereo.step, depth.copy(), cost, depth)
+            depths.append(depth)
+            costs.append(cost)
+            done += 1
+            progress(done, total)
+    return levels[-1], depths, costs
+
+
+def doubled(inverse_depth: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """A coarser level's inverse depth at twice the size, each pixel continued along its plane.
+
+    Args:
+        inverse_depth: (h, w).
+        slopes: (2 h or 2 h - 1, 2 w or 2 w - 1, 2) a, b of the finer level.
+    """
+    height, width = slopes.shape[:2]
+    rows, columns = np.arange(height), np.arange(width)
+    near = inverse_depth[rows[:, None] // 2, columns[None] // 2]
+    # A fine pixel's centre lies half a fine pixel from the coarse one's.
+    dx = np.where(columns % 2, 0.5, -0.5)[None]
+    dy = np.where(rows % 2, 0.5, -0.5)[:, None]
+    return (near * (1 + slopes[..., 0] * dx + slopes[..., 1] * dy)).astype(np.float32)
+
+
+def _start(
+    level: Level,
+    stereo: Stereo,
+    focus: np.ndarray,
+    config: ReconstructConfig,
+    depth: np.ndarray,
+    cost: np.ndarray,
+) -> None:
+    """Fill the coarsest level by a sweep in steps of half a pixel's disparity."""
+    pose = level.poses[stereo.reference]
+    middle = float(pose[2, :3] @ focus + pose[2, 3])
+    near = max(middle - config.depth_reach_mm, 0.05 * middle)
+    far = middle + config.depth_reach_mm
+    candidates = np.arange(1 / far, 1 / near, 0.5 * float(stereo.step)).astype(np.float32)
+    hull = [transfer(level, stereo.reference, other) for other in range(len(level.poses))]
+    # A view that shows nothing at all says nothing about where the head is.
+    masks = level.masks | ~level.masks.any(axis=(1, 2), keepdims=True)
+    sweep(
+        stereo,
+        candidates,
+        masks,
+        np.array([m for m, _ in hull], np.float32),
+        np.array([m for _, m in hull], np.float32),
+        depth,
+        cost,
+    )
+
+
+def _propagate(
+    stereo: Stereo,
+    iterations: int,
+    config: ReconstructConfig,
+    depth: np.ndarray,
+    cost: np.ndarray,
+) -> None:
+    for iteration in range(iterations):
+        reaches = np.array([1, 3, 7] if iteration == 0 else [1, 3], np.int64)
+        deltas = np.array([0.5, 0.25] if iteration == 0 else [0.25, 0.12], np.float32)
+        for colour in (0, 1):
+            propagate(stereo, reaches, deltas, np.float32(config.smoothness), colour, depth, cost)
+
+
+def _matrix(lens: np.ndarray) -> np.ndarray:
+    fx, fy, cx, cy = lens
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+
+
+def _centre(pose: np.ndarray) -> np.ndarray:
+    return -pose[:, :3].T @ pose[:, 3]

@@ -1,0 +1,232 @@
+"""Numba kernels: a view's depth from a sweep of the coarsest level, propagation, small steps.
+
+A half-sweep of `propagate` writes the pixels of one colour of a chequerboard and reads neighbours
+of the other colour, so the result does not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from processing.reconstruction.patches import (
+    FAST,
+    HALF,
+    NO_MATCH,
+    ONE,
+    ZERO,
+    Stereo,
+    gather_patch,
+    new_patch,
+    plane_cost,
+)
+
+SAME = np.float32(0.05)
+"""A neighbour's plane nearer than this to a pixel's own depth (px of disparity) is not tried."""
+
+
+@njit(cache=True, fastmath=FAST, parallel=True)
+def sweep(
+    stereo: Stereo,
+    candidates: np.ndarray,
+    masks: np.ndarray,
+    hull_matrices: np.ndarray,
+    hull_shifts: np.ndarray,
+    inverse_depth: np.ndarray,
+    cost: np.ndarray,
+) -> None:
+    """Try the same inverse depths at every pixel and keep the best.
+
+    A point that any view shows as background is passed over (visual hull).
+
+    Args:
+        stereo: the views.
+        candidates: (n,) inverse depths, 1/mm.
+        masks: (views, h, w) bool, false where a view shows background.
+        hull_matrices, hull_shifts: (views, 3, 3), (views, 3): M and m into every view.
+        inverse_depth, cost: (h, w), filled; 0 and NO_MATCH where nothing fits.
+    """
+    picture = stereo.pictures[stereo.reference]
+    height, width = picture.shape[0], picture.shape[1]
+    for row in prange(height):
+        patch = new_patch(stereo)
+        for column in range(width):
+            inverse_depth[row, column] = ZERO
+            cost[row, column] = NO_MATCH
+            if math.isnan(picture[row, column, 0]):
+                continue
+            count, floor = gather_patch(stereo, row, column, patch)
+            a, b = stereo.slopes[row, column, 0], stereo.slopes[row, column, 1]
+            for index in range(candidates.shape[0]):
+                w = candidates[index]
+                if not _inside_hull(masks, hull_matrices, hull_shifts, row, column, w):
+                    continue
+                found = plane_cost(stereo, row, column, (w, a, b), patch, count, floor)
+                if found < cost[row, column]:
+                    cost[row, column] = found
+                    inverse_depth[row, column] = w
+
+
+@njit(cache=True, fastmath=FAST)
+def _inside_hull(
+    masks: np.ndarray,
+    matrices: np.ndarray,
+    shifts: np.ndarray,
+    row: int,
+    column: int,
+    w: np.float32,
+) -> bool:
+    height, width = masks.shape[1], masks.shape[2]
+    u, v = np.float32(column) + HALF, np.float32(row) + HALF
+    for k in range(masks.shape[0]):
+        m, t = matrices[k], shifts[k]
+        z = m[2, 0] * u + m[2, 1] * v + m[2, 2] + t[2] * w
+        if not z > ZERO:
+            continue
+        x = math.floor((m[0, 0] * u + m[0, 1] * v + m[0, 2] + t[0] * w) / z)
+        y = math.floor((m[1, 0] * u + m[1, 1] * v + m[1, 2] + t[1] * w) / z)
+        inside = x >= 0 and y >= 0 and x < width and y < height
+        if inside and not masks[k, y, x]:
+            return False
+    return True
+
+
+@njit(cache=True, fastmath=FAST)
+def roughness(
+    stereo: Stereo, inverse_depth: np.ndarray, row: int, column: int, w: np.float32
+) -> np.float32:
+    """How far the planes of the four neighbours miss a point, each capped at a pixel's disparity.
+
+    Args:
+        stereo: the views.
+        inverse_depth: (h, w), 0 where there is none.
+        row, column: the point's pixel.
+        w: its inverse depth.
+
+    Returns:
+        Mean over the neighbours that have a depth, 0..1; 0 where none has.
+    """
+    height, width = inverse_depth.shape
+    slopes = stereo.slopes
+    total, count = ZERO, ZERO
+    for side in range(4):
+        dx, dy = _side(side, 1)
+        x, y = column + dx, row + dy
+        if 0 <= x < width and 0 <= y < height and inverse_depth[y, x] > ZERO:
+            # The mean slope of both pixels: exact to second order on a curved surface.
+            a = HALF * (slopes[y, x, 0] + slopes[row, column, 0])
+            b = HALF * (slopes[y, x, 1] + slopes[row, column, 1])
+            there = inverse_depth[y, x] * (ONE - a * np.float32(dx) - b * np.float32(dy))
+            total += min(abs(w - there) / stereo.step, ONE)
+            count += ONE
+    return total / count if count > ZERO else ZERO
+
+
+@njit(cache=True, inline="always")
+def _side(side: int, reach: int) -> tuple[int, int]:
+    dx = reach if side == 0 else -reach if side == 1 else 0
+    dy = reach if side == 2 else -reach if side == 3 else 0
+    return dx, dy
+
+
+@njit(cache=True, fastmath=FAST, parallel=True)
+def propagate(
+    stereo: Stereo,
+    reaches: np.ndarray,
+    deltas: np.ndarray,
+    smoothness: np.float32,
+    colour: int,
+    inverse_depth: np.ndarray,
+    cost: np.ndarray,
+) -> None:
+    """One half-sweep: each pixel of a colour tries its neighbours' planes, then small steps.
+
+    Args:
+        stereo: the views.
+        reaches: (r,) odd distances at which neighbours are asked, px.
+        deltas: (d,) steps tried to both sides, px of disparity.
+        smoothness: weight of `roughness` beside the matching cost.
+        colour: 0 or 1, the half of the chequerboard that is written.
+        inverse_depth, cost: (h, w), improved in place.
+    """
+    picture = stereo.pictures[stereo.reference]
+    slopes, step = stereo.slopes, stereo.step
+    height, width = picture.shape[0], picture.shape[1]
+    for row in prange(height):
+        patch = new_patch(stereo)
+        for column in range((row + colour) % 2, width, 2):
+            if math.isnan(picture[row, column, 0]):
+                continue
+            count, floor = gather_patch(stereo, row, column, patch)
+            a, b = slopes[row, column, 0], slopes[row, column, 1]
+            best_w, best_data = inverse_depth[row, column], cost[row, column]
+            best = best_data
+            if best_w > ZERO:
+                best += smoothness * roughness(stereo, inverse_depth, row, column, best_w)
+            asked = 4 * reaches.shape[0]
+            for index in range(asked + 2 * deltas.shape[0]):
+                if index < asked:
+                    dx, dy = _side(index % 4, reaches[index // 4])
+                    x, y = column + dx, row + dy
+                    if not (0 <= x < width and 0 <= y < height):
+                        continue
+                    bend = slopes[y, x, 0] * np.float32(dx) + slopes[y, x, 1] * np.float32(dy)
+                    w = inverse_depth[y, x] * (ONE - bend)
+                    if not abs(w - best_w) > SAME * step:
+                        continue
+                else:
+                    if not best_w > ZERO:
+                        continue
+                    delta = deltas[(index - asked) // 2] * step
+                    w = best_w + delta if index % 2 == 0 else best_w - delta
+                if not w > ZERO:
+                    continue
+                # The smoothness term alone may already be too dear.
+                extra = smoothness * roughness(stereo, inverse_depth, row, column, w)
+                if not extra < best:
+                    continue
+                found = plane_cost(stereo, row, column, (w, a, b), patch, count, floor)
+                if found + extra < best:
+                    best, best_data, best_w = found + extra, found, w
+            inverse_depth[row, column] = best_w
+            cost[row, column] = best_data
+
+
+@njit(cache=True, fastmath=FAST, parallel=True)
+def polish(
+    stereo: Stereo,
+    delta: np.float32,
+    inverse_depth: np.ndarray,
+    cost: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Move each pixel to the minimum of the parabola through its costs at -delta, 0 and +delta.
+
+    Args:
+        stereo: the views.
+        delta: in inverse depth; a pixel moves by at most half of it.
+        inverse_depth: (h, w), 0 where there is none.
+        cost: (h, w), filled with the matching cost before the move.
+        out: (h, w) inverse depth, filled.
+    """
+    height, width = inverse_depth.shape
+    for row in prange(height):
+        patch = new_patch(stereo)
+        for column in range(width):
+            w = inverse_depth[row, column]
+            out[row, column] = w
+            cost[row, column] = NO_MATCH
+            if not w > ZERO:
+                continue
+            count, floor = gather_patch(stereo, row, column, patch)
+            a, b = stereo.slopes[row, column, 0], stereo.slopes[row, column, 1]
+            before = plane_cost(stereo, row, column, (w - delta, a, b), patch, count, floor)
+            here = plane_cost(stereo, row, column, (w, a, b), patch, count, floor)
+            after = plane_cost(stereo, row, column, (w + delta, a, b), patch, count, floor)
+            cost[row, column] = here
+            curvature = before - here - here + after
+            if curvature > np.float32(1e-6) and max(before, here, after) < NO_MATCH:
+                move = HALF * (before - after) / curvature
+                out[row, column] = w + delta * min(max(move, -HALF), HALF)

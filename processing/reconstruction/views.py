@@ -1,0 +1,208 @@
+"""What the matcher sees of a session: pinhole pictures of all views, in a pyramid."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from lightstage.rig import Camera
+from processing.reconstruction.patches import TEXTURES
+
+STEEPEST = 0.15
+"""Cosine to the line of sight below which a normal is bent toward the camera: a patch that is
+seen at a more grazing angle has no samples to speak of."""
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """One camera's pictures.
+
+    Attributes:
+        camera: the pinhole (undistorted) camera.
+        textures: (h, w, TEXTURES) float32, NaN where background, clipped or not a number.
+        mask: (h, w) bool, foreground.
+        normals: (h, w, 3) float32 unit, world; zero where unknown.
+    """
+
+    camera: Camera
+    textures: np.ndarray
+    mask: np.ndarray
+    normals: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Level:
+    """All views at one level of the pyramid, padded to one size.
+
+    Attributes:
+        pictures: (views, h, w, TEXTURES) float32, NaN where unusable.
+        masks: (views, h, w) bool foreground.
+        normals: (views, h, w, 3) float32 world.
+        lenses: (views, 4) fx, fy, cx, cy at this level.
+        poses: (views, 3, 4) cam_from_world.
+    """
+
+    pictures: np.ndarray
+    masks: np.ndarray
+    normals: np.ndarray
+    lenses: np.ndarray
+    poses: np.ndarray
+
+
+def common_basis(images: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.ndarray:
+    """Weights from patterns and colours to the textures that carry most local contrast.
+
+    Principal components of the differences between pixels a few apart: orthonormal, so that the
+    pooled correlation over them is nearly that over all pictures.
+
+    Args:
+        images: of each view, (P, h, w, 3) linear.
+        masks: of each view, (h, w) bool; only pixels inside count.
+
+    Returns:
+        (P, 3, k), k at most TEXTURES, the same for all views.
+    """
+    patterns = len(images[0])
+    moment = np.zeros((3 * patterns, 3 * patterns))
+    for image, mask in zip(images, masks, strict=True):
+        some = image[:, ::4, ::4].astype(float).transpose(0, 3, 1, 2).reshape(3 * patterns, -1)
+        some = some.reshape(3 * patterns, *mask[::4, ::4].shape)
+        inside = mask[::4, ::4]
+        for step in (np.s_[1:, :], np.s_[:-1, :]), (np.s_[:, 1:], np.s_[:, :-1]):
+            both = inside[step[0]] & inside[step[1]]
+            change = (some[:, *step[0]] - some[:, *step[1]])[:, both]
+            change = change[:, np.isfinite(change).all(axis=0)]
+            moment += change @ change.T
+    vectors = np.linalg.eigh(moment)[1][:, ::-1][:, :TEXTURES]
+    # An eigenvector's sign is arbitrary: fixed here, so that results repeat.
+    vectors = vectors * np.where(vectors.sum(axis=0) < 0, -1.0, 1.0)
+    return vectors.reshape(patterns, 3, -1)
+
+
+def make_view(
+    camera: Camera,
+    images: np.ndarray,
+    valid: np.ndarray,
+    mask: np.ndarray,
+    normals: np.ndarray,
+    basis: np.ndarray,
+) -> View:
+    """Bring one camera's photographs into the matcher's form; undo the lens distortion, if any.
+
+    Args:
+        camera: of the rig.
+        images: (P, h, w, 3) linear.
+        valid: (h, w) bool.
+        mask: (h, w) bool foreground.
+        normals: (h, w, 3) world.
+        basis: (P, 3, k) of `common_basis`.
+    """
+    textures = np.zeros((*mask.shape, TEXTURES), np.float32)
+    kept = basis.shape[2]
+    textures[..., :kept] = np.einsum("phwc,pck->hwk", images, basis.astype(np.float32))
+    usable = valid & mask & np.isfinite(textures).all(axis=2)
+    textures[~usable] = 0
+    normals = np.where(np.isfinite(normals), normals, 0).astype(np.float32)
+    if any(camera.dist):
+        lens, straight = camera.opencv_matrix, dataclasses.replace(camera, dist=(0, 0, 0, 0, 0))
+        size = (camera.width_px, camera.height_px)
+        x, y = cv2.initUndistortRectifyMap(
+            lens, np.array(camera.dist), None, lens, size, cv2.CV_32FC1
+        )
+        layers = [
+            cv2.remap(np.ascontiguousarray(textures[:, :, k]), x, y, cv2.INTER_CUBIC)
+            for k in range(textures.shape[2])
+        ]
+        textures = np.stack(layers, axis=2)
+        # A pixel is as good as the worst that it is interpolated from.
+        usable = cv2.remap(usable.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.999
+        mask = cv2.remap(mask.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
+        normals = cv2.remap(normals, x, y, cv2.INTER_LINEAR)
+        camera = straight
+    textures[~(usable & mask)] = np.nan
+    return View(camera, textures, mask, _unit(normals))
+
+
+def finest_level(views: Sequence[View]) -> Level:
+    """The views at full size, stacked."""
+    height = max(view.camera.height_px for view in views)
+    width = max(view.camera.width_px for view in views)
+    pictures = np.full((len(views), height, width, TEXTURES), np.nan, np.float32)
+    masks = np.zeros((len(views), height, width), bool)
+    normals = np.zeros((len(views), height, width, 3), np.float32)
+    for index, view in enumerate(views):
+        h, w = view.mask.shape
+        pictures[index, :h, :w] = view.textures
+        masks[index, :h, :w] = view.mask
+        normals[index, :h, :w] = view.normals
+    cameras = [view.camera for view in views]
+    lenses = np.array([[c.fx_px, c.fy_px, c.cx_px, c.cy_px] for c in cameras])
+    poses = np.array([c.cam_from_world for c in cameras])
+    return Level(pictures, masks, normals, lenses, poses)
+
+
+def halved(level: Level) -> Level:
+    """The next coarser level: means over 2 x 2 valid pixels."""
+    valid = ~np.isnan(level.pictures[..., :1])
+    weight = _block_sum(valid.astype(np.float32))
+    pictures = _block_sum(np.where(valid, level.pictures, 0)) / np.maximum(weight, 1)
+    # Half a block of valid pixels makes a valid pixel.
+    pictures[weight[..., 0] < 2] = np.nan
+    masks = _block_sum(level.masks[..., None].astype(np.float32))[..., 0] > 0
+    return Level(pictures, masks, _unit(_block_sum(level.normals)), level.lenses / 2, level.poses)
+
+
+def pyramid(views: Sequence[View], finest_rows: int, coarsest_rows: int) -> list[Level]:
+    """Levels from the coarsest to the finest, each twice as fine as the one before."""
+    level = finest_level(views)
+    while level.pictures.shape[1] > finest_rows:
+        level = halved(level)
+    levels = [level]
+    while levels[-1].pictures.shape[1] > coarsest_rows:
+        levels.append(halved(levels[-1]))
+    return levels[::-1]
+
+
+def plane_slopes(normals: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Relative slopes of inverse depth of the planes that normals give.
+
+    A plane's inverse depth is affine in the pixel: w(u + du, v + dv) = w (1 + a du + b dv).
+
+    Args:
+        normals: (h, w, 3) world; zero where unknown, read as facing the camera.
+        lens: (4,) fx, fy, cx, cy.
+        pose: (3, 4) cam_from_world.
+
+    Returns:
+        (h, w, 2) float32 a, b.
+    """
+    height, width = normals.shape[:2]
+    fx, fy, cx, cy = lens
+    x = (np.arange(width) + 0.5 - cx) / fx
+    y = (np.arange(height) + 0.5 - cy) / fy
+    sight = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
+    sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+    local = normals @ pose[:, :3].T
+    unknown = ~(np.linalg.norm(local, axis=-1) > 0.5)
+    local[unknown] = -sight[unknown]
+    facing = -np.einsum("hwk,hwk->hw", local, sight)
+    bend = np.maximum(STEEPEST - facing, 0)
+    local = local - bend[..., None] * sight
+    along = np.einsum("hwk,hwk->hw", local, sight) * np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
+    slopes = np.stack([local[..., 0] / (fx * along), local[..., 1] / (fy * along)], axis=-1)
+    return slopes.astype(np.float32)
+
+
+def _block_sum(values: np.ndarray) -> np.ndarray:
+    views, height, width, channels = values.shape
+    padded = np.pad(values, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)))
+    rows, columns = padded.shape[1] // 2, padded.shape[2] // 2
+    return padded.reshape(views, rows, 2, columns, 2, channels).sum(axis=(2, 4))
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 1e-3)
