@@ -15,10 +15,12 @@ class Evidence:
     Attributes:
         weighed: (n,) float64, the lobe's part of the reading times `weight`'s root.
         weight: (n,) float64, how strongly the reading depends on s.
+        power: (n,) float64, what the diffuse part alone leaves unexplained, squared.
     """
 
     weighed: np.ndarray
     weight: np.ndarray
+    power: np.ndarray
 
 
 def specular_evidence(
@@ -43,18 +45,19 @@ def specular_evidence(
     across = lobe - e * np.einsum("np,np->n", e, lobe)[:, None]
     weighed = np.einsum("np,np->n", across, reading)
     weight = np.einsum("np,np->n", across, across)
-    good = lit & np.isfinite(weighed) & np.isfinite(weight)
-    return Evidence(np.where(good, weighed, 0), np.where(good, weight, 0))
+    left = np.einsum("np,np->n", reading, reading) - np.einsum("np,np->n", e, reading) ** 2
+    good = lit & np.isfinite(weighed) & np.isfinite(weight) & np.isfinite(left)
+    return Evidence(*(np.where(good, x, 0) for x in (weighed, weight, np.maximum(left, 0))))
 
 
-def diffuse_albedo(
+def diffuse_light(
     rgb: np.ndarray,
     irradiance: np.ndarray,
     offset: np.ndarray,
     lobe: np.ndarray,
     specular: np.ndarray,
-) -> np.ndarray:
-    """Least squares of the diffuse albedo with the specular part taken off.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least squares of the diffuse albedo with the specular part taken off: lit / power.
 
     Args:
         rgb: (n, P, 3) readings, in the lights' own colour.
@@ -62,15 +65,38 @@ def diffuse_albedo(
         specular: (n,) s.
 
     Returns:
-        (n, 3) float64, at least 0; 0 where a pixel receives nothing.
+        (n, 3) float64 lit and (n,) float64 power, 0 where a pixel receives nothing.
     """
     e = irradiance.astype(np.float64)
     power = np.einsum("np,np->n", e, e)
     mirror = offset + lobe * specular[:, None]
     lit = np.einsum("np,npc->nc", e, rgb) - np.einsum("np,np->n", e, mirror)[:, None]
-    safe = np.where(power > 0, power, 1)[:, None]
-    albedo = np.where(power[:, None] > 0, lit / safe, 0)
-    return np.where(np.isfinite(albedo), np.maximum(albedo, 0), 0)
+    good = np.isfinite(lit).all(axis=1) & np.isfinite(power)
+    return np.where(good[:, None], lit, 0), np.where(good, power, 0)
+
+
+def diffuse_albedo(
+    lit: np.ndarray, power: np.ndarray, mask: np.ndarray, sigma_px: float, prior_power: float
+) -> np.ndarray:
+    """Diffuse albedo; where hardly any light arrives, that of the neighbours.
+
+    A crease that sees a few per cent of the sky would else turn an error of a thousandth of its
+    reading into an albedo of forty.
+
+    Args:
+        lit, power: of `diffuse_light`, for the mask's pixels in row order; 0 where not to be used.
+        mask: (h, w) bool with n true pixels.
+        sigma_px: over which neighbours are averaged.
+        prior_power: the neighbours count as much as this squared irradiance.
+
+    Returns:
+        (n, 3) float64, at least 0.
+    """
+    near = np.stack([pooled(lit[:, c], mask, sigma_px) for c in range(3)], axis=1)
+    total = pooled(power, mask, sigma_px)[:, None]
+    prior = np.where(total > 0, near / np.where(total > 0, total, 1), 0)
+    albedo = (lit + prior_power * prior) / (power[:, None] + prior_power)
+    return np.maximum(albedo, 0)
 
 
 def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
@@ -90,11 +116,13 @@ def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
     return np.asarray(blurred[mask], float)
 
 
-def shrunk(evidence: Evidence, prior: float, prior_weight: np.ndarray | float) -> np.ndarray:
+def shrunk(
+    weighed: np.ndarray, weight: np.ndarray, prior: np.ndarray | float, prior_weight: float
+) -> np.ndarray:
     """Specular albedo with a prior: (weighed + w prior) / (weight + w), clipped to 0..0.2.
 
     Reflectances above .2 are metals, not faces.
     """
-    total = evidence.weight + prior_weight
-    value = (evidence.weighed + prior * prior_weight) / np.where(total > 0, total, 1)
+    total = weight + prior_weight
+    value = (weighed + prior * prior_weight) / np.where(total > 0, total, 1)
     return np.clip(np.where(total > 0, value, prior), 0.0, 0.2)

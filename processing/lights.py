@@ -37,6 +37,45 @@ class PatternLights:
     colour_spread: float
 
 
+@dataclasses.dataclass(frozen=True)
+class Shadows:
+    """Which lights n points see, interpolated from the vertices of the triangles they lie on.
+
+    Attributes:
+        corners: (n, 3) int32 vertices of each point's triangle.
+        weights: (n, 3) float32 their barycentric weights.
+        visible: (vertices, L) uint8, 1 where a vertex sees a light.
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    visible: np.ndarray
+
+    def of(self, points: np.ndarray) -> Shadows:
+        """The shadows of some of the points, by index or mask."""
+        return Shadows(self.corners[points], self.weights[points], self.visible)
+
+
+def shadows_at_vertices(visible: np.ndarray) -> Shadows:
+    """Shadows of the vertices themselves, (vertices, L) bool or uint8."""
+    index = np.arange(len(visible), dtype=np.int32)
+    return Shadows(np.repeat(index[:, None], 3, axis=1), _first(len(visible)), _bytes(visible))
+
+
+def no_shadows(count: int, lights: PatternLights) -> Shadows:
+    """Shadows of `count` points that see every light."""
+    corners = np.zeros((count, 3), np.int32)
+    return Shadows(corners, _first(count), np.ones((1, len(lights.position_mm)), np.uint8))
+
+
+def _first(count: int) -> np.ndarray:
+    return np.tile(np.array([[1, 0, 0]], np.float32), (count, 1))
+
+
+def _bytes(visible: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(visible, np.uint8)
+
+
 def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights:
     """The lights of a session's patterns, from its rig and what was really driven.
 
@@ -116,14 +155,8 @@ def far_field(lights: PatternLights) -> np.ndarray:
     return np.einsum("cl,pl,lk->cpk", above, lights.strength, directions, optimize=True)
 
 
-@njit(parallel=True, cache=True)
 def irradiance_vectors(
-    points_mm: np.ndarray,
-    normals: np.ndarray,
-    visible: np.ndarray,
-    position_mm: np.ndarray,
-    radius_mm: np.ndarray,
-    strength: np.ndarray,
+    lights: PatternLights, points_mm: np.ndarray, normals: np.ndarray, shadows: Shadows
 ) -> np.ndarray:
     """Irradiance vectors at points near the origin, shadows and fall-off included.
 
@@ -131,30 +164,59 @@ def irradiance_vectors(
     direction to the light, d its distance and d0 its distance from the origin.
 
     Args:
+        lights: of P patterns.
         points_mm: (n, 3).
         normals: (n, 3) that set the horizon.
-        visible: (n, L) uint8, 1 where the light is seen.
-        position_mm: (L, 3), radius_mm: (L,), strength: (P, L) of PatternLights.
+        shadows: of the n points.
 
     Returns:
-        (n, P, 3) float64.
+        (n, P, 3) float32.
     """
-    count, patterns = len(points_mm), len(strength)
-    out = np.zeros((count, patterns, 3))
-    for i in prange(count):
-        for j in range(len(position_mm)):
-            if visible[i, j] == 0:
-                continue
-            dx = position_mm[j, 0] - points_mm[i, 0]
-            dy = position_mm[j, 1] - points_mm[i, 1]
-            dz = position_mm[j, 2] - points_mm[i, 2]
-            if normals[i, 0] * dx + normals[i, 1] * dy + normals[i, 2] * dz <= 0:
+    out = np.zeros((len(points_mm), len(lights.patterns), 3), np.float32)
+    _irradiance_vectors(
+        np.ascontiguousarray(points_mm, np.float32),
+        np.ascontiguousarray(normals, np.float32),
+        shadows.corners,
+        shadows.weights,
+        shadows.visible,
+        lights.position_mm.astype(np.float32),
+        lights.radius_mm.astype(np.float32),
+        np.ascontiguousarray(lights.strength.T, np.float32),
+        out,
+    )
+    return out
+
+
+@njit(parallel=True, cache=True)
+def _irradiance_vectors(
+    points: np.ndarray,
+    normals: np.ndarray,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    visible: np.ndarray,
+    position: np.ndarray,
+    radius: np.ndarray,
+    strength: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    for i in prange(len(points)):
+        c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
+        for j in range(len(position)):
+            seen = (
+                weights[i, 0] * visible[c0, j]
+                + weights[i, 1] * visible[c1, j]
+                + weights[i, 2] * visible[c2, j]
+            )
+            dx = position[j, 0] - points[i, 0]
+            dy = position[j, 1] - points[i, 1]
+            dz = position[j, 2] - points[i, 2]
+            facing = normals[i, 0] * dx + normals[i, 1] * dy + normals[i, 2] * dz
+            if seen <= 0 or facing <= 0:
                 continue
             d2 = dx * dx + dy * dy + dz * dz
-            fall = radius_mm[j] * radius_mm[j] / (d2 * np.sqrt(d2))
-            for k in range(patterns):
-                weight = strength[k, j] * fall
+            fall = seen * radius[j] * radius[j] / (d2 * np.sqrt(d2))
+            for k in range(strength.shape[1]):
+                weight = strength[j, k] * fall
                 out[i, k, 0] += weight * dx
                 out[i, k, 1] += weight * dy
                 out[i, k, 2] += weight * dz
-    return out

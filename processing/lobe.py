@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from processing.lights import PatternLights
+from processing.lights import PatternLights, Shadows
 
 SKIN_F0 = 0.028
 """Reflectance at normal incidence of skin, n = 1.4."""
@@ -59,10 +59,8 @@ def transport(
     points_mm: np.ndarray,
     normals: np.ndarray,
     views: np.ndarray,
-    roughness: float,
-    corners: np.ndarray | None = None,
-    weights: np.ndarray | None = None,
-    visible: np.ndarray | None = None,
+    roughness: np.ndarray | float,
+    shadows: Shadows,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """E_k, A_k and B_k of pixels.
 
@@ -71,10 +69,8 @@ def transport(
         points_mm: (n, 3) surface points.
         normals: (n, 3) unit.
         views: (n, 3) unit, toward the camera.
-        roughness: Beckmann's m.
-        corners: (n, 3) vertices of each pixel's triangle; None where nothing casts shadows.
-        weights: (n, 3) their barycentric weights.
-        visible: (vertices, L) uint8, lights that a vertex sees.
+        roughness: Beckmann's m, one or (n,).
+        shadows: of the n points.
 
     Returns:
         Three (n, P) float32.
@@ -82,19 +78,15 @@ def transport(
     Source: [Walter2007] for Beckmann's distribution and Smith's shadowing.
     """
     count = len(points_mm)
-    if corners is None or weights is None or visible is None:
-        corners = np.zeros((count, 3), np.int32)
-        weights = np.tile(np.array([[1.0, 0.0, 0.0]], np.float32), (count, 1))
-        visible = np.ones((1, len(lights.position_mm)), np.uint8)
     out = np.zeros((3, count, len(lights.patterns)), np.float32)
     _transport(
         np.ascontiguousarray(points_mm, np.float32),
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(views, np.float32),
-        np.float32(roughness),
-        corners.astype(np.int32),
-        weights.astype(np.float32),
-        visible,
+        np.ascontiguousarray(np.broadcast_to(np.asarray(roughness, np.float32), count)),
+        shadows.corners,
+        shadows.weights,
+        shadows.visible,
         lights.position_mm.astype(np.float32),
         lights.radius_mm.astype(np.float32),
         np.ascontiguousarray(lights.strength.T, np.float32),
@@ -119,7 +111,7 @@ def _transport(
     points: np.ndarray,
     normals: np.ndarray,
     views: np.ndarray,
-    roughness: float,
+    roughnesses: np.ndarray,
     corners: np.ndarray,
     weights: np.ndarray,
     visible: np.ndarray,
@@ -129,9 +121,10 @@ def _transport(
     table: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    m2 = roughness * roughness
     steps = len(table) - 1
     for i in prange(len(points)):
+        roughness = roughnesses[i]
+        m2 = roughness * roughness
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
         vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
         nv = max(nx * vx + ny * vy + nz * vz, np.float32(GRAZING))

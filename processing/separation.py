@@ -12,9 +12,9 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.rig import Camera
-from processing.albedo import Evidence, diffuse_albedo, pooled, shrunk, specular_evidence
+from processing.albedo import diffuse_albedo, diffuse_light, pooled, shrunk, specular_evidence
 from processing.frames import read_foreground, read_frames
-from processing.lights import PatternLights, far_field, pattern_lights
+from processing.lights import PatternLights, far_field, no_shadows, pattern_lights
 from processing.lobe import SKIN_F0, transport
 from processing.normals import chroma_signal, solve_far_normals
 
@@ -34,6 +34,8 @@ class SeparateConfig:
     specular_prior: float = SKIN_F0
     specular_prior_share: float = 0.2
     """Weight of the prior against the median pixel's evidence."""
+    albedo_prior_power: float = 0.005
+    """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
     grey_saturation: float = 0.05
     """Below this saturation colour tells nothing; from twice as much it is trusted."""
     dark_level: float = 0.004
@@ -125,17 +127,23 @@ def separate_pixels(
     solved = usable & (colourful > 0) & (np.einsum("nk,nk->n", normal, normal) > 0.5)
     normal[~solved] = 0
     rgb = rgb / lights.colour.astype(np.float32)
-    e, a, b = transport(lights, np.zeros_like(normal), normal, views, config.roughness)
+    open_sky = no_shadows(len(rgb), lights)
+    centre = np.zeros_like(normal)
+    e, a, b = transport(lights, centre, normal, views, config.roughness, open_sky)
     each = specular_evidence(rgb.mean(axis=2), e, a, b)
     sigma = config.specular_pool_mm * px_per_mm
     weight = np.where(solved, each.weight, 0)
-    near = Evidence(
-        pooled(np.where(solved, each.weighed, 0), mask, sigma), pooled(weight, mask, sigma)
-    )
     typical = float(np.median(weight[solved])) if solved.any() else 0.0
-    specular = shrunk(near, config.specular_prior, config.specular_prior_share * typical)
+    specular = shrunk(
+        pooled(np.where(solved, each.weighed, 0), mask, sigma),
+        pooled(weight, mask, sigma),
+        config.specular_prior,
+        config.specular_prior_share * typical,
+    )
     specular = np.where(solved, specular, 0)
-    albedo = diffuse_albedo(rgb, e, a, b, specular)
+    lit, power = diffuse_light(rgb, e, a, b, specular)
+    lit[~solved], power[~solved] = 0, 0
+    albedo = diffuse_albedo(lit, power, mask, px_per_mm, config.albedo_prior_power)
     albedo[~solved] = 0
     facing = np.clip(np.einsum("nk,nk->n", normal, views) / 0.3, 0, 1)
     confidence = np.where(solved, colourful * facing * fit(signal, e), 0)
