@@ -19,7 +19,7 @@ BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL = 1, 2, 3, 4, 5, 10
 
 
 def dng_bytes(mosaic: np.ndarray, sensor: Sensor, model: str) -> bytes:
-    """One photograph as DNG (TIFF/EP with the tags of [DNG1.4]).
+    """One photograph as DNG (TIFF/EP with the tags of [DNG14]).
 
     Args:
         mosaic: (h, w) uint16 RGGB counts.

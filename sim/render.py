@@ -21,6 +21,8 @@ import numpy as np
 
 MIN_COSINE = 1e-4
 """Fine normals may turn from the camera where the surface does not; n . v is kept above this."""
+MIN_DISTANCE2 = 1e-30
+"""A light at the point itself has no direction and gives nothing."""
 
 
 @numba.njit(cache=True, inline="always")
@@ -90,11 +92,14 @@ def shade_kernel(
                 continue
             lx, ly, lz = lights[k, 0] - px, lights[k, 1] - py, lights[k, 2] - pz
             d2 = lx * lx + ly * ly + lz * lz
+            if not d2 > MIN_DISTANCE2:
+                continue
             inverse = np.float32(1.0) / math.sqrt(d2)
             lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
             n_l = nx * lx + ny * ly + nz * lz
             g_l = geometric[i, 0] * lx + geometric[i, 1] * ly + geometric[i, 2] * lz
-            if n_l <= 0.0 or g_l <= 0.0:
+            # Written so that a NaN fails it too: such a point stays dark.
+            if not (n_l > 0.0 and g_l > 0.0):
                 continue
             falloff = reference2[k] * inverse * inverse
             hx, hy, hz = lx + vx, ly + vy, lz + vz

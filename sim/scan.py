@@ -18,6 +18,7 @@ import trimesh
 from scipy import ndimage
 
 from lightstage.formats.mesh import Mesh
+from lightstage.formats.template import default_template_path, load_template
 from sim.errors import SimError
 from sim.subdivide import loop_subdivide
 from sim.subject import Subject
@@ -63,8 +64,6 @@ def load_scan(folder: Path, texture_rows: int = 1536) -> Subject:
     specular, roughness = skin_specular(albedo)
     place = np.array(notes["points"], float)
     landmarks = (place - CENTRE_UNITS) * MM_PER_UNIT
-    head_from_world = np.eye(4)[:3]
-    head_from_world[:, 3] = -_head_origin(landmarks)
     return Subject(
         name="lps",
         expression="neutral",
@@ -76,7 +75,7 @@ def load_scan(folder: Path, texture_rows: int = 1536) -> Subject:
         translucency=np.full(albedo.shape[:2], 0.5, np.float32),
         landmarks_mm=landmarks,
         skin=_skin(notes, texture_rows),
-        head_from_world=head_from_world,
+        head_from_world=head_from_landmarks(landmarks),
         source=SOURCE,
     )
 
@@ -175,7 +174,14 @@ def _skin(notes: dict[str, Any], rows: int) -> np.ndarray:
     return mask.astype(bool)
 
 
-def _head_origin(landmarks_mm: np.ndarray) -> np.ndarray:
-    """Between the ears at the height of the nose's bridge: below jaw points 0 and 16, iBUG."""
-    middle = (landmarks_mm[0] + landmarks_mm[16]) / 2
-    return np.array([middle[0], landmarks_mm[27, 1], middle[2]])
+def head_from_landmarks(landmarks_mm: np.ndarray) -> np.ndarray:
+    """(3, 4) rigid motion that lays landmarks best onto the template's (least squares, no scale).
+
+    Source: [Kabsch1976].
+    """
+    template = load_template(default_template_path())
+    wanted = template.mesh.vertices[template.landmarks]
+    from_mean, to_mean = landmarks_mm.mean(axis=0), wanted.mean(axis=0)
+    u, _, vt = np.linalg.svd((wanted - to_mean).T @ (landmarks_mm - from_mean))
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return np.concatenate([turn, (to_mean - turn @ from_mean)[:, None]], axis=1)

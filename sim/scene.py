@@ -110,7 +110,10 @@ class Scene:
         origin, directions = camera.pixel_rays()
         flat = directions.reshape(-1, 3)
         face, weights, _ = self.hit(origin, flat)
-        pixel = np.nonzero(face >= 0)[0]
+        # The inside of an open mesh (a neck's end) is no skin: it is seen as background.
+        points = self.vertices[self.triangles[np.maximum(face, 0)]]
+        outward = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+        pixel = np.nonzero((face >= 0) & (np.sum(outward * flat, axis=1) < 0))[0]
         face, weights = face[pixel], weights[pixel]
         mesh, subject = self.subject.mesh, self.subject
         assert mesh.uvs is not None
