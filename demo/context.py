@@ -17,12 +17,10 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from lightstage.rig import Camera
 from processing.evaluate import angle_deg, evaluate_maps, picture_errors, truth_in_atlas
-from processing.report import display, display_error, display_normals
+from processing.report import display_error
 
 FRONT = "cam0"
 MARGIN = 0.12
-SPECULAR_WHITE = 0.06
-"""Specular albedo that pictures show as white."""
 LARGEST = {
     "diffuse_albedo": 0.1,
     "ambient_occlusion": 0.3,
@@ -132,13 +130,6 @@ def _input_errors(baked: Path, truth: Mapping[str, np.ndarray]) -> dict[str, flo
     """What the lit texture itself would score as a diffuse albedo."""
     skin = truth["confidence"] > 0
     return picture_errors(read_exr(baked, finite=True), truth["diffuse_albedo"], skin)
-
-
-def show(name: str, image: np.ndarray) -> np.ndarray:
-    """A map of this name as an 8-bit picture for looking."""
-    if name.endswith("_normal"):
-        return display_normals(image)
-    return display(image, 1 / SPECULAR_WHITE if name == "specular_albedo" else 1.0)
 
 
 def show_difference(name: str, found: np.ndarray, true: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import zarr
 
-from demo.context import FRONT, LARGEST, SPECULAR_WHITE, Demo, show, show_difference
+from demo.context import FRONT, LARGEST, Demo, show_difference
 from demo.pictures import (
     labelled,
     line_chart,
@@ -21,6 +21,7 @@ from lightstage.formats.mesh import read_obj, read_ply
 from lightstage.formats.template import default_template_path, load_template
 from processing.closest import ClosestPoints
 from processing.frames import read_frames
+from processing.pages import SPECULAR_WHITE, show
 from processing.report import (
     Picture,
     Section,

@@ -1,4 +1,4 @@
-"""The demo's commands on a tiny rig, from lighting the stage to the report, judged against truth."""
+"""The demo's commands on a tiny rig, from lighting the stage to the report, judged by truth."""
 
 from __future__ import annotations
 

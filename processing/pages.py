@@ -1,0 +1,102 @@
+"""OUT/report.html: what a processed session's maps look like, and what each stage said."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightstage.formats.processed import ProcessedFolder
+from processing.report import (
+    Picture,
+    Section,
+    Table,
+    display,
+    display_normals,
+    resize,
+    side_by_side,
+    write_report,
+)
+
+THUMBNAIL_PX = 240
+ATLAS_PX = 360
+SPECULAR_WHITE = 0.06
+CAPTIONS = {
+    "diffuse_albedo": "Diffuse albedo, 1 is perfect white. No light or shadow should be left.",
+    "specular_albedo": f"Specular albedo; {SPECULAR_WHITE} shows as white, skin is near 0.028.",
+    "diffuse_normal": "Diffuse normals in world axes: red, green, blue are right, up, front.",
+    "specular_normal": "Specular normals, with the finest relief.",
+    "ambient_occlusion": "Ambient occlusion, 1 is open. Folds should be darker.",
+    "confidence": "Confidence, 0 to 1: white is well seen.",
+}
+
+
+def write_processed_report(out: Path, report: Mapping[str, Any]) -> Path:
+    """Write OUT/report.html from report.json's content and the maps that are there.
+
+    Args:
+        out: a processed folder.
+        report: what report.json holds.
+
+    Returns:
+        The page's path.
+    """
+    folder = ProcessedFolder(out)
+    sections = [Section("Stages", _stages(report))]
+    views = _views(folder)
+    if views:
+        sections.append(Section("Views", views))
+    atlas = _atlas(folder)
+    if atlas:
+        sections.append(Section("Atlas", atlas))
+    title = f"Session of {report.get('subject', '?')}, {report.get('expression', '?')}"
+    return write_report(out / "report.html", title, sections)
+
+
+def show(name: str, image: np.ndarray) -> np.ndarray:
+    """A map as an 8-bit picture for looking."""
+    if name.endswith("_normal"):
+        return display_normals(image)
+    return display(image, 1 / SPECULAR_WHITE if name == "specular_albedo" else 1.0)
+
+
+def _stages(report: Mapping[str, Any]) -> list[str | Picture | Table]:
+    stages: Mapping[str, Mapping[str, Any]] = report.get("stages", {})
+    rows = []
+    for name, facts in stages.items():
+        plain = {
+            key: value
+            for key, value in facts.items()
+            if isinstance(value, (int, float, str)) and key not in ("seconds", "peak_rss_mb")
+        }
+        said = ", ".join(f"{key} {_short(value)}" for key, value in plain.items())
+        rows.append((name, f"{facts['seconds']:.1f}", f"{facts['peak_rss_mb']:.0f}", said))
+    table = Table(("stage", "seconds", "peak memory, MB", "facts, units in their names"), rows)
+    versions = Table(("what", "version"), list(report.get("versions", {}).items()))
+    return [*(f"Warning: {said}" for said in report.get("warnings", [])), table, versions]
+
+
+def _short(value: float | int | str) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _views(folder: ProcessedFolder) -> list[str | Picture | Table]:
+    parts: list[str | Picture | Table] = []
+    for name, caption in CAPTIONS.items():
+        cameras = [c for c in folder.view_ids() if folder.view_path(c, name).is_file()]
+        if cameras:
+            shown = [show(name, folder.read_view(camera, name)) for camera in cameras]
+            row = side_by_side([resize(image, THUMBNAIL_PX) for image in shown], THUMBNAIL_PX)
+            parts.append(Picture(row, f"{caption} From left to right: {', '.join(cameras)}.", name))
+    return parts
+
+
+def _atlas(folder: ProcessedFolder) -> list[str | Picture | Table]:
+    parts: list[str | Picture | Table] = []
+    for name, caption in CAPTIONS.items():
+        if folder.atlas_path(name).is_file():
+            image = show(name, folder.read_atlas(name))
+            parts.append(Picture(resize(image, min(ATLAS_PX, image.shape[0])), caption, name))
+    return parts

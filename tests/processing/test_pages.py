@@ -1,0 +1,40 @@
+"""The page of a processed folder shows the maps that are there and what each stage said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.formats.processed import ProcessedFolder
+from processing.pages import write_processed_report
+
+REPORT = {
+    "subject": "person <7>",
+    "expression": "neutral",
+    "stages": {"decode": {"seconds": 1.25, "peak_rss_mb": 99.6, "frames": 63, "views": [1]}},
+    "versions": {"numpy": "2.4"},
+    "warnings": ["cam3: dark"],
+}
+
+
+def test_maps_that_are_there_are_shown(tmp_path: Path, make_processed: Callable[..., Path]) -> None:
+    folder = ProcessedFolder(make_processed(tmp_path / "out"))
+    folder.write_view("cam0", "diffuse_albedo", np.full((40, 30, 3), 0.4))
+    folder.write_view("cam1", "diffuse_albedo", np.full((40, 30, 3), 0.4))
+    folder.write_view("cam1", "specular_albedo", np.full((40, 30), 0.03))
+    page = write_processed_report(folder.root, REPORT).read_text()
+    # Two kinds of views' maps, six of the atlas.
+    assert page.count("<figure>") == 2 + 6
+    assert "cam0, cam1." in page
+    assert "person &lt;7&gt;" in page
+    assert "frames 63" in page
+    assert "Warning: cam3: dark" in page
+
+
+def test_a_folder_without_maps_has_a_page_too(tmp_path: Path) -> None:
+    page = write_processed_report(tmp_path, {**REPORT, "warnings": []}).read_text()
+    assert "<figure>" not in page
+    assert "Warning" not in page
+    assert "1.2" in page
