@@ -62,7 +62,8 @@ def _array(path: Path, field: str, entries: object, size: int) -> np.ndarray:
     for index, entry in enumerate(entries):
         if entry is None:
             continue
-        if not isinstance(entry, list) or len(entry) != size:
+        numbers = isinstance(entry, list) and all(isinstance(c, (int, float)) for c in entry)
+        if not numbers or len(entry) != size:
             raise FormatError(
                 path, field=f"{field}[{index}]", found=repr(entry), expected=f"{size} numbers"
             )
