@@ -1,0 +1,121 @@
+"""What all commands share: exit codes, messages, the last line; and errors that list all faults."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from lightstage.errors import DeviceError, LightstageError, RigError, one_error
+from lightstage.formats.exr import write_exr
+
+SCRIPT = """
+import time
+from pathlib import Path
+import typer
+from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
+from lightstage.formats.exr import read_exr
+from lightstage.formats.files import atomic_path
+
+app = make_app("test")
+
+@app.command()
+def use(texture: Path, out: Path, slow: bool = False, as_json: bool = JsonFlag):
+    with progress_bar("use") as progress, atomic_path(out) as beside:
+        beside.write_text("half")
+        image = read_exr(texture, finite=True)
+        for done in range(3):
+            progress(done + 1, 3)
+        if slow:
+            print("ready", flush=True)
+            time.sleep(30)
+    finish(f"mean {image.mean():.1f}", {"mean": float(image.mean())}, as_json)
+
+run_app(app)
+"""
+
+
+def run(*arguments):
+    command = [sys.executable, "-c", SCRIPT, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+@pytest.fixture
+def texture(tmp_path):
+    return write_exr(tmp_path / "t.exr", np.full((4, 6, 3), 2.0))
+
+
+def test_a_command_ends_with_its_facts(texture, tmp_path):
+    done = run(texture, tmp_path / "out")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "mean 2.0\n", "")
+    done = run(texture, tmp_path / "out", "--json")
+    assert json.loads(done.stdout.splitlines()[-1]) == {"mean": 2.0}
+
+
+def test_a_texture_with_nan_exits_2_with_one_message_and_nothing_half_written(texture, tmp_path):
+    image = np.ones((4, 6, 3), np.float32)
+    image[1, 2, 0] = np.nan
+    write_exr(texture, image)
+    done = run(texture, tmp_path / "out")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        f"FormatError: {texture}, element (1, 2, 0): found 1 values that are NaN or infinite, "
+        "expected finite numbers. Mask such texels (0) before passing the map on.\n"
+    )
+    assert os.listdir(tmp_path) == ["t.exr"]
+
+
+def test_wrong_arguments_exit_2_without_a_traceback(texture):
+    for arguments in ([], [texture], [texture, "o", "--fast"]):
+        done = run(*arguments)
+        assert done.returncode == 2
+        assert "Traceback" not in done.stderr
+
+
+def test_a_bug_shows_its_traceback_and_is_not_called_bad_input():
+    script = "from lightstage.commands import *\napp = make_app('x')\n"
+    script += "@app.command()\ndef f(): 1 / 0\nrun_app(app)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert "ZeroDivisionError" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_no_half_written_file(texture, tmp_path, number):
+    command = [sys.executable, "-c", SCRIPT, str(texture), str(tmp_path / "out"), "--slow"]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert child.stdout.readline() == "ready\n"
+    started = time.monotonic()
+    child.send_signal(number)
+    child.communicate(timeout=20)
+    assert child.returncode not in (0, 2)
+    assert time.monotonic() - started < 20
+    assert os.listdir(tmp_path) == ["t.exr"]
+
+
+@pytest.mark.parametrize("name", ["capture", "check", "import"])
+def test_every_command_explains_itself(name):
+    done = subprocess.run(
+        [sys.executable, "-m", "lightstage", name, "--help"], capture_output=True, text=True
+    )
+    assert done.returncode == 0
+    assert "--json" in done.stdout
+
+
+def test_an_error_says_where_what_was_found_what_was_expected_and_what_to_try():
+    error = LightstageError("a.exr", field="size", found="3", expected="4", hint="Grow it.")
+    assert str(error) == "a.exr, size: found 3, expected 4. Grow it."
+    assert str(LightstageError("a.exr")) == "a.exr"
+    assert str(LightstageError("a.exr", expected="4")) == "a.exr: expected 4"
+
+
+def test_many_errors_fold_into_one_of_the_first_kind():
+    only = RigError("a")
+    assert one_error([only]) is only
+    folded = one_error([RigError("a", found="b"), DeviceError("c")])
+    assert isinstance(folded, RigError)
+    assert str(folded) == "2 problems:\n  a: found b\n  c"

@@ -1,0 +1,67 @@
+"""68 landmarks in pictures and on meshes."""
+
+import json
+
+import numpy as np
+import pytest
+
+from lightstage.errors import FormatError
+from lightstage.formats.landmarks import (
+    read_points_mm,
+    read_points_px,
+    write_points_mm,
+    write_points_px,
+)
+
+
+def points(size):
+    made = np.random.default_rng(size).uniform(-100, 900, (68, size)).round(4)
+    made[5] = made[20] = np.nan
+    return made
+
+
+def test_points_survive_their_files_with_hidden_ones(tmp_path):
+    px = {"cam0": points(2), "cam1": points(2) + 1}
+    read = read_points_px(write_points_px(px, tmp_path / "px.json"))
+    assert sorted(read) == ["cam0", "cam1"]
+    for camera, expected in px.items():
+        assert np.allclose(read[camera], expected, atol=1e-4, equal_nan=True)
+    mm = points(3)
+    assert np.allclose(
+        read_points_mm(write_points_mm(mm, tmp_path / "mm.json")), mm, equal_nan=True
+    )
+    assert json.loads((tmp_path / "mm.json").read_text())["points_mm"][5] is None
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ({"scheme": "w300", "points_mm": []}, "scheme"),
+        ([], "scheme"),
+        ({"scheme": "ibug68"}, "points_mm: found NoneType, expected 68 entries"),
+        ({"scheme": "ibug68", "points_mm": [None] * 67}, "found 67, expected 68"),
+        (
+            {"scheme": "ibug68", "points_mm": [None] * 67 + [[1, 2]]},
+            r"points_mm\[67\]: found \[1, 2",
+        ),
+        ({"scheme": "ibug68", "points_mm": [None] * 67 + [["a", 1, 2]]}, r"points_mm\[67\]"),
+    ],
+)
+def test_other_landmarks_are_refused(tmp_path, value, said):
+    path = tmp_path / "l.json"
+    path.write_text(json.dumps(value))
+    with pytest.raises(FormatError, match=said):
+        read_points_mm(path)
+
+
+def test_landmarks_in_pictures_need_their_schema(tmp_path):
+    path = tmp_path / "l.json"
+    path.write_text(json.dumps({"scheme": "ibug68", "points_px": {}}))
+    with pytest.raises(FormatError, match="schema"):
+        read_points_px(path)
+    write_points_px({"cam0": points(2)}, path)
+    value = json.loads(path.read_text())
+    value["points_px"]["cam0"].pop()
+    path.write_text(json.dumps(value))
+    with pytest.raises(FormatError, match=r"points_px.cam0: found 67"):
+        read_points_px(path)
