@@ -1,0 +1,244 @@
+"""The stages in order, from photographs to the registered atlas, and which of them are stale."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import one_error
+from lightstage.formats.config import as_dict, make_config, read_toml
+from lightstage.formats.files import sha256_file, write_json
+from lightstage.formats.session import Session, changed_frames, load_session, missing_frames
+from lightstage.formats.template import Template, load_template
+from processing.atlas.stage import AtlasConfig, atlas
+from processing.decode import DecodeConfig, decode
+from processing.errors import ProcessingError
+from processing.reconstruction.stage import ReconstructConfig, reconstruct
+from processing.records import (
+    Record,
+    code_version,
+    files_in,
+    hash_folder,
+    hash_of,
+    measured,
+    read_records,
+    versions,
+    write_records,
+)
+from processing.refine import RefineConfig, refine
+from processing.registration.stage import RegisterConfig, register
+from processing.separation import SeparateConfig, separate
+
+STAGES = ("decode", "separate", "reconstruct", "refine", "register", "atlas")
+WITH_TEMPLATE = ("register", "atlas")
+REPORT_SCHEMA = "processing.report/1"
+
+Bar = Callable[[str], contextlib.AbstractContextManager[ProgressCallback]]
+"""Given a stage's name, a context with a progress callback, such as `commands.progress_bar`."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PipelineConfig:
+    """Configuration of all stages; a TOML file has one table for each."""
+
+    decode: DecodeConfig = dataclasses.field(default_factory=DecodeConfig)
+    separate: SeparateConfig = dataclasses.field(default_factory=SeparateConfig)
+    reconstruct: ReconstructConfig = dataclasses.field(default_factory=ReconstructConfig)
+    refine: RefineConfig = dataclasses.field(default_factory=RefineConfig)
+    register: RegisterConfig = dataclasses.field(default_factory=RegisterConfig)
+    atlas: AtlasConfig = dataclasses.field(default_factory=AtlasConfig)
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """What the stages work on."""
+
+    session: Session
+    out: Path
+    config: PipelineConfig
+    template: Template | None
+    template_hash: str
+
+
+def read_config(path: Path | None, atlas_rows: int | None = None) -> PipelineConfig:
+    """Defaults, overridden by a TOML file, overridden by the command line.
+
+    Raises:
+        ConfigError: an unknown table or key, or a value of another type.
+    """
+    values = {} if path is None else read_toml(path)
+    config = make_config(PipelineConfig, values, path or "configuration")
+    if atlas_rows is None:
+        return config
+    return dataclasses.replace(config, atlas=dataclasses.replace(config.atlas, rows=atlas_rows))
+
+
+@contextlib.contextmanager
+def no_bar(stage: str) -> Iterator[ProgressCallback]:
+    """A bar that shows nothing."""
+    del stage
+    yield quiet
+
+
+def run(
+    session_path: Path,
+    out: Path,
+    template_path: Path,
+    config: PipelineConfig,
+    *,
+    until: str = STAGES[-1],
+    only: str | None = None,
+    bar: Bar = no_bar,
+) -> dict[str, Any]:
+    """Process a session; stages whose inputs, configuration and code did not change are skipped.
+
+    Every photograph is verified before anything is written.
+
+    Args:
+        session_path: a session folder.
+        out: the processed folder, made or continued.
+        template_path: a template folder.
+        config: of all stages.
+        until: the last stage.
+        only: run this one stage, on what the earlier ones left in `out`.
+        bar: draws progress.
+
+    Returns:
+        The content of OUT/report.json, plus "ran": the stages that were not skipped.
+
+    Raises:
+        LightstageError: input that the user can mend; stages that finished before stay finished.
+    """
+    last = only or until
+    if last not in STAGES:
+        raise ProcessingError("stage", found=repr(last), expected=", ".join(STAGES))
+    session = load_session(session_path)
+    problems = missing_frames(session) or changed_frames(session)
+    if problems:
+        raise one_error(problems)
+    template, template_hash = None, ""
+    if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
+        template, template_hash = load_template(template_path), hash_folder(template_path)
+    job = Job(session, out, config, template, template_hash)
+    records = read_records(out)
+    keys = stage_keys(job, records if only else {})
+    planned = _only(only, records, keys) if only else _stale(job, records, keys, last)
+    for stage in planned:
+        records = _run_stage(job, stage, keys[stage], records, bar)
+    return {**write_report_json(job, records), "ran": planned}
+
+
+def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:
+    """The key that each stage's record must have to be up to date.
+
+    A stage's key holds its configuration, the code, and the key of the stage before it, which
+    stands for all that was written before. Stages in `kept` count with the key they ran with.
+    """
+    session = job.session
+    files = [session.root / "session.json", session.root / "rig.json"]
+    if session.file.calibration.colour is not None:
+        files.append(session.root / session.file.calibration.colour)
+    landmarks = session.root / "landmarks.json"
+    before = hash_of(code_version(), [sha256_file(path) for path in files])
+    keys = {}
+    for stage in STAGES:
+        extra = []
+        if stage in WITH_TEMPLATE:
+            marks = sha256_file(landmarks) if landmarks.is_file() else None
+            extra = [job.template_hash, marks]
+        keys[stage] = hash_of(before, stage, as_dict(getattr(job.config, stage)), extra)
+        before = kept[stage].key if stage in kept else keys[stage]
+    return keys
+
+
+def _stale(job: Job, records: dict[str, Record], keys: dict[str, str], last: str) -> list[str]:
+    """Stages up to `last` that must run."""
+    wanted = STAGES[: STAGES.index(last) + 1]
+    stale: list[str] = []
+    for stage in wanted:
+        record = records.get(stage)
+        whole = record is not None and all((job.out / name).exists() for name in record.outputs)
+        if stale or record is None or record.key != keys[stage] or not whole:
+            stale.append(stage)
+    return _with_coarse_maps(stale, records)
+
+
+def _only(stage: str, records: dict[str, Record], keys: dict[str, str]) -> list[str]:
+    """One stage; `separate` decodes first where that is stale, since it has no command."""
+    before = STAGES[: STAGES.index(stage)]
+    if stage == "separate":
+        fresh = "decode" in records and records["decode"].key == keys["decode"]
+        return ["separate"] if fresh else ["decode", "separate"]
+    missing = [name for name in before if name not in records]
+    if missing:
+        raise ProcessingError(
+            f"stage {stage}",
+            found=f"no output of {', '.join(missing)}",
+            expected="the stages before it done",
+            hint=f"Run `lightstage-processing run SESSION --out OUT --until {before[-1]}` first.",
+        )
+    return _with_coarse_maps([stage], records)
+
+
+def _with_coarse_maps(planned: list[str], records: dict[str, Record]) -> list[str]:
+    """Put `separate` before a new reconstruction where `refine` has overwritten its maps."""
+    if "reconstruct" in planned and "separate" not in planned and "refine" in records:
+        return ["separate", *planned]
+    return planned
+
+
+def _run_stage(
+    job: Job, stage: str, key: str, records: dict[str, Record], bar: Bar
+) -> dict[str, Record]:
+    """Run one stage and record it; it and all after it count as not done while it runs."""
+    kept = {name: records[name] for name in STAGES[: STAGES.index(stage)] if name in records}
+    if records:
+        write_records(job.out, kept)
+    before = files_in(job.out)
+    facts: dict[str, Any] = {}
+    with bar(stage) as progress, measured(facts):
+        facts |= _stage(job, stage, progress)
+    after = files_in(job.out)
+    outputs = sorted(name for name in after if after[name] != before.get(name))
+    kept[stage] = Record(key, outputs, facts)
+    write_records(job.out, kept)
+    return kept
+
+
+def _stage(job: Job, stage: str, progress: ProgressCallback) -> dict[str, Any]:
+    session, out, config = job.session, job.out, job.config
+    if stage == "decode":
+        return decode(session, out, config.decode, progress)
+    if stage == "separate":
+        return separate(session, out, config.separate, progress)
+    if stage == "reconstruct":
+        return reconstruct(session, out, config.reconstruct, progress)
+    if stage == "refine":
+        return refine(session, out, config.refine, progress)
+    assert job.template is not None
+    if stage == "register":
+        return register(session, out, job.template, config.register, progress)
+    return atlas(session, out, job.template, config.atlas, progress)
+
+
+def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
+    """Write OUT/report.json from the finished stages; returns its content."""
+    stages = {name: dict(records[name].facts) for name in STAGES if name in records}
+    warnings = [
+        f"{name}: {said}" for name, facts in stages.items() for said in facts.pop("warnings", [])
+    ]
+    report = {
+        "schema": REPORT_SCHEMA,
+        "subject": job.session.file.subject,
+        "expression": job.session.file.expression,
+        "stages": stages,
+        "warnings": warnings,
+        "versions": versions(),
+        "config": {stage: as_dict(getattr(job.config, stage)) for stage in STAGES},
+    }
+    write_json(job.out / "report.json", report)
+    return report
