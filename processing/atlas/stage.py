@@ -1,0 +1,238 @@
+"""Stage `atlas`: every map of the views merged into the template's UV tile."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import ConfigError, LightstageError, one_error
+from lightstage.formats.mesh import Mesh, read_obj, read_ply, vertex_normals
+from lightstage.formats.processed import MAPS, ProcessedFolder
+from lightstage.formats.session import Session
+from lightstage.formats.template import Template
+from lightstage.rig import Camera
+from processing.atlas.blend import BlendConfig, Blender, ViewSamples, view_samples
+from processing.atlas.fill import MeshFill, gutter_sources
+from processing.atlas.raster import Raster, rasterise, texel_size_mm
+from processing.errors import AtlasError
+from processing.registration.target import Target
+
+BLENDED = (
+    "diffuse_albedo",
+    "specular_albedo",
+    "diffuse_normal",
+    "specular_normal",
+    "ambient_occlusion",
+)
+NORMALS = ("diffuse_normal", "specular_normal")
+FILL_WEIGHT = 0.02
+"""The guess for unseen texels counts like a view of this weight, which feathers its rim."""
+
+
+@dataclasses.dataclass(frozen=True)
+class AtlasConfig:
+    """The atlas's settings."""
+
+    rows: int = 6144
+    """Columns are two thirds of it."""
+    gutter_px: int = 16
+    """How far the islands' colours reach beyond their borders."""
+    largest_gap_mm: float = 3.0
+    """Where the registered mesh is farther than this from the scan, views are not believed."""
+    blend: BlendConfig = dataclasses.field(default_factory=BlendConfig)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Texels:
+    """The atlas's covered texels and what the mesh is there."""
+
+    raster: Raster
+    flat: np.ndarray
+    triangles: np.ndarray
+    vertices: np.ndarray
+    vertex_normals: np.ndarray
+
+
+def atlas(
+    session: Session,
+    out: Path,
+    template: Template,
+    config: AtlasConfig,
+    progress: ProgressCallback = quiet,
+) -> dict[str, Any]:
+    """Merge the views' maps; writes atlas/NAME.exr for all map names, in world axes.
+
+    Args:
+        session: its rig's cameras.
+        out: processed folder with views/, registered_mesh.obj and base_mesh.ply.
+        template: whose topology the registered mesh has.
+        config: settings.
+        progress: called with (done, total).
+
+    Returns:
+        Facts for the report, JSON-ready.
+
+    Raises:
+        ConfigError: rows that no 3:2 atlas has.
+        AtlasError: another topology than the template's, or no view that sees the mesh.
+        FormatError: missing or damaged maps, all of them in one message.
+    """
+    if config.rows < 6 or config.rows % 3:
+        raise ConfigError(
+            "atlas", field="rows", found=str(config.rows), expected="a multiple of 3, 6 at least"
+        )
+    folder = ProcessedFolder(out)
+    mesh = _registered(folder, template)
+    cameras = _cameras(session, folder)
+    total = len(cameras) * (1 + len(BLENDED))
+    texels = _texels(mesh, config)
+    normals = _unit(texels.raster.at(texels.vertex_normals, texels.triangles, texels.flat))
+    positions = texels.raster.at(texels.vertices, texels.triangles, texels.flat)
+    trust = texels.raster.at(_trust(folder, texels, config), texels.triangles, texels.flat)[:, 0]
+    views: list[ViewSamples] = []
+    best = np.zeros(len(texels.flat), np.float32)
+    heaviest = np.full(len(texels.flat), -1, np.float32)
+    for index, camera in cameras.items():
+        found = view_samples(
+            camera,
+            texels.vertices,
+            texels.triangles,
+            positions,
+            normals,
+            trust,
+            folder.read_view(camera.id, "confidence"),
+            folder.read_mask(camera.id),
+            config.blend,
+        )
+        better = found.weight > best[found.slot]
+        best[found.slot[better]] = found.weight[better]
+        heaviest[found.slot[better]] = index
+        views.append(found)
+        progress(len(views), total)
+    if not best.any():
+        raise AtlasError(
+            out,
+            found="no view that sees the registered mesh",
+            expected="masks and confidences above 0 on it",
+            hint="Do rig.json and the mesh share world coordinates?",
+        )
+    gutter = gutter_sources(texels.raster.face >= 0, config.gutter_px)
+
+    def write(name: str, values: np.ndarray) -> None:
+        image = np.zeros((texels.raster.face.size, MAPS[name].channels), np.float32)
+        if name == "view":
+            image[:] = -1
+        image[texels.flat] = values.reshape(len(values), -1)
+        image[gutter[0]] = image[gutter[1]]
+        folder.write_atlas(name, image.reshape(*texels.raster.face.shape, -1))
+
+    write("position", positions)
+    write("view", heaviest)
+    write("confidence", best)
+    del positions, trust, heaviest
+    fill = MeshFill(texels.vertices, texels.triangles, texels.raster, texels.flat, best)
+    share = (best / (best + FILL_WEIGHT))[:, None]
+    for number, name in enumerate(BLENDED, 1):
+        blender = Blender(len(texels.flat), MAPS[name].channels, config.blend)
+        for view, camera in enumerate(cameras.values()):
+            image = folder.read_view(camera.id, name)
+            blender.add(views[view], image.reshape(*image.shape[:2], -1))
+            progress(number * len(cameras) + view + 1, total)
+        values = blender.result()
+        if name in NORMALS:
+            # Unseen texels have the mesh's own normal.
+            values = _unit(_unit(values) * share + normals * (1 - share))
+        else:
+            guess = fill.vertex_values(values)
+            values *= share
+            values += (1 - share) * texels.raster.at(guess, texels.triangles, texels.flat)
+        write(name, values)
+    return _facts(mesh, texels, config, best, views)
+
+
+def _registered(folder: ProcessedFolder, template: Template) -> Mesh:
+    mesh = read_obj(folder.registered_mesh)
+    if not np.array_equal(mesh.faces, template.mesh.faces) or mesh.uvs is None:
+        raise AtlasError(
+            folder.registered_mesh,
+            found=f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces",
+            expected=f"the topology and UV of template {template.name!r} "
+            f"({len(template.mesh.vertices)} vertices, {len(template.mesh.faces)} faces)",
+            hint="Run `register` again with this template.",
+        )
+    return mesh
+
+
+def _cameras(session: Session, folder: ProcessedFolder) -> dict[int, Camera]:
+    """Rig index to camera, of all with a folder of maps; every missing map is named at once."""
+    have = set(folder.view_ids())
+    cameras = {i: c for i, c in enumerate(session.rig.cameras) if c.id in have}
+    if not cameras:
+        raise AtlasError(folder.root / "views", found="no views of this rig", expected="some")
+    problems: list[LightstageError] = []
+    for camera in cameras.values():
+        for name in (*BLENDED, "confidence"):
+            path = folder.view_path(camera.id, name)
+            if not path.is_file():
+                problems.append(
+                    AtlasError(
+                        path,
+                        found="no such file",
+                        expected=f"the map of {camera.id}",
+                        hint="Run `separate` and `refine` first.",
+                    )
+                )
+    if problems:
+        raise one_error(problems)
+    return cameras
+
+
+def _texels(mesh: Mesh, config: AtlasConfig) -> _Texels:
+    triangles = mesh.triangles()
+    if mesh.uvs is None:
+        raise AtlasError("registered mesh", found="no UV", expected="the template's UV")
+    raster = rasterise(mesh.uvs, mesh.triangle_uvs(), config.rows, config.rows * 2 // 3)
+    normals = vertex_normals(mesh.vertices, triangles)
+    return _Texels(raster, raster.texels(), triangles, mesh.vertices, normals)
+
+
+def _trust(folder: ProcessedFolder, texels: _Texels, config: AtlasConfig) -> np.ndarray:
+    """(n, 1) per vertex: 1 on the scan, falling to 0 at the largest gap."""
+    gap = Target(read_ply(folder.base_mesh)).closest(texels.vertices).distance_mm
+    ratio: np.ndarray = np.clip(gap / config.largest_gap_mm, 0, 1)
+    return (1 - ratio**2)[:, None]
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit: np.ndarray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-9)
+    return unit
+
+
+def _facts(
+    mesh: Mesh,
+    texels: _Texels,
+    config: AtlasConfig,
+    best: np.ndarray,
+    views: list[ViewSamples],
+) -> dict[str, Any]:
+    columns = config.rows * 2 // 3
+    assert mesh.uvs is not None  # _texels refused it
+    size = texel_size_mm(
+        mesh.vertices, texels.triangles, mesh.uvs, mesh.triangle_uvs(), config.rows, columns
+    )
+    seen = best > 0
+    return {
+        "rows": config.rows,
+        "columns": columns,
+        "views": len(views),
+        "covered_share": len(texels.flat) / texels.raster.face.size,
+        "seen_share": float(seen.mean()),
+        "views_per_seen_texel": float(sum(len(v.slot) for v in views) / seen.sum()),
+        "texel_mm_median": float(np.median(size[texels.raster.face.ravel()[texels.flat][seen]])),
+        "mean_confidence": float(best[seen].mean()),
+    }
