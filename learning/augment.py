@@ -8,7 +8,7 @@ import numpy as np
 from torch import Tensor
 
 MELANIN = (0.71, 1.0, 1.95)
-"""Eumelanin's absorption at 610, 550, 450 nm relative to 550 nm: (wavelength)^-3.33 [Donner2006]."""
+"""Eumelanin's absorption at 610, 550, 450 nm over that at 550 nm: wavelength^-3.33 [Donner2006]."""
 HAEMOGLOBIN = (0.08, 1.0, 1.6)
 """Blood's (75 % oxygenated) absorption at the same wavelengths, relative to 550 nm."""
 
@@ -24,8 +24,8 @@ class AugmentConfig:
         translucency: smallest and largest.
     """
 
-    melanin: float = 0.12
-    haemoglobin: float = 0.04
+    melanin: float = 0.3
+    haemoglobin: float = 0.08
     shininess: tuple[float, float] = (12.0, 60.0)
     translucency: tuple[float, float] = (0.2, 0.8)
 

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from learning.checkpoint import load_generator
+from learning.data import DataConfig
 from learning.errors import MapsError
+from learning.infer import infer
 from learning.maps import TexturedHead, load_head
+from learning.presets import preset
 from learning.relight import lit_texture, render_head, write_picture
 from learning.render.shading import ShadeOptions
+from learning.train import train
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
-from lightstage.formats.config import make_config
+from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import read_lights
-from lightstage.formats.exr import write_exr
+from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import read_mesh
+from lightstage.formats.processed import write_map
 from lightstage.formats.template import load_template
 from lightstage.rig import Camera, default_rig, load_rig
+from processing.dataset import open_store, read_head_pose
 
 DEFAULT_RIG_SCALE = 1080 / 6016
 """Without a rig, pictures are 720 x 1080 pixels."""
@@ -90,3 +100,66 @@ def _camera(rig: Path | None, camera: str) -> Camera:
 
 def _head(maps: Path, mesh: Path, template: Path | None) -> TexturedHead:
     return load_head(maps, read_mesh(mesh), load_template(template) if template else None)
+
+
+def train_command(
+    data: Path,
+    out: Path,
+    preset_name: str,
+    config: Path | None,
+    seconds: float | None,
+    seed: int | None,
+    resume: bool,
+    progress: ProgressCallback,
+) -> dict[str, Any]:
+    """Train; returns the facts."""
+    overrides = read_toml(config) if config else {}
+    if seconds is not None:
+        overrides["seconds"] = seconds
+    if seed is not None:
+        overrides["seed"] = seed
+    resolved = preset(preset_name, overrides, str(config) if config else f"preset {preset_name}")
+    result = train(open_store(data), out, resolved, resume, progress)
+    return {
+        "steps": result.steps,
+        "patches": result.patches,
+        "held_out": ", ".join(result.held_out),
+        **dataclasses.asdict(result.score),
+        "seconds": result.seconds,
+    }
+
+
+def infer_command(
+    texture: Path,
+    mesh: Path,
+    checkpoint: Path,
+    out: Path,
+    head_pose: Path | None,
+    progress: ProgressCallback,
+) -> dict[str, Any]:
+    """Infer the maps of a texture; returns the facts."""
+    began = time.monotonic()
+    generator, about = load_generator(checkpoint)
+    image = read_exr(texture, finite=True)
+    if image.ndim != 3:
+        raise MapsError(texture, found="one channel", expected="R G B")
+    if image.shape[0] != about.texture_rows:
+        raise MapsError(
+            texture,
+            found=f"{image.shape[0]} rows",
+            expected=f"{about.texture_rows}, as the network was trained on",
+            hint="Skin's detail has one size for the network; make the texture that large.",
+        )
+    head_from_mesh = read_head_pose(head_pose)[:, :3] if head_pose else np.eye(3)
+    patch = make_config(DataConfig, about.config["data"], checkpoint).patch_px
+    found = infer(generator, patch, image, read_mesh(mesh), head_from_mesh, progress)
+    for name, values in found.maps.items():
+        write_map(out / f"{name}.exr", name, values)
+    rows, columns = image.shape[:2]
+    return {
+        "rows": rows,
+        "columns": columns,
+        "tiles": found.tiles,
+        "step": about.step,
+        "seconds": time.monotonic() - began,
+    }

@@ -75,4 +75,3 @@ def write_picture(path: Path, rgb_linear: np.ndarray, alpha: np.ndarray) -> Path
     with atomic_path(path) as beside:
         cv2.imwrite(str(beside), np.round(bgra * 255).astype(np.uint8))
     return path
-

@@ -137,9 +137,7 @@ def random_environment(
     )
 
 
-def around(
-    target: Environment, rng: np.random.Generator, config: RandomLightConfig
-) -> Environment:
+def around(target: Environment, rng: np.random.Generator, config: RandomLightConfig) -> Environment:
     """An environment near another one, for the rendering loss [Lattas2021].
 
     Draws are Gaussian around the target, two standard deviations being the published "up to"

@@ -97,9 +97,7 @@ def spread_outside(image: np.ndarray, known: np.ndarray) -> np.ndarray:
     """
     if known.all() or not known.any():
         return image
-    nearest = ndimage.distance_transform_edt(
-        ~known, return_distances=False, return_indices=True
-    )
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return image[nearest[0], nearest[1]]
 
 
@@ -138,9 +136,7 @@ def texel_surface(
     return TexelSurface(normal, area)
 
 
-def _tangent(
-    position: np.ndarray, covered: np.ndarray, axis: int, smooth_px: float
-) -> np.ndarray:
+def _tangent(position: np.ndarray, covered: np.ndarray, axis: int, smooth_px: float) -> np.ndarray:
     step = np.diff(position.astype(np.float32), axis=axis)
     both = np.logical_and(*(np.delete(covered, end, axis=axis) for end in (0, -1)))
     length = np.linalg.norm(step, axis=2)
@@ -157,5 +153,7 @@ def _tangent(
     for channel in range(4):
         total[..., channel] = ndimage.gaussian_filter(total[..., channel], smooth_px, truncate=3)
     weight = total[..., 3:]
-    tangent = np.divide(total[..., :3], weight, out=np.zeros_like(total[..., :3]), where=weight > 1e-6)
+    tangent = np.divide(
+        total[..., :3], weight, out=np.zeros_like(total[..., :3]), where=weight > 1e-6
+    )
     return tangent * covered[..., None]

@@ -1,0 +1,202 @@
+"""Checkpoints: weights as safetensors, everything else as JSON; no code runs when one is loaded.
+
+    RUN/checkpoint.json            the index: configuration, data, code, metrics, names and hashes
+    RUN/generator-STEP.safetensors
+    RUN/training-STEP.safetensors  discriminators and optimisers, to go on from
+
+The JSON is renamed into place last, so a run always has one whole checkpoint.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.metadata
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+
+from learning.errors import CheckpointError
+from learning.networks.generator import Generator, GeneratorConfig
+from lightstage.formats.config import make_config
+from lightstage.formats.files import atomic_path, read_json, sha256_file, write_json
+
+SCHEMA = "lightstage.checkpoint/1"
+INDEX = "checkpoint.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class Checkpoint:
+    """What checkpoint.json says.
+
+    Attributes:
+        folder: where its files lie.
+        step: training steps done.
+        config: the resolved configuration.
+        data_fingerprint: of the store.
+        held_out: people who were not trained on.
+        texture_rows: of the maps trained on, which is the size of skin's detail for the network.
+        code_version: of this package when it was saved.
+        metrics: when it was saved.
+        files: role (generator, training) to {name, sha256}.
+    """
+
+    folder: Path
+    step: int
+    config: dict[str, Any]
+    data_fingerprint: str
+    held_out: list[str]
+    texture_rows: int
+    code_version: str
+    metrics: dict[str, float]
+    files: dict[str, dict[str, str]]
+
+
+def save_checkpoint(
+    folder: Path,
+    step: int,
+    tensors: dict[str, dict[str, Tensor]],
+    about: dict[str, Any],
+) -> Path:
+    """Write a checkpoint and remove the one before it.
+
+    Args:
+        folder: the run.
+        step: training steps done.
+        tensors: role (generator, training) to named tensors.
+        about: the other fields of `Checkpoint`.
+
+    Returns:
+        Path of the index.
+    """
+    files = {}
+    for role, named in tensors.items():
+        path = folder / f"{role}-{step:07d}.safetensors"
+        with atomic_path(path) as beside:
+            save_file({name: value.contiguous() for name, value in named.items()}, beside)
+        files[role] = {"name": path.name, "sha256": sha256_file(path)}
+    index = folder / INDEX
+    value = {"schema": SCHEMA, "step": step, **about, "code_version": code_version()}
+    write_json(index, {**value, "files": files})
+    kept = {entry["name"] for entry in files.values()}
+    for role in tensors:
+        for path in folder.glob(f"{role}-*.safetensors"):
+            if path.name not in kept:
+                path.unlink()
+    return index
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """Read the index of a run folder, or a checkpoint.json itself.
+
+    Raises:
+        FormatError, CheckpointError: missing, of another kind, or fields missing.
+    """
+    index = path / INDEX if path.is_dir() else path
+    if index.suffix != ".json":
+        raise CheckpointError(
+            index,
+            found=f"suffix {index.suffix!r}",
+            expected="a run folder or its checkpoint.json",
+        )
+    value = read_json(index, SCHEMA)
+    try:
+        return Checkpoint(
+            index.parent,
+            int(value["step"]),
+            dict(value["config"]),
+            str(value["data_fingerprint"]),
+            [str(name) for name in value["held_out"]],
+            int(value["texture_rows"]),
+            str(value["code_version"]),
+            {str(name): float(number) for name, number in value["metrics"].items()},
+            {
+                role: {"name": f["name"], "sha256": f["sha256"]}
+                for role, f in value["files"].items()
+            },
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise CheckpointError(
+            index, found=f"no usable {error}", expected="the fields of a checkpoint"
+        ) from None
+
+
+def load_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
+    """Read one file of a checkpoint; CheckpointError when it is missing or not what was saved."""
+    entry = checkpoint.files.get(role)
+    if entry is None:
+        raise CheckpointError(checkpoint.folder / INDEX, found=f"no {role}", expected=role)
+    path = checkpoint.folder / entry["name"]
+    if not path.is_file():
+        raise CheckpointError(path, found="no such file", expected=f"the weights of the {role}")
+    if sha256_file(path) != entry["sha256"]:
+        raise CheckpointError(
+            path,
+            found="other bytes than were saved",
+            expected=f"SHA-256 {entry['sha256'][:12]}..",
+            hint="The file was changed or cut; copy the run again.",
+        )
+    try:
+        return load_file(path)
+    except (SafetensorError, OSError) as error:
+        raise CheckpointError(path, found=str(error), expected="a safetensors file") from None
+
+
+def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
+    """The generator of a checkpoint, ready to infer with.
+
+    Raises:
+        CheckpointError, FormatError, ConfigError: as `read_checkpoint`, or weights of another network.
+    """
+    checkpoint = read_checkpoint(path)
+    where = checkpoint.folder / INDEX
+    config = make_config(GeneratorConfig, checkpoint.config.get("generator", {}), where)
+    with torch.device("meta"):
+        generator = Generator(config)
+    fill(generator, load_tensors(checkpoint, "generator"), where)
+    return generator.eval(), checkpoint
+
+
+def fill(network: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:
+    """Put weights into a network; CheckpointError when they are not its own."""
+    try:
+        network.load_state_dict(tensors, assign=True)
+    except RuntimeError as error:
+        raise CheckpointError(
+            where,
+            field="weights",
+            found=str(error).splitlines()[-1].strip(),
+            expected="those of the configured network",
+        ) from None
+
+
+def adam_tensors(optimiser: torch.optim.Adam, prefix: str) -> dict[str, Tensor]:
+    """An optimiser's state as named tensors."""
+    state = optimiser.state_dict()["state"]
+    return {
+        f"{prefix}.{index}.{name}": value
+        for index, entry in state.items()
+        for name, value in entry.items()
+    }
+
+
+def fill_adam(optimiser: torch.optim.Adam, tensors: dict[str, Tensor], prefix: str) -> None:
+    """The inverse of `adam_tensors`."""
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, value in tensors.items():
+        if name.startswith(prefix + "."):
+            _, index, field = name.rsplit(".", 2)
+            state.setdefault(int(index), {})[field] = value
+    optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
+
+
+def code_version() -> str:
+    """The project's version and a hash of this package's sources."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return f"{importlib.metadata.version('lightstage')}+{digest.hexdigest()[:12]}"

@@ -1,0 +1,218 @@
+"""Inference: reflectance maps of a whole texture with light in it, in tiles that do not show.
+
+Instance norm takes its statistics over a tile, so neighbouring tiles disagree however wide they
+overlap. Dense normalisation [Ho2024]: a first pass over all tiles keeps every layer's statistics, a
+second one normalises each place by those of the tiles around it, interpolated; then overlapping
+tiles are blended.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from learning.encoding import decode_maps, network_input, shrink
+from learning.errors import MapsError
+from learning.maps import from_batch, to_batch
+from learning.networks.generator import OUT_CHANNELS, Generator
+from learning.render.shading import unit
+from learning.render.uv import rasterise, texel_surface
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.mesh import Mesh
+
+DISAGREEMENT = 0.05
+"""Standard deviation of the tiles' albedo (sRGB-encoded) at which the confidence is a half."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Inferred:
+    """Maps by FORMATS' names, (rows, columns[, 3]) float32, normals in the axes of `head_from_mesh`.
+
+    Attributes:
+        maps: diffuse_albedo, specular_albedo, diffuse_normal, specular_normal, confidence.
+        tiles: how many.
+    """
+
+    maps: dict[str, np.ndarray]
+    tiles: int
+
+
+def infer(
+    generator: Generator,
+    patch_px: int,
+    texture: np.ndarray,
+    mesh: Mesh,
+    head_from_mesh: np.ndarray,
+    progress: ProgressCallback = quiet,
+) -> Inferred:
+    """Infer a texture's reflectance.
+
+    Args:
+        generator: in evaluation mode.
+        patch_px: side of the patches it was trained on; the tiles' side.
+        texture: (rows, columns, 3) linear, with light and shadow in it.
+        mesh: with the texture's UV.
+        head_from_mesh: (3, 3) rotation from the mesh's axes to the head frame.
+        progress: called with tiles done, twice as many as there are.
+
+    Returns:
+        Maps in the mesh's axes; zero where no surface is. Confidence is 1 where all tiles that see
+        a texel find the same albedo.
+
+    Raises:
+        MapsError: a texture smaller than a patch.
+    """
+    rows, columns = texture.shape[:2]
+    if min(rows, columns) < patch_px:
+        raise MapsError(
+            "texture",
+            found=f"{rows} x {columns} texels",
+            expected=f"at least {patch_px} a side, as the network was trained on",
+        )
+    raster = rasterise(mesh, rows, columns)
+    covered = raster.covered
+    surface = texel_surface(raster.interpolate(mesh.vertices), covered)
+    seen = to_batch(covered)
+    lit = to_batch(texture) * seen
+    size = (patch_px, patch_px)
+    weight = shrink(seen, size)
+    whole = shrink(lit, size) / weight.clamp_min(1e-3) * (weight > 0.5)
+    shape = to_batch(surface.normal @ head_from_mesh.T)
+    inputs = network_input(lit, shape, whole.new_zeros(lit.shape))[:, :6]
+    context = network_input(whole, torch.zeros_like(whole), whole)[:, 6:]
+    channels, spread = run_tiles(generator, inputs, context, patch_px, progress)
+    found = decode_maps(channels)
+    confidence = 1 / (1 + (spread / DISAGREEMENT) ** 2)
+    maps = {
+        "diffuse_albedo": found.diffuse_albedo,
+        "specular_albedo": found.specular_albedo,
+        "confidence": confidence[:, None],
+    }
+    out = {name: from_batch(image * seen) for name, image in maps.items()}
+    for name, normal in (
+        ("diffuse_normal", found.diffuse_normal),
+        ("specular_normal", found.specular_normal),
+    ):
+        # Back into the mesh's axes: n_mesh = R^T n_head, rows times R.
+        out[name] = from_batch(unit(normal) * seen) @ head_from_mesh.astype(np.float32)
+    return Inferred(out, len(_origins(rows, patch_px)) * len(_origins(columns, patch_px)))
+
+
+def run_tiles(
+    generator: Generator,
+    inputs: Tensor,
+    context: Tensor,
+    patch_px: int,
+    progress: ProgressCallback = quiet,
+) -> tuple[Tensor, Tensor]:
+    """Run a generator over a large picture.
+
+    Args:
+        generator: 9 channels to 13; its own instance norms are untouched afterwards.
+        inputs: (1, 6, rows, columns), the channels that change from tile to tile.
+        context: (1, 3, patch_px, patch_px), the same for all tiles.
+        patch_px: side of a tile; tiles overlap by half.
+        progress: called with tiles done of both passes.
+
+    Returns:
+        (1, 13, rows, columns), and (1, rows, columns) standard deviation of the first pass's
+        albedo channels (0..1 scale) between tiles.
+    """
+    rows, columns = inputs.shape[2:]
+    grid = (_origins(rows, patch_px), _origins(columns, patch_px))
+    norms = [m for m in generator.modules() if isinstance(m, nn.InstanceNorm2d)]
+    dense = DenseNorm(grid, patch_px, len(norms))
+    hooks = [m.register_forward_hook(dense.hook(i)) for i, m in enumerate(norms)]
+    tiles = [(i, j) for i in range(len(grid[0])) for j in range(len(grid[1]))]
+    window = _window(patch_px)
+    total = inputs.new_zeros(1, OUT_CHANNELS, rows, columns)
+    weight = inputs.new_zeros(1, 1, rows, columns)
+    moments = inputs.new_zeros(2, 3, rows, columns)
+    try:
+        with torch.inference_mode():
+            for dense.second_pass in (False, True):
+                for done, (i, j) in enumerate(tiles):
+                    top, left = grid[0][i], grid[1][j]
+                    part = (..., slice(top, top + patch_px), slice(left, left + patch_px))
+                    dense.tile = (i, j)
+                    found = generator(torch.cat([inputs[part], context], dim=1))
+                    if dense.second_pass:
+                        total[part] += found * window
+                        weight[part] += window
+                    else:
+                        albedo = (found[0, :3] + 1) / 2
+                        moments[part] += torch.stack([albedo, albedo**2]) * window
+                    progress(done + 1 + dense.second_pass * len(tiles), 2 * len(tiles))
+    finally:
+        for hook in hooks:
+            hook.remove()
+    mean, square = moments / weight
+    spread = (square - mean**2).clamp_min(0).mean(dim=0).sqrt()[None]
+    return total / weight, spread
+
+
+class DenseNorm:
+    """Statistics of every tile and layer, and their use between tiles."""
+
+    def __init__(self, grid: tuple[list[int], list[int]], patch_px: int, layers: int) -> None:
+        """Tiles start at `grid`'s rows and columns."""
+        self._grid, self._patch = grid, patch_px
+        self._mean: list[Tensor | None] = [None] * layers
+        self._deviation: list[Tensor | None] = [None] * layers
+        self.second_pass = False
+        self.tile = (0, 0)
+
+    def hook(self, layer: int):  # type: ignore[no-untyped-def]
+        """A forward hook that replaces an instance norm's result."""
+
+        def replace(module: nn.Module, args: tuple[Tensor, ...], _: Tensor) -> Tensor | None:
+            features = args[0]
+            eps = float(getattr(module, "eps", 1e-5))
+            if not self.second_pass:
+                self._keep(layer, features, eps)
+                return None
+            mean, deviation = self._mean[layer], self._deviation[layer]
+            assert mean is not None and deviation is not None
+            height, width = features.shape[2:]
+            across = self._weights(0, height).to(features)
+            down = self._weights(1, width).to(features)
+            at = "klc,ki,lj->cij"
+            return (features - torch.einsum(at, mean, across, down)) / torch.einsum(
+                at, deviation, across, down
+            )
+
+        return replace
+
+    def _keep(self, layer: int, features: Tensor, eps: float) -> None:
+        variance, mean = torch.var_mean(features[0], dim=(1, 2), correction=0)
+        size = (len(self._grid[0]), len(self._grid[1]), len(mean))
+        means, deviations = self._mean[layer], self._deviation[layer]
+        if means is None or deviations is None:
+            means, deviations = features.new_zeros(size), features.new_zeros(size)
+            self._mean[layer], self._deviation[layer] = means, deviations
+        means[self.tile] = mean
+        deviations[self.tile] = (variance + eps).sqrt()
+
+    def _weights(self, axis: int, count: int) -> Tensor:
+        """(tiles, count): how much each tile of a row counts at a feature of the current one."""
+        origins = np.asarray(self._grid[axis], float)
+        at = origins[self.tile[axis]] + (np.arange(count) + 0.5) * self._patch / count
+        eye = np.eye(len(origins))
+        centres = origins + self._patch / 2
+        return torch.from_numpy(np.stack([np.interp(at, centres, row) for row in eye]))
+
+
+def _origins(length: int, patch_px: int) -> list[int]:
+    """Starts of tiles that overlap by half; the last one ends with the picture."""
+    starts = list(range(0, length - patch_px, patch_px // 2))
+    return [*starts, length - patch_px]
+
+
+def _window(patch_px: int) -> Tensor:
+    """(n, n) weights that fall to nearly nothing at a tile's border."""
+    at = (torch.arange(patch_px) + 0.5) / patch_px
+    rise = torch.sin(torch.pi * at) ** 2
+    return rise[:, None] * rise[None] + 1e-4

@@ -1,0 +1,100 @@
+"""How well a generator takes the light out of people it has not seen."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from learning.data import Batch, PatchData
+from learning.encoding import decode_maps, srgb_from_linear
+from learning.networks.generator import Generator
+from learning.render.shading import unit
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """Over the texels of some patches of the people held out; simulated people are no real ones.
+
+    Attributes:
+        psnr_db: of the found diffuse albedo, sRGB-encoded.
+        psnr_input_db: of the lit texture taken as albedo.
+        psnr_mean_db: of the training people's mean albedo at the same place.
+        specular_rmse: of the specular albedo.
+        specular_constant_rmse: of the best constant.
+        diffuse_normal_deg: mean angle.
+        specular_normal_deg: mean angle.
+    """
+
+    psnr_db: float
+    psnr_input_db: float
+    psnr_mean_db: float
+    specular_rmse: float
+    specular_constant_rmse: float
+    diffuse_normal_deg: float
+    specular_normal_deg: float
+
+
+def score(
+    generator: Generator, held_out: PatchData, trained_on: PatchData, patches: int, seed: int
+) -> Score:
+    """Score on patches spread evenly over those of the people held out, under random lights.
+
+    Args:
+        generator: in evaluation mode.
+        held_out: their patches.
+        trained_on: for the baseline of the mean person.
+        patches: how many, at most.
+        seed: of the lights; independent of the training's.
+    """
+    count = min(patches, len(held_out.places))
+    chosen = np.linspace(0, len(held_out.places) - 1, count).round().astype(int)
+    rng = np.random.default_rng([seed, 3])
+    batches = [held_out.batch([held_out.places[i]], rng) for i in chosen]
+    found = []
+    with torch.inference_mode():
+        found = [decode_maps(generator(batch.inputs)) for batch in batches]
+
+    def mean_square(values: list[Tensor]) -> float:
+        texels = [
+            (v - srgb_from_linear(b.skin.diffuse_albedo)).square()[b.covered.expand_as(v) > 0]
+            for v, b in zip(values, batches, strict=True)
+        ]
+        return float(torch.cat(texels).mean())
+
+    def texels(values: list[Tensor]) -> Tensor:
+        pairs = zip(values, batches, strict=True)
+        return torch.cat([v[b.covered > 0] for v, b in pairs])
+
+    specular_truth = texels([b.skin.specular_albedo for b in batches])
+    specular_found = texels([f.specular_albedo for f in found])
+    return Score(
+        _psnr(mean_square([srgb_from_linear(f.diffuse_albedo) for f in found])),
+        _psnr(mean_square([srgb_from_linear(b.texture) for b in batches])),
+        _psnr(mean_square([srgb_from_linear(_mean_albedo(trained_on, b)) for b in batches])),
+        float((specular_found - specular_truth).square().mean().sqrt()),
+        float(specular_truth.std(correction=0)),
+        _mean_angle_deg([f.diffuse_normal for f in found], batches, "diffuse_normal"),
+        _mean_angle_deg([f.specular_normal for f in found], batches, "specular_normal"),
+    )
+
+
+def _mean_albedo(trained_on: PatchData, batch: Batch) -> Tensor:
+    (_, row, column) = batch.places[0]
+    places = [p for p in trained_on.places if p[1:] == (row, column)] or trained_on.places
+    albedos = [trained_on.patch(place).maps["diffuse_albedo"] for place in places]
+    return torch.cat(albedos).mean(dim=0, keepdim=True)
+
+
+def _psnr(mean_square: float) -> float:
+    return -10 * float(np.log10(max(mean_square, 1e-12)))
+
+
+def _mean_angle_deg(found: list[Tensor], batches: list[Batch], name: str) -> float:
+    angles = []
+    for normal, batch in zip(found, batches, strict=True):
+        cosine = (unit(normal) * unit(getattr(batch.skin, name))).sum(dim=1, keepdim=True)
+        angles.append(torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))[batch.covered > 0])
+    return float(torch.cat(angles).mean())
