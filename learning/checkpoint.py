@@ -150,7 +150,8 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
     """The generator of a checkpoint, ready to infer with.
 
     Raises:
-        CheckpointError, FormatError, ConfigError: as `read_checkpoint`, or weights of another network.
+        CheckpointError, FormatError, ConfigError: as `read_checkpoint`, or weights of another
+            network.
     """
     checkpoint = read_checkpoint(path)
     where = checkpoint.folder / INDEX

@@ -19,7 +19,7 @@ SPECULAR_MOST = 0.1
 
 
 def srgb_from_linear(rgb: Tensor) -> Tensor:
-    """sRGB's curve of values clipped to 0..1 [IEC61966]."""
+    """The curve of sRGB for values clipped to 0..1 [IEC61966]."""
     x = rgb.clamp(0.0, 1.0)
     return torch.where(
         x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055

@@ -29,7 +29,7 @@ DISAGREEMENT = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class Inferred:
-    """Maps by FORMATS' names, (rows, columns[, 3]) float32, normals in the axes of `head_from_mesh`.
+    """Maps by FORMATS' names, (rows, columns[, 3]) float32, normals in the mesh's axes.
 
     Attributes:
         maps: diffuse_albedo, specular_albedo, diffuse_normal, specular_normal, confidence.
@@ -175,7 +175,8 @@ class DenseNorm:
                 self._keep(layer, features, eps)
                 return None
             mean, deviation = self._mean[layer], self._deviation[layer]
-            assert mean is not None and deviation is not None
+            assert mean is not None
+            assert deviation is not None
             height, width = features.shape[2:]
             across = self._weights(0, height).to(features)
             down = self._weights(1, width).to(features)

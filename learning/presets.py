@@ -42,11 +42,11 @@ class TrainConfig:
         score_patches: patches of the people held out that are scored.
     """
 
-    generator: GeneratorConfig = GeneratorConfig()
-    discriminator: DiscriminatorConfig = DiscriminatorConfig()
-    data: DataConfig = DataConfig()
-    lights: RandomLightConfig = RandomLightConfig()
-    augment: AugmentConfig = AugmentConfig()
+    generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
+    discriminator: DiscriminatorConfig = dataclasses.field(default_factory=DiscriminatorConfig)
+    data: DataConfig = dataclasses.field(default_factory=DataConfig)
+    lights: RandomLightConfig = dataclasses.field(default_factory=RandomLightConfig)
+    augment: AugmentConfig = dataclasses.field(default_factory=AugmentConfig)
     batch: int = 1
     epochs: int = 200
     seconds: float | None = None
@@ -102,7 +102,7 @@ def preset(name: str, overrides: dict[str, Any], where: str) -> TrainConfig:
     """
     if name not in PRESETS:
         raise ConfigError("--preset", found=repr(name), expected=f"one of {', '.join(PRESETS)}")
-    values = {key: value for key, value in PRESETS[name].items()}
+    values = dict(PRESETS[name])
     for key, value in overrides.items():
         both = isinstance(value, dict) and isinstance(values.get(key), dict)
         values[key] = {**values[key], **value} if both else value

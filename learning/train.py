@@ -183,7 +183,7 @@ def train(
     parts = (config.data, config.lights, config.augment)
     data = PatchData(store, trained_on, *parts, rng)
     scored = PatchData(store, held_out, *parts, rng)
-    about = {
+    about: dict[str, Any] = {
         "config": as_dict(config),
         "data_fingerprint": store.fingerprint,
         "held_out": sorted(held_out),

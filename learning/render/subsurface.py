@@ -1,8 +1,8 @@
 """Subsurface scattering in texture space: one Gaussian, wide as on the skin.
 
-Default, energy-keeping for any translucency: S = U + a g(a U) - a U g(a), with a = sqrt(C' w) and g a
-symmetric kernel weighted by the texels' area. What a texel gives to another is what that one gets,
-so the sum over the surface stays.
+Default, energy-keeping for any translucency: S = U + a g(a U) - a U g(a), with a = sqrt(C' w) and g
+a symmetric kernel weighted by the texels' area. What a texel gives to another is what that one
+gets, so the sum over the surface stays.
 """
 
 from __future__ import annotations
