@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
+
+from sim.errors import SimError
 
 PORT = "usb:001,001"
 """Where libgphoto2's virtual USB shows its one camera; each folder has a process of its own."""
@@ -24,6 +27,7 @@ class CameraFolders:
     def __init__(self, root: Path, camera_ids: Sequence[str]) -> None:
         self.root = root
         self.camera_ids = tuple(camera_ids)
+        self._sizes: dict[str, int] = {}
         for camera_id in camera_ids:
             self._seed(camera_id).parent.mkdir(parents=True)
 
@@ -32,7 +36,19 @@ class CameraFolders:
         return self.root / camera_id
 
     def put(self, camera_id: str, data: bytes) -> None:
-        """Make `data` what the camera's next shot gives; never half of it is seen."""
+        """Make `data` what the camera's next shot gives; never half of it is seen.
+
+        libgphoto2's virtual camera keeps the size that it saw when it was opened: it would cut a
+        larger file and fail on a smaller one.
+
+        Raises:
+            SimError: another size than the camera's first file.
+        """
+        size = self._sizes.setdefault(camera_id, len(data))
+        if len(data) != size:
+            raise SimError(
+                f"camera {camera_id}", found=f"a file of {len(data)} bytes", expected=f"{size}"
+            )
         # Beside the folder, not in it: the camera lists whatever lies there.
         beside = self.root / f"{camera_id}.next"
         beside.write_bytes(data)
@@ -46,7 +62,8 @@ class CameraFolders:
             lines += [
                 f"[cameras.{camera_id}]",
                 f'port = "{PORT}"',
-                f"virtual_folder = '{self.folder(camera_id)}'",
+                # A JSON string is a TOML string too.
+                f"virtual_folder = {json.dumps(str(self.folder(camera_id)), ensure_ascii=False)}",
             ]
         return "\n".join(lines) + "\n"
 

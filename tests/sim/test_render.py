@@ -61,7 +61,7 @@ def unit(vectors):
 
 def some_surface(rng, count=200, lights=40, states=3):
     """Random points near the origin that face the camera, with random visibility."""
-    normal = unit(rng.normal(size=(count, 3)) + [0, 0, 1.5])
+    normal = unit(rng.normal(size=(count, 3)) + np.array([0, 0, 1.5]))
     position = 90 * unit(rng.normal(size=(count, 3)))
     geometric = unit(normal + 0.2 * rng.normal(size=(count, 3)))
     view = unit(np.array([0, 0, 1100.0]) - position)
