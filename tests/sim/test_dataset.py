@@ -67,7 +67,7 @@ def test_scans_have_the_templates_topology_and_uv(people):
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(people, tmp_path):
-    out, folders = people
+    _, folders = people
     write_people(tmp_path / "again", 1, 1, 7, 96)
     write_people(tmp_path / "other", 1, 1, 8, 96)
     first = fingerprint(folders[0])

@@ -9,6 +9,7 @@ import json
 import numpy as np
 import pytest
 
+from lightstage.commands import quiet
 from lightstage.formats.environment import read_lights
 from lightstage.formats.exr import read_exr
 from lightstage.formats.landmarks import read_points_mm, read_points_px
@@ -34,7 +35,7 @@ def world(ball, tiny_rig):
 @pytest.fixture(scope="module")
 def direct(world, tmp_path_factory):
     out = tmp_path_factory.mktemp("direct") / "s"
-    return write_direct(world, out, CONFIG, 1, lambda done, total: None)
+    return write_direct(world, out, CONFIG, 1, quiet)
 
 
 @pytest.fixture(scope="module")
