@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import selectors
 import subprocess
@@ -17,7 +18,9 @@ from lightstage.cameras import messages
 from lightstage.cameras.camera import Photograph, Summary
 from lightstage.errors import DeviceError
 
-CHUNK = 1 << 20
+PIPE_BYTES = 1 << 20
+"""Room in the pipe of answers: a photograph passes in few large steps."""
+STDERR_BYTES = 1 << 16
 
 
 class Worker:
@@ -32,7 +35,6 @@ class Worker:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._buffer = bytearray()
         self._last_words = ""
         self._closing = threading.Lock()
         self._stderr, name_on_disk = tempfile.mkstemp()
@@ -45,6 +47,9 @@ class Worker:
             bufsize=0,
             start_new_session=True,
         )
+        if hasattr(fcntl, "F_SETPIPE_SZ") and self._child.stdout is not None:
+            with contextlib.suppress(OSError):  # a user's pipes may have a limit
+                fcntl.fcntl(self._child.stdout, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
     @property
     def pid(self) -> int:
@@ -65,11 +70,9 @@ class Worker:
         until = time.monotonic() + deadline_s
         assert self._child.stdin is not None
         try:
-            self._child.stdin.write(messages.pack(command))
-            message = self._receive(until)
-        except (OSError, ValueError) as error:
-            raise self._died(doing, str(error)) from None
-        if message is None:
+            self._child.stdin.write(messages.head(command))
+            message = messages.read(lambda size: self._take(size, until))
+        except TimeoutError:
             self.kill()
             raise DeviceError(
                 self.name,
@@ -77,7 +80,11 @@ class Worker:
                 found=f"no answer within {deadline_s:g} s",
                 expected="an answer",
                 hint="Its process was ended; switch the camera off and on.",
-            )
+            ) from None
+        except (OSError, ValueError) as error:
+            raise self._died(doing, str(error)) from None
+        if message is None:
+            raise self._died(doing, "its process ended")
         reply, data = message
         if "error" in reply:
             told = reply["error"]
@@ -103,20 +110,21 @@ class Worker:
             self.kill()
         self._close_files()
 
-    def _receive(self, until: float) -> tuple[dict[str, Any], bytes] | None:
-        """The next message; None when the deadline passes first."""
+    def _take(self, size: int, until: float) -> bytes:
+        """Exactly `size` bytes of the child's answers, fewer only if it ended."""
         assert self._child.stdout is not None
-        handle = self._child.stdout.fileno()
-        with selectors.DefaultSelector() as selector:
-            selector.register(handle, selectors.EVENT_READ)
-            while (message := messages.unpack(self._buffer)) is None:
+        taken = bytearray(size)
+        done = 0
+        with memoryview(taken) as view, selectors.DefaultSelector() as selector:
+            selector.register(self._child.stdout, selectors.EVENT_READ)
+            while done < size:
                 if not selector.select(max(0.0, until - time.monotonic())):
-                    return None
-                data = os.read(handle, CHUNK)
-                if not data:
-                    raise OSError("its process ended")
-                self._buffer += data
-        return message
+                    raise TimeoutError
+                count = os.readv(self._child.stdout.fileno(), [view[done:]])
+                if count == 0:
+                    break
+                done += count
+            return bytes(view[:done])
 
     def _died(self, doing: str, said: str) -> DeviceError:
         self.kill()
@@ -134,7 +142,7 @@ class Worker:
         # A capture that gives up closes cameras while their threads may be doing the same.
         with self._closing:
             if self._stderr >= 0:
-                words = os.pread(self._stderr, CHUNK, 0)
+                words = os.pread(self._stderr, STDERR_BYTES, 0)
                 self._last_words = words.decode(errors="replace").strip()
                 os.close(self._stderr)
                 self._stderr = -1

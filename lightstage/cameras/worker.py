@@ -19,7 +19,7 @@ from lightstage.errors import LightstageError
 def serve(commands: BinaryIO, replies: BinaryIO) -> None:
     """Answer commands until their stream ends; errors are answers too."""
     camera: GphotoCamera | None = None
-    while (message := messages.read(commands)) is not None:
+    while (message := messages.read(commands.read)) is not None:
         asked, _ = message
         data = b""
         reply: dict[str, Any] = {}
@@ -36,7 +36,8 @@ def serve(commands: BinaryIO, replies: BinaryIO) -> None:
                 del reply["data"]
         except LightstageError as error:
             reply = {"error": dataclasses.asdict(_Told.of(error))}
-        replies.write(messages.pack(reply, data))
+        replies.write(messages.head(reply, len(data)))
+        replies.write(data)
         replies.flush()
     if camera is not None:
         camera.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import binascii
 import dataclasses
 import enum
 import hashlib
@@ -9,7 +10,6 @@ import struct
 
 import numpy as np
 from cobs import cobs
-from crc import Calculator, Crc16
 
 from lightstage.errors import DeviceError
 from lightstage.leds.controller import Hello
@@ -18,8 +18,6 @@ VERSION = 1
 FULL = 65535
 MAX_FRAME = 1 << 16
 """Bytes between two zeros beyond which the stream is noise and is thrown away."""
-
-_CRC = Calculator(Crc16.IBM_3740.value, optimized=True)
 
 
 class Kind(enum.IntEnum):
@@ -43,6 +41,11 @@ class Packet:
     payload: bytes = b""
 
 
+def crc16(data: bytes) -> int:
+    """CRC-16/IBM-3740. Python's own crc_hqx has its polynomial; the seed is the difference."""
+    return binascii.crc_hqx(data, 0xFFFF)
+
+
 class WireError(ValueError):
     """Bytes that are no packet. Readers drop them in silence; the host sends again."""
 
@@ -50,7 +53,7 @@ class WireError(ValueError):
 def encode(packet: Packet) -> bytes:
     """A packet's bytes on the wire, with the closing zero."""
     body = struct.pack("<BBH", VERSION, packet.kind, packet.sequence) + packet.payload
-    return bytes(cobs.encode(body + struct.pack("<H", _CRC.checksum(body)))) + b"\0"
+    return bytes(cobs.encode(body + struct.pack("<H", crc16(body)))) + b"\0"
 
 
 def decode(frame: bytes) -> Packet:
@@ -62,7 +65,7 @@ def decode(frame: bytes) -> Packet:
     if len(decoded) < 6:
         raise WireError(f"{len(decoded)} bytes")
     body, (checksum,) = decoded[:-2], struct.unpack("<H", decoded[-2:])
-    if _CRC.checksum(body) != checksum:
+    if crc16(body) != checksum:
         raise WireError("CRC")
     version, kind, sequence = struct.unpack_from("<BBH", body)
     if version != VERSION:

@@ -1,12 +1,11 @@
 """A small stage for tests: a rig, DNG photographs, virtual cameras, an LED device on a pty.
 
-The device decodes the wire by its own hand (cobs, and the CRC of binascii), not with
+The device decodes the wire by its own hand (the cobs and crc packages), not with
 lightstage.leds.wire.
 """
 
 from __future__ import annotations
 
-import binascii
 import dataclasses
 import hashlib
 import io
@@ -22,9 +21,11 @@ import numpy as np
 import pytest
 import tifffile
 from cobs import cobs
+from crc import Calculator, Crc16
 
 from lightstage.rig import Camera, Light, Rig, look_at, save_rig
 
+CRC = Calculator(Crc16.IBM_3740, optimized=True)
 CORNERS = [(x, y, z) for x in (-700.0, 700.0) for y in (-700.0, 700.0) for z in (-700.0, 700.0)]
 
 
@@ -110,7 +111,7 @@ class LedDevice:
     def send(self, kind: int, sequence: int, payload: bytes) -> None:
         """Send one packet."""
         body = struct.pack("<BBH", 1, kind, sequence) + payload
-        body += struct.pack("<H", binascii.crc_hqx(body, 0xFFFF))
+        body += struct.pack("<H", CRC.checksum(body))
         os.write(self._device, cobs.encode(body) + b"\0")
 
     def _serve(self) -> None:
@@ -125,7 +126,7 @@ class LedDevice:
                 self._answer(cobs.decode(frame))
 
     def _answer(self, packet: bytes) -> None:
-        assert binascii.crc_hqx(packet[:-2], 0xFFFF) == struct.unpack("<H", packet[-2:])[0]
+        assert CRC.checksum(packet[:-2]) == struct.unpack("<H", packet[-2:])[0]
         _, kind, sequence = struct.unpack_from("<BBH", packet)
         self.kinds.append(kind)
         if self.dead_after is not None and len(self.kinds) > self.dead_after:

@@ -1,5 +1,6 @@
 """Cameras in processes of their own, with libgphoto2's real virtual camera."""
 
+import io
 import os
 import signal
 import subprocess
@@ -259,14 +260,14 @@ def test_folders_in_the_cameras_file_are_relative_to_it(tmp_path):
     assert read_cameras_file(path).cameras["cam0"].virtual_folder == tmp_path / "v" / "cam0"
 
 
-def test_messages_come_whole_out_of_any_cut():
+def test_messages_survive_their_stream():
     sent = [({"a": 1}, b""), ({"b": [2]}, os.urandom(1000))]
-    stream = b"".join(messages.pack(*message) for message in sent)
-    buffer, got = bytearray(), []
-    for byte in stream:
-        buffer.append(byte)
-        while (message := messages.unpack(buffer)) is not None:
-            got.append(message)
-    assert got == sent
+    stream = io.BytesIO(b"".join(messages.head(v, len(d)) + d for v, d in sent))
+    assert [messages.read(stream.read), messages.read(stream.read)] == sent
+    assert messages.read(stream.read) is None
+    first = len(messages.head(*sent[0][:1]))
+    for size in range(len(stream.getvalue()) - 1, first, -97):
+        cut = io.BytesIO(stream.getvalue()[first:size])
+        assert messages.read(cut.read) is None
     with pytest.raises(ValueError, match="no message"):
-        messages.unpack(bytearray(b"Traceback (most recent"))
+        messages.read(io.BytesIO(b"Traceback (most recent").read)

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -89,11 +88,9 @@ def test_a_signal_leaves_no_half_written_file(texture, tmp_path, number):
     command = [sys.executable, "-c", SCRIPT, str(texture), str(tmp_path / "out"), "--slow"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "ready\n"
-    started = time.monotonic()
     child.send_signal(number)
     child.communicate(timeout=20)
     assert child.returncode not in (0, 2)
-    assert time.monotonic() - started < 20
     assert os.listdir(tmp_path) == ["t.exr"]
 
 

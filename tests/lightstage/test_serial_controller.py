@@ -1,6 +1,5 @@
 """The serial driver as a conversation: bytes it must send, bytes it gets; leftovers fail."""
 
-import binascii
 import contextlib
 import hashlib
 import os
@@ -13,14 +12,17 @@ import tty
 import numpy as np
 import pytest
 from cobs import cobs
+from crc import Calculator, Crc16
 
 from lightstage.errors import ConfigError, DeviceError
 from lightstage.leds.serial_controller import SerialAddress, SerialLeds, parse_url
 
+CRC = Calculator(Crc16.IBM_3740, optimized=True)
+
 
 def packet(kind, sequence, payload=b""):
     body = struct.pack("<BBH", 1, kind, sequence) + payload
-    return cobs.encode(body + struct.pack("<H", binascii.crc_hqx(body, 0xFFFF))) + b"\0"
+    return cobs.encode(body + struct.pack("<H", CRC.checksum(body))) + b"\0"
 
 
 def hello(sequence, boot_id=7, lights=3):

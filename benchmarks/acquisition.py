@@ -1,0 +1,279 @@
+"""What capture costs: acknowledged light over the wire, and nine supervised cameras a shot.
+
+Peers, in the same run: the same bytes echoed over the same pseudo-terminal without framing; and
+plain python-gphoto2, camera after camera, as a script without this project would take a shot.
+"""
+
+from __future__ import annotations
+
+import binascii
+import hashlib
+import os
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import tty
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import serial
+from cobs import cobs
+
+from benchmarks.record import record
+from lightstage.cameras.binding import close_cameras, open_cameras
+from lightstage.cameras.process import CameraProcess
+from lightstage.formats.session import state_hash
+from lightstage.leds.serial_controller import SerialAddress, SerialLeds
+from lightstage.rig import default_rig
+from lightstage.session import SessionWriter
+
+LIGHTS = 168
+FRAMES = 1500
+CAMERAS = 9
+PORT = "usb:001,001"
+
+ECHO = """
+import os, sys
+handle = int(sys.argv[1])
+while True:
+    os.write(handle, os.read(handle, 65536))
+"""
+
+PLAIN = """
+import hashlib, os, sys
+import gphoto2
+camera = gphoto2.Camera()
+camera.init()
+print("ready", flush=True)
+for line in sys.stdin:
+    path = camera.capture(gphoto2.GP_CAPTURE_IMAGE)
+    file = camera.file_get(path.folder, path.name, gphoto2.GP_FILE_TYPE_NORMAL)
+    file.save(line.strip())
+    if sys.argv[1] == "verified":
+        with open(line.strip(), "rb") as saved:
+            os.fsync(saved.fileno())
+            os.posix_fadvise(saved.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+            hashlib.file_digest(saved, "sha256")
+    print("done", flush=True)
+"""
+
+
+def far_end(handle: int) -> None:
+    """A device that answers as docs/led_wire.md says, in a process of its own."""
+    pending, counts = b"", b"\0" * (2 * LIGHTS)
+    while True:
+        *frames, pending = (pending + os.read(handle, 65536)).split(b"\0")
+        for frame in frames:
+            packet = cobs.decode(frame)
+            kind, sequence = packet[1], packet[2:4]
+            reply, payload = b"\x20", b""
+            if kind == 0x01:
+                reply, payload = b"\x02", struct.pack("<IH", 1, LIGHTS) + b"bench"
+            else:
+                counts = packet[6:-2] if kind == 0x10 else counts
+                payload = hashlib.sha256(counts).digest()
+            body = b"\x01" + reply + sequence + payload
+            body += struct.pack("<H", binascii.crc_hqx(body, 0xFFFF))
+            os.write(handle, cobs.encode(body) + b"\0")
+
+
+def milliseconds(action: Callable[[int], None], count: int) -> np.ndarray:
+    """(count,) ms that each call took."""
+    took = np.empty(count)
+    for index in range(count):
+        begun = time.perf_counter()
+        action(index)
+        took[index] = 1e3 * (time.perf_counter() - begun)
+    return took
+
+
+def wire_rows() -> list[list[object]]:
+    """Latency of a plain echo and of an acknowledged light state, on pseudo-terminals."""
+    rng = np.random.default_rng(0)
+    states = rng.integers(0, 65536, (FRAMES, LIGHTS)) / 65535
+    size = 2 * LIGHTS + 11
+    results = {}
+    wrong = {"echo": 0, "acknowledged": 0}
+    for name, script in (("echo", ECHO), ("acknowledged", "")):
+        master, slave = os.openpty()
+        for end in (master, slave):
+            tty.setraw(end)
+        command = [sys.executable, "-m", "benchmarks.acquisition", "far-end", str(master)]
+        if script:
+            command = [sys.executable, "-c", script, str(master)]
+        peer = subprocess.Popen(command, pass_fds=[master], cwd=Path(__file__).parents[1])
+        try:
+            if script:
+                with serial.Serial(os.ttyname(slave), timeout=5) as port:
+
+                    def echo(index: int, port: serial.Serial = port) -> None:
+                        data = states[index].tobytes()[:size]
+                        port.write(data)
+                        wrong["echo"] += port.read(size) != data
+
+                    results[name] = milliseconds(echo, FRAMES)
+            else:
+                with SerialLeds(SerialAddress(os.ttyname(slave))) as leds:
+
+                    def light(index: int, leds: SerialLeds = leds) -> None:
+                        driven = leds.light(states[index])
+                        wrong["acknowledged"] += state_hash(driven) != state_hash(states[index])
+
+                    results[name] = milliseconds(light, FRAMES)
+        finally:
+            peer.kill()
+            peer.wait()
+            os.close(master)
+            os.close(slave)
+    base = float(np.median(results["echo"]))
+    said = {"echo": "plain echo of the same bytes", "acknowledged": "SET, CRC, LIT with its hash"}
+    return [
+        [
+            said[name],
+            f"{1e3 / took.mean():.0f}",
+            f"{np.median(took):.3f}",
+            f"{np.percentile(took, 99):.3f}",
+            wrong[name],
+            f"{np.median(took) / base:.2f}",
+        ]
+        for name, took in results.items()
+    ]
+
+
+def photograph(size: int, seed: int) -> bytes:
+    """A file of `size` bytes that begins as a DNG does."""
+    head = b"II*\0\x08\0\0\0" + struct.pack("<HHHI4sI", 1, 50706, 1, 4, b"\x01\x04\0\0", 0)
+    return head + np.random.default_rng(seed).bytes(size - len(head))
+
+
+def shot_rows(size: int, shots: int, desk: Path) -> list[list[object]]:
+    """Seconds a shot of nine virtual cameras: one after the other, and supervised."""
+    folders, photographs = [], []
+    for index in range(CAMERAS):
+        seed = desk / f"{size}-{index}" / "DCIM" / "100TEST" / "seed.jpg"
+        seed.parent.mkdir(parents=True)
+        photographs.append(photograph(size, index))
+        seed.write_bytes(photographs[-1])
+        folders.append(seed.parents[2])
+    plain_s, plain_wrong = _plain(folders, photographs, shots, desk / f"plain-{size}", "saved")
+    safe_s, safe_wrong = _plain(folders, photographs, shots, desk / f"safe-{size}", "verified")
+    ours_s, ours_wrong, skew_ms = _ours(folders, photographs, shots, desk / f"ours-{size}")
+    rows: list[list[object]] = []
+    for name, took, wrong, skew in (
+        ("plain gphoto2, one after the other, saved", plain_s, plain_wrong, "-"),
+        ("the same, flushed and read back", safe_s, safe_wrong, "-"),
+        (
+            "supervised, at once, flushed, read back, journaled",
+            ours_s,
+            ours_wrong,
+            f"{skew_ms:.1f}",
+        ),
+    ):
+        median = statistics.median(took)
+        ratio = median / statistics.median(plain_s)
+        rows.append([f"{size / 1e6:.1f} MB", name, f"{median:.3f}", wrong, skew, f"{ratio:.2f}"])
+    return rows
+
+
+def _plain(
+    folders: list[Path], photographs: list[bytes], shots: int, out: Path, how: str
+) -> tuple[list[float], int]:
+    out.mkdir()
+    children = []
+    for folder in folders:
+        child = subprocess.Popen(
+            [sys.executable, "-c", PLAIN, how],
+            env={**os.environ, "VCAMERADIR": str(folder)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
+        children.append((child, child.stdin, child.stdout))
+    took, wrong = [], 0
+    try:
+        for _, _, said in children:
+            assert said is not None
+            said.readline()
+        for shot in range(shots):
+            begun = time.perf_counter()
+            for index, (_, asked, said) in enumerate(children):
+                assert asked is not None
+                assert said is not None
+                asked.write(f"{out}/{shot}-{index}\n")
+                said.readline()
+            took.append(time.perf_counter() - begun)
+            for index, expected in enumerate(photographs):
+                wrong += (out / f"{shot}-{index}").read_bytes() != expected
+    finally:
+        for child, _, _ in children:
+            child.kill()
+            child.wait()
+    return took, wrong
+
+
+def _ours(
+    folders: list[Path], photographs: list[bytes], shots: int, out: Path
+) -> tuple[list[float], int, float]:
+    rig = default_rig()
+    cameras = [
+        CameraProcess(camera.id, PORT, folder, 60.0)
+        for camera, folder in zip(rig.cameras, folders, strict=True)
+    ]
+    names = [f"olat-{shot:03d}" for shot in range(shots)]
+    writer = SessionWriter(out, rig, names, "bench", "neutral", {})
+    took, wrong, skews_ms = [], 0, []
+    try:
+        _, problems = open_cameras(cameras)
+        assert not problems, problems
+        with ThreadPoolExecutor(CAMERAS) as pool:
+            for name in names:
+                begun = time.perf_counter()
+                at_s = time.monotonic() + 0.02
+
+                def take(camera: CameraProcess, name: str = name, at_s: float = at_s) -> float:
+                    got = camera.capture(at_s)
+                    writer.keep(name, camera.id, got.data, got.sha256)
+                    return got.triggered_s
+
+                triggers = list(pool.map(take, cameras))
+                writer.shot(name, None)
+                took.append(time.perf_counter() - begun)
+                skews_ms.append(1e3 * (max(triggers) - min(triggers)))
+                for camera, expected in zip(cameras, photographs, strict=True):
+                    path = out / "frames" / name / f"{camera.id}.dng"
+                    wrong += path.read_bytes() != expected
+    finally:
+        close_cameras(cameras)
+        writer.close()
+    return took, wrong, max(skews_ms)
+
+
+def main() -> None:
+    if sys.argv[1:2] == ["far-end"]:
+        far_end(int(sys.argv[2]))
+    record(
+        "Acquisition: light over the wire",
+        ["exchange", "per second", "median ms", "99th percentile ms", "wrong", "ratio"],
+        wire_rows(),
+        f"{FRAMES} states of {LIGHTS} lights over a pseudo-terminal, the far end in a process of "
+        "its own.",
+    )
+    with tempfile.TemporaryDirectory() as name:
+        rows = shot_rows(1_556_000, 12, Path(name)) + shot_rows(25_000_000, 4, Path(name))
+    record(
+        "Acquisition: a shot of nine cameras",
+        ["photograph", "how", "s a shot (median)", "wrong files", "largest skew ms", "ratio"],
+        rows,
+        "libgphoto2's virtual camera in nine processes; every file compared byte by byte with "
+        "what the camera had.",
+    )
+
+
+if __name__ == "__main__":
+    main()
