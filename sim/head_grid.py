@@ -95,15 +95,15 @@ def row_elevation_deg(azimuth_deg: np.ndarray) -> np.ndarray:
     eye = (a - EYE_AZIMUTH_DEG) / EYE_HALF_DEG
     inside = smoothstep(1.75, 1.0, np.abs(eye))
     canthus = 2.9 + 0.55 * np.clip(eye, -1, 1)
-    up = canthus + 0.85 + 2.75 * almond(eye, -0.08)
+    up = canthus + 0.85 + 2.5 * almond(eye, -0.08)
     low = canthus - 0.85 - 1.9 * almond(eye, 0.2)
     mouth = a / MOUTH_HALF_DEG
     lips = smoothstep(2.6, 1.0, mouth)
     bow = 0.28 * np.exp(-((mouth / 0.09) ** 2)) - 0.22 * np.exp(-(((mouth - 0.22) / 0.12) ** 2))
     taper = np.sqrt(np.clip(1 - np.clip(mouth, 0, 1) ** 2, 0, 1))
     line = -27.6 - 2.7 * np.clip(mouth, 0, 1.0) ** 2 - 0.25 * np.exp(-((mouth / 0.2) ** 2))
-    lip_up = line + 0.6 + 3.3 * taper**1.7 - bow
-    lip_low = line - 0.6 - 3.2 * taper**1.45
+    lip_up = line + 0.6 + 2.7 * taper**1.6 - bow
+    lip_low = line - 0.6 - 3.1 * taper**1.45
     anchors = {
         0: flat + 90.0 - SLIT_DEG,
         ROW_HAIRLINE: flat + 43.0,

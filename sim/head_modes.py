@@ -81,7 +81,7 @@ def _window(points: np.ndarray, centre: _Triple, spread: _Triple) -> np.ndarray:
 def _paired(points: np.ndarray, term: tuple[_Triple, _Triple, _Triple]) -> np.ndarray:
     """A mirrored displacement, smooth across the middle."""
     move, centre, spread = term
-    folded = points * (1, 1, 1)
+    folded = points.copy()
     folded[:, 0] = np.abs(folded[:, 0])
     out = _window(folded, centre, spread)[:, None] * np.array(move)
     out[:, 0] *= points[:, 0] / np.sqrt(points[:, 0] ** 2 + 36.0)

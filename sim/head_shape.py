@@ -90,13 +90,13 @@ def base_distance(points: np.ndarray) -> np.ndarray:
 
 def _nose(p: np.ndarray, d: np.ndarray) -> np.ndarray:
     n = cone(p, (0, 2, 86.5), (0, -26, 95.5), 7.0, 8.5)
-    n = join(n, cone(p, (0, -24, 96.5), (0, -41, 106), 8.2, 9.2), 6)
-    n = join(n, ellipsoid(p, (0, -42.5, 107.5), (10, 8.6, 10)), 5)  # tip
+    n = join(n, cone(p, (0, -24, 96), (0, -41, 104), 8.2, 9.2), 6)
+    n = join(n, ellipsoid(p, (0, -42.5, 104.8), (10, 8.6, 10)), 5)  # tip
     n = join(n, ellipsoid(p, (11.2, -46, 96), (6.8, 7.2, 10)), 4)  # wing
-    n = join(n, cone(p, (0, -49, 105), (0, -53, 96), 4, 5), 4)  # columella
+    n = join(n, cone(p, (0, -49, 103), (0, -54, 97), 4, 5), 4)  # columella
     n = join(n, cone(p, (0, -12, 84), (0, -45, 92), 8.5, 11.5), 8)  # what it stands on
     d = join(d, n, 10)
-    return carve(d, ellipsoid(p, (6.6, -54.5, 100.5), (3.2, 3.5, 5.2)), 4)  # nostril
+    return carve(d, ellipsoid(p, (6.6, -54.5, 99.5), (3.2, 3.5, 5.0)), 4)  # nostril
 
 
 def _eye(p: np.ndarray, d: np.ndarray) -> np.ndarray:

@@ -155,7 +155,7 @@ def _pigments(face: Face, c: Complexion, rng: np.random.Generator) -> np.ndarray
     blood += 0.03 * face.noise(2.2, 2, 6) + 0.05 * face.noise(30.0, 2, 7)
     for _ in range(c.moles):
         blood += face.spot(rng, 1.0, 2.6) * rng.uniform(0.1, 0.5)
-    blood = np.maximum(blood, 0) * (1 - face.lips) + face.lips * (0.82 + 0.08 * face.noise(3, 2, 8))
+    blood = np.maximum(blood, 0) * (1 - face.lips) + face.lips * (0.66 + 0.08 * face.noise(3, 2, 8))
     melanin += 0.10 * face.lips * (0.4 + c.melanin)
     density = melanin[..., None] * MELANIN_DENSITY.astype(np.float32)
     density += (c.blood * blood)[..., None] * BLOOD_DENSITY.astype(np.float32)
@@ -184,7 +184,7 @@ def _creases(face: Face, c: Complexion) -> np.ndarray:
     fan = np.sin(face.eye_angle * 17 + 1.5 * face.noise(9.0, 1, 25))
     crow = -0.10 * c.age * face.crow * smoothstep(0.2, 1.0, fan)
     grain = face.noise_of(face.position * np.array([1.0, 0.18, 0.18], np.float32), 1.5, 2, 26)
-    lips = -0.075 * face.lips * np.maximum(grain, 0)
+    lips = -0.05 * face.lips * np.maximum(grain, 0)
     return np.asarray(forehead + crow + lips + 0.03 * face.noise(5.0, 2, 27) * (1 - face.lips))
 
 

@@ -166,10 +166,11 @@ def brow_share(face: Face) -> np.ndarray:
     half = np.interp(x, _BROW_MM[:, 0], _BROW_HALF_MM)
     front = (face.position[..., 2] > 30) * smoothstep(9, 14, x) * smoothstep(60, 53, x)
     band = smoothstep(1.25, 0.35, np.abs(y - middle + 0.5 * face.noise(4.0, 2, 50)) / half) * front
-    # Hairs lie along the brow, rising near the nose: noise stretched along their direction.
-    lean = np.interp(x, [10, 25, 45, 60], [1.1, 0.45, 0.0, -0.5])
-    along, across = x + lean * y, y - lean * x
-    streaks = np.stack([0.16 * along, across, 0 * x], axis=-1).astype(np.float32)
+    # Hairs rise near the nose and fall at the temple: noise stretched along that direction field,
+    # which is the level lines of y - middle - lean integrated over x.
+    inner = x - 12.0
+    across = y - middle - (inner - 0.016 * inner**2)
+    streaks = np.stack([0.16 * x, across, 0 * x], axis=-1).astype(np.float32)
     hairs = smoothstep(-0.9, 0.7, face.noise_of(streaks, 0.75, 2, 51))
     return np.asarray(band * (0.35 + 0.6 * hairs), np.float32)
 
