@@ -13,10 +13,18 @@ import numpy as np
 from demo.steps import Layout
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import read_json
+from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from lightstage.rig import Camera
-from processing.evaluate import angle_deg, evaluate_maps, picture_errors, truth_in_atlas
+from processing.evaluate import (
+    angle_deg,
+    evaluate_maps,
+    picture_errors,
+    texel_of,
+    truth_in_atlas,
+)
+from processing.rays import MeshRays
 from processing.report import display_error
 
 FRONT = "cam0"
@@ -33,11 +41,12 @@ LARGEST = {
 
 @dataclasses.dataclass(frozen=True)
 class Relit:
-    """One light set: the project's picture, the truth's, and their difference over the skin."""
+    """One light set: the project's picture, the truth's, where they compare, and how."""
 
     name: str
     found: np.ndarray
     true: np.ndarray
+    mask: np.ndarray
     errors: dict[str, float]
 
 
@@ -101,17 +110,21 @@ def read_demo(root: Path) -> Demo:
     """
     at = Layout(root)
     truth = ProcessedFolder(at.truth)
+    session = load_session(at.session)
     skin = truth.read_mask(FRONT)
+    shown = skin & captured_pixels(ProcessedFolder(at.processed), session.rig.camera(FRONT))
     true_atlas = truth_in_atlas(at.processed, at.truth)
     relit = []
     for lights in at.light_sets():
         found = read_exr(at.relit / f"{lights.stem}.exr", finite=True)
         true = read_exr(lights.with_suffix(".exr"), finite=True)
-        relit.append(Relit(lights.stem, found, true, picture_errors(found, true, skin)))
+        errors = picture_errors(found, true, shown)
+        errors["coverage_share"] = float(shown.sum() / skin.sum())
+        relit.append(Relit(lights.stem, found, true, shown, errors))
     lines = (at.training / "metrics.jsonl").read_text()
     return Demo(
         at=at,
-        session=load_session(at.session),
+        session=session,
         coarse=ProcessedFolder(at.coarse),
         found=ProcessedFolder(at.processed),
         truth=truth,
@@ -124,6 +137,20 @@ def read_demo(root: Path) -> Demo:
         relit=tuple(relit),
         source=str(read_json(at.truth / "report.json").get("source", "")),
     )
+
+
+def captured_pixels(found: ProcessedFolder, camera: Camera) -> np.ndarray:
+    """(h, w) bool: pixels in which a camera sees a texel of the atlas that was captured."""
+    mesh = read_obj(found.registered_mesh)
+    seen = found.read_atlas("confidence") > 0
+    hits = MeshRays(mesh.vertices, mesh.triangles()).cast_camera(camera)
+    there = hits.face >= 0
+    assert mesh.uvs is not None  # registration writes the template's
+    corners = mesh.uvs[mesh.triangle_uvs()[hits.face[there]]]
+    uv = np.einsum("nck,nc->nk", corners, hits.barycentric[there])
+    out = np.zeros(len(there), bool)
+    out[there] = seen[texel_of(uv, *seen.shape)]
+    return out.reshape(camera.height_px, camera.width_px)
 
 
 def _input_errors(baked: Path, truth: Mapping[str, np.ndarray]) -> dict[str, float]:

@@ -106,7 +106,8 @@ def error_rows(demo: Demo) -> list[Row]:
     rows += _pick("mesh", demo.errors["base_mesh"], MESH_ROWS)
     rows += _pick("registration", demo.errors["registered_mesh"], REGISTRATION_ROWS)
     rows += _pick("atlas", demo.errors["atlas"], ATLAS_ROWS)
-    rows += _pick("inference", demo.inference, ATLAS_ROWS)
+    # The network fills the whole texture; it is scored where the captured atlas is.
+    rows += _pick("inference", demo.inference, ATLAS_ROWS[1:])
     rows.append(
         (
             "inference",
@@ -118,6 +119,7 @@ def error_rows(demo: Demo) -> list[Row]:
     rows += _pick("inference, simulated person held out", demo.metrics[-1], HELD_OUT_ROWS)
     for relit in demo.relit:
         part = f"relit, {relit.name}"
+        rows.append((part, "skin that is covered", relit.errors["coverage_share"], "1"))
         rows.append((part, "RMSE as a share of the picture's", relit.errors["relative_rmse"], "1"))
         rows.append((part, "PSNR in sRGB", relit.errors["srgb_psnr_db"], "dB"))
     return rows

@@ -19,6 +19,7 @@ from lightstage.formats.files import read_json
 from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.mesh import read_obj, read_ply
 from lightstage.formats.template import default_template_path, load_template
+from lightstage.rig import Camera
 from processing.closest import ClosestPoints
 from processing.frames import read_frames
 from processing.pages import SPECULAR_WHITE, show
@@ -33,6 +34,7 @@ from processing.report import (
 )
 
 ROW_PX = 300
+MESH_PX = 1080
 NAMES = {
     "diffuse_albedo": "Diffuse albedo: the skin's own colour, without light or shadow.",
     "specular_albedo": "Specular albedo: how much a mirror-like part reflects, seen straight on; "
@@ -165,15 +167,14 @@ def geometry_section(demo: Demo) -> Section:
     row.append(mesh_picture(base, demo.camera, 420, colours))
     registered = read_obj(demo.found.registered_mesh)
     template = load_template(default_template_path())
-    height = demo.camera.height_px
-    marked = mesh_picture(registered, demo.camera, height)
+    marked = mesh_picture(registered, demo.camera, MESH_PX)
     wires = wireframe(marked, registered, demo.camera)
-    marked = marks(
-        marked, read_points_mm(demo.at.truth / "landmarks_mm.json"), demo.camera, (30, 150, 50)
-    )
+    true_marks = read_points_mm(demo.at.truth / "landmarks_mm.json")
+    marked = marks(marked, true_marks, demo.camera, (30, 150, 50))
     marked = marks(marked, registered.vertices[template.landmarks], demo.camera, (220, 40, 40))
-    faces = [mesh_picture(registered, camera, height)[demo.crop(camera.id)] for camera in views]
-    crop = demo.crop(FRONT)
+    profile = mesh_picture(registered, side, MESH_PX)[_larger(demo, side)]
+    faces = [marked, wires]
+    faces = [face[_larger(demo, demo.camera)] for face in faces]
     return Section(
         "Shape",
         [
@@ -187,13 +188,25 @@ def geometry_section(demo: Demo) -> Section:
                 "mesh",
             ),
             Picture(
-                side_by_side([*faces, wires[crop], marked[crop]], 480),
-                "The template on this person, from the front and from the side, its quads, and its "
-                "68 landmarks (red) on the true ones (green). Quads should flow around eyes and "
-                "mouth; red should cover green.",
+                side_by_side([profile, *faces], 480),
+                "The template on this person from the side; its 68 landmarks (red) on the true "
+                "ones (green); its quads. Red should cover green, quads should flow around eyes and "
+                "mouth.",
                 "registration",
             ),
         ],
+    )
+
+
+def _larger(demo: Demo, camera: Camera) -> tuple[slice, slice]:
+    """A camera's crop to the face in a picture of MESH_PX rows."""
+    scale = MESH_PX / camera.height_px
+    rows, columns = demo.crop(camera.id)
+    return (
+        slice(round((rows.start or 0) * scale), round((rows.stop or camera.height_px) * scale)),
+        slice(
+            round((columns.start or 0) * scale), round((columns.stop or camera.width_px) * scale)
+        ),
     )
 
 
@@ -320,8 +333,8 @@ def relit_section(demo: Demo) -> Section:
         "drawn by the project's renderer from the captured maps, beside the picture that the "
         "simulator makes of the true head by other code."
     ]
-    mask = demo.truth.read_mask(FRONT)[crop]
     for relit in demo.relit:
+        mask = relit.mask[crop]
         scale = exposure(relit.true[crop][mask])
         error = abs(relit.found - relit.true).mean(axis=2)[crop] * scale
         row = [
@@ -351,8 +364,7 @@ def readme_strip(demo: Demo, width: int = 1600) -> np.ndarray:
     """Photograph, albedo, normals, mesh, relit and truth in a row, for the README."""
     crop = demo.crop(FRONT)
     relit = demo.relit[0]
-    mask = demo.truth.read_mask(FRONT)[crop]
-    scale = exposure(relit.true[crop][mask])
+    scale = exposure(relit.true[relit.mask])
     whole = mesh_picture(read_ply(demo.found.base_mesh), demo.camera, demo.camera.height_px)
     panels = [
         ("photograph", _photo(demo, FRONT, 0)[crop]),

@@ -113,6 +113,7 @@ def evaluate(
     if found.atlas_path("position").is_file() and true.atlas_path("confidence").is_file():
         maps = truth_in_atlas(out, truth)
         facts["atlas"] = evaluate_maps(out / "atlas", maps)
+        facts["atlas"]["coverage_share"] = atlas_coverage(found, surface)
         facts["atlas"]["position_median_mm"] = float(
             np.median(maps["distance_mm"][maps["confidence"] > 0])
         )
@@ -141,6 +142,7 @@ def headline(facts: Mapping[str, Any]) -> dict[str, float]:
         ("base_mesh", "skin_within_share"),
         ("registered_mesh", "skin_median_mm"),
         ("registered_mesh", "landmark_mean_mm"),
+        ("atlas", "coverage_share"),
         ("atlas", "diffuse_albedo_rmse"),
         ("atlas", "diffuse_normal_mean_deg"),
     )
@@ -346,6 +348,25 @@ def registration_errors(
             np.linalg.norm(found.vertices[skin] - true.vertices[skin], axis=1).mean()
         )
     return facts
+
+
+def atlas_coverage(found: ProcessedFolder, surface_mm: np.ndarray) -> float:
+    """The share of (n, 3) true skin points whose texel of the atlas has a confidence above 0."""
+    mesh = read_obj(found.registered_mesh)
+    if mesh.uvs is None:
+        raise FormatError(found.registered_mesh, field="uv", found="none", expected="coordinates")
+    closest = ClosestPoints(mesh.vertices, mesh.triangles()).query(surface_mm)
+    corners = mesh.uvs[mesh.triangle_uvs()[closest.face]]
+    seen = found.read_atlas("confidence") > 0
+    uv = np.einsum("nck,nc->nk", corners, closest.barycentric)
+    return float(seen[texel_of(uv, *seen.shape)].mean()) if len(uv) else 0.0
+
+
+def texel_of(uv: np.ndarray, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the texel that holds each of (n, 2) texture coordinates."""
+    column = np.clip((uv[:, 0] * columns).astype(int), 0, columns - 1)
+    row = np.clip(((1 - uv[:, 1]) * rows).astype(int), 0, rows - 1)
+    return row, column
 
 
 def truth_in_atlas(out: Path, truth: Path) -> dict[str, np.ndarray]:

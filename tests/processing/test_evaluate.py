@@ -200,6 +200,15 @@ def test_truth_arrives_in_the_atlas_at_its_closest_point(
     assert maps["distance_mm"].max() < 0.05
 
 
+def test_atlas_coverage_is_the_share_of_true_skin(
+    folders: tuple[ProcessedFolder, ProcessedFolder],
+) -> None:
+    out, truth = folders
+    confidence = (texels()[0] > 0.25).astype(float)
+    out.write_atlas("confidence", confidence)
+    assert run(out, truth)["atlas"]["coverage_share"] == pytest.approx(0.75, abs=0.01)
+
+
 def test_truth_in_atlas_takes_nothing_from_uncovered_texels(
     folders: tuple[ProcessedFolder, ProcessedFolder],
 ) -> None:
