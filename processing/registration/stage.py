@@ -238,16 +238,17 @@ def _start(
             expected="points that span a volume",
             hint="Add some off that plane, such as the nose tip and the jaw line.",
         )
-    pose, residual = robust_umeyama(head, world, scale=True)
-    if not 0.6 < pose.scale < 1.6:
+    size = _size(world) / _size(head)
+    if not 0.6 < size < 1.6:
         raise RegistrationError(
             "landmarks",
             field="units",
-            found=f"a scan {pose.scale:.3g} times as large as the template",
+            found=f"a scan {size:.3g} times as large as the template",
             expected="both in mm",
             hint="Scale the scan and its landmarks (metres x 1000, centimetres x 10), or the "
             "template if that one is not in mm.",
         )
+    pose, residual = robust_umeyama(head, world, scale=True)
     mirrored = umeyama(head, world, scale=True, reflect=True)
     if np.linalg.det(mirrored.rotation) < 0:
         error = np.median(np.linalg.norm(mirrored.apply(head) - world, axis=1))
@@ -282,6 +283,11 @@ def _region(template: Template, name: str) -> np.ndarray:
     inside = np.zeros(len(template.mesh.vertices), bool)
     inside[template.regions.get(name, np.zeros(0, int))] = True
     return inside
+
+
+def _size(points: np.ndarray) -> float:
+    """Median distance from the median point, which a few wrong points do not move."""
+    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
 
 
 def _unsupported(places: np.ndarray, offset: np.ndarray, config: RegisterConfig) -> np.ndarray:
