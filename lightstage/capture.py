@@ -128,8 +128,7 @@ def capture(
     changed_s = started
     with lights_dark_at_end(lights):
         for shot in shots:
-            pause_s = changed_s + config.safety.light_interval_s - time.monotonic()
-            time.sleep(max(0.0, pause_s))
+            busy_s += _pause(changed_s, config)
             begun_s = time.monotonic()
             driven = lights.light(shot.levels)
             changed_s = time.monotonic()
@@ -139,7 +138,7 @@ def capture(
             triggers = [photograph.triggered_s for photograph in photographs]
             skew_s = max(triggers) - min(triggers)
             taken_s = max(photograph.downloaded_s for photograph in photographs) - begun_s
-            busy_s += taken_s + max(0.0, pause_s)
+            busy_s += taken_s
             max_skew_s = max(max_skew_s, skew_s)
             writer.shot(
                 shot.pattern,
@@ -148,6 +147,7 @@ def capture(
                 trigger_skew_s=round(skew_s, 6),
                 taken_after_s=round(taken_s, 6),
             )
+        busy_s += _pause(changed_s, config)
     writer.finish()
     seconds = time.monotonic() - started
     return CaptureReport(done, seconds, seconds - busy_s, max_skew_s)
@@ -192,6 +192,13 @@ def _signals_held() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
+def _pause(changed_s: float, config: CaptureConfig) -> float:
+    """Wait until the light may change again; returns the seconds that it took."""
+    left_s = max(0.0, changed_s + config.safety.light_interval_s - time.monotonic())
+    time.sleep(left_s)
+    return left_s
+
+
 def _take(
     pattern: str,
     lights: LedController,
@@ -212,10 +219,12 @@ def _take(
         }
         photographs: list[Photograph] = []
         problems: list[LightstageError] = []
+        heard_s = time.monotonic()
         while pending:
             ready, _ = wait(pending, timeout=KEEP_AWAKE_S, return_when="FIRST_COMPLETED")
-            if not ready:
+            if time.monotonic() - heard_s >= KEEP_AWAKE_S:
                 lights.confirm()
+                heard_s = time.monotonic()
             for future in ready:
                 camera = pending.pop(future)
                 try:

@@ -52,7 +52,7 @@ def check_session(root: Path, progress: ProgressCallback = quiet) -> CheckReport
         FormatError: every fault found, in one message.
     """
     session = _load(root)
-    problems = missing_frames(session) + changed_frames(session)
+    problems = missing_frames(session) + changed_frames(session) + _doubled(session)
     broken = {problem.where for problem in problems}
     means: dict[tuple[str, str], float] = {}
     clipped: dict[tuple[str, str], float] = {}
@@ -72,6 +72,25 @@ def check_session(root: Path, progress: ProgressCallback = quiet) -> CheckReport
     if problems:
         raise one_error(problems)
     return CheckReport(len(frames), sums, worst, max(clipped.values(), default=0.0))
+
+
+def _doubled(session: Session) -> list[LightstageError]:
+    """RAW photographs with the same bytes: a sensor's noise never repeats, so one is stale."""
+    problems: list[LightstageError] = []
+    seen: dict[str, Frame] = {}
+    for frame in session.file.frames:
+        first = seen.setdefault(frame.sha256, frame)
+        if first is not frame and frame.encoding == "raw":
+            problems.append(
+                FormatError(
+                    session.frame_path(frame),
+                    field="sha256",
+                    found=f"the bytes of {first.path}",
+                    expected="a photograph of its own",
+                    hint="The camera gave an old picture; take that shot again.",
+                )
+            )
+    return problems
 
 
 def _load(root: Path) -> Session:

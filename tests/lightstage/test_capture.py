@@ -2,16 +2,20 @@
 
 import hashlib
 import os
+import re
 import signal
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lightstage.cameras.binding import read_cameras_file
 from lightstage.cameras.camera import Photograph, Summary
 from lightstage.capture import CaptureConfig, capture, connect, worst_shot_s
 from lightstage.errors import CaptureError, DeviceError
+from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.session import load_session, state_hash
 from lightstage.leds.controller import Hello
 from lightstage.sequence import SafetyConfig, plan_shots
@@ -195,8 +199,11 @@ def test_lights_change_no_faster_than_the_flash_limit_allows(parts):
     times = []
     light = lights.light
     lights.light = lambda levels: (times.append(time.monotonic()), light(levels))[1]
+    dark = lights.dark
+    lights.dark = lambda: (times.append(time.monotonic()), dark())
     slow = CaptureConfig(trigger_lead_s=0.0, safety=SafetyConfig(light_interval_s=0.15))
     capture(shots, lights, cameras, writer, slow)
+    assert len(times) == 4
     assert np.diff(times).min() >= 0.15
 
 
@@ -234,3 +241,14 @@ def test_connecting_darkens_first_and_tells_all_problems_at_once(parts, small_ri
 
 def test_a_shot_lasts_at_most_its_acknowledgement_and_the_cameras_deadline():
     assert worst_shot_s(CaptureConfig(), 6.0) == pytest.approx(36.02)
+
+
+def test_the_files_in_the_documentation_are_taken_as_they_stand(tmp_path):
+    text = (Path(__file__).parents[2] / "docs" / "capture.md").read_text()
+    cameras, limits = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "cameras.toml").write_text(cameras)
+    (tmp_path / "limits.toml").write_text(limits)
+    file = read_cameras_file(tmp_path / "cameras.toml")
+    assert list(file.cameras) == ["cam0", "cam1"]
+    values = read_toml(tmp_path / "limits.toml")
+    assert make_config(CaptureConfig, values, "limits") == CaptureConfig()

@@ -22,10 +22,10 @@ PATTERNS = ["full", "x+", "x-"]
 def session(tmp_path, small_rig, dng):
     root = tmp_path / "S"
     writer = SessionWriter(root, small_rig, PATTERNS, "p1", "neutral", {})
-    for pattern in PATTERNS:
+    for shot, pattern in enumerate(PATTERNS):
         levels = pattern_levels(pattern, small_rig)
         for index, camera in enumerate(small_rig.cameras):
-            data = dng(512 + int(4000 * levels.mean()), seed=index)
+            data = dng(512 + int(4000 * levels.mean()), seed=10 * shot + index)
             writer.keep(pattern, camera.id, data, hashlib.sha256(data).hexdigest())
         writer.shot(pattern, levels.tolist())
     writer.finish()
@@ -87,6 +87,16 @@ def test_a_photograph_under_another_light_than_recorded_is_found(session, dng):
     (session / "frames/x+/cam1.dng").write_bytes(dng(512))
     rehash(session, "frames/x+/cam1.dng")
     with pytest.raises(FormatError, match=r"patterns of cam1: found x\+ \+ x- = .* full = "):
+        check_session(session)
+
+
+def test_one_photograph_for_two_patterns_is_found(session):
+    data = (session / "frames/x+/cam1.dng").read_bytes()
+    (session / "frames/x-/cam1.dng").write_bytes(data)
+    rehash(session, "frames/x-/cam1.dng")
+    with pytest.raises(
+        FormatError, match=r"x-/cam1.dng, sha256: found the bytes of frames/x\+/cam1"
+    ):
         check_session(session)
 
 
