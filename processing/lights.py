@@ -23,8 +23,11 @@ class PatternLights:
         patterns: P names.
         position_mm: (L, 3).
         radius_mm: (L,) distance of each light from the origin.
-        strength: (P, L) what a white diffuser at the origin that faces the light reads because of
-            it in this pattern, mean over the colour channels.
+        weight: (L,) what a white diffuser at the origin that faces the light reads because of it
+            at level 1, mean over the colour channels.
+        levels: (G, P) drive levels of the G groups of lights that every pattern drives alike
+            (eight octants under binary gradients), so that sums over lights are made once a group.
+        group_end: (G,) int64, the lights are sorted by group; where each one ends.
         colour: (3,) the lights' common colour, mean 1; white is (1, 1, 1).
         colour_spread: largest departure of a light's own colour from that one.
     """
@@ -32,9 +35,17 @@ class PatternLights:
     patterns: tuple[str, ...]
     position_mm: np.ndarray
     radius_mm: np.ndarray
-    strength: np.ndarray
+    weight: np.ndarray
+    levels: np.ndarray
+    group_end: np.ndarray
     colour: np.ndarray
     colour_spread: float
+
+    @property
+    def strength(self) -> np.ndarray:
+        """(P, L) each light's weight in each pattern."""
+        counts = np.diff(self.group_end, prepend=0)
+        return np.asarray(np.repeat(self.levels, counts, axis=0).T * self.weight)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,24 +67,11 @@ class Shadows:
         return Shadows(self.corners[points], self.weights[points], self.visible)
 
 
-def shadows_at_vertices(visible: np.ndarray) -> Shadows:
-    """Shadows of the vertices themselves, (vertices, L) bool or uint8."""
-    index = np.arange(len(visible), dtype=np.int32)
-    return Shadows(np.repeat(index[:, None], 3, axis=1), _first(len(visible)), _bytes(visible))
-
-
 def no_shadows(count: int, lights: PatternLights) -> Shadows:
     """Shadows of `count` points that see every light."""
     corners = np.zeros((count, 3), np.int32)
-    return Shadows(corners, _first(count), np.ones((1, len(lights.position_mm)), np.uint8))
-
-
-def _first(count: int) -> np.ndarray:
-    return np.tile(np.array([[1, 0, 0]], np.float32), (count, 1))
-
-
-def _bytes(visible: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(visible, np.uint8)
+    weights = np.tile(np.array([[1, 0, 0]], np.float32), (count, 1))
+    return Shadows(corners, weights, np.ones((1, len(lights.position_mm)), np.uint8))
 
 
 def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights:
@@ -85,14 +83,19 @@ def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights
     rig = session.rig
     lit = rig.rgb_gains.max(axis=1) > 0
     rgb = stage_lights(rig, np.ones(len(rig.lights)), "all").rgb
-    levels = np.stack([session.levels(name)[lit] for name in patterns])
+    driven = np.stack([session.levels(name)[lit] for name in patterns], axis=1)
+    levels, group = np.unique(driven, axis=0, return_inverse=True)
+    order = np.argsort(group, kind="stable")
+    position = rig.positions_mm[lit][order]
     mean = rgb.mean(axis=1)
     colour = rgb.sum(axis=0) / mean.sum()
     lights = PatternLights(
         patterns=patterns,
-        position_mm=rig.positions_mm[lit],
-        radius_mm=np.linalg.norm(rig.positions_mm[lit], axis=1),
-        strength=levels * mean,
+        position_mm=position,
+        radius_mm=np.linalg.norm(position, axis=1),
+        weight=mean[order],
+        levels=levels,
+        group_end=np.cumsum(np.bincount(group, minlength=len(levels))),
         colour=colour,
         colour_spread=float(np.abs(rgb / mean[:, None] - colour).max()),
     )
@@ -181,7 +184,9 @@ def irradiance_vectors(
         shadows.visible,
         lights.position_mm.astype(np.float32),
         lights.radius_mm.astype(np.float32),
-        np.ascontiguousarray(lights.strength.T, np.float32),
+        lights.weight.astype(np.float32),
+        lights.levels.astype(np.float32),
+        lights.group_end,
         out,
     )
     return out
@@ -196,27 +201,35 @@ def _irradiance_vectors(
     visible: np.ndarray,
     position: np.ndarray,
     radius: np.ndarray,
-    strength: np.ndarray,
+    weight: np.ndarray,
+    levels: np.ndarray,
+    group_end: np.ndarray,
     out: np.ndarray,
 ) -> None:
     for i in prange(len(points)):
         c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
-        for j in range(len(position)):
-            seen = (
-                weights[i, 0] * visible[c0, j]
-                + weights[i, 1] * visible[c1, j]
-                + weights[i, 2] * visible[c2, j]
-            )
-            dx = position[j, 0] - points[i, 0]
-            dy = position[j, 1] - points[i, 1]
-            dz = position[j, 2] - points[i, 2]
-            facing = normals[i, 0] * dx + normals[i, 1] * dy + normals[i, 2] * dz
-            if seen <= 0 or facing <= 0:
-                continue
-            d2 = dx * dx + dy * dy + dz * dz
-            fall = seen * radius[j] * radius[j] / (d2 * np.sqrt(d2))
-            for k in range(strength.shape[1]):
-                weight = strength[j, k] * fall
-                out[i, k, 0] += weight * dx
-                out[i, k, 1] += weight * dy
-                out[i, k, 2] += weight * dz
+        first = 0
+        for group in range(len(group_end)):
+            x = y = z = np.float32(0)
+            for j in range(first, group_end[group]):
+                seen = (
+                    weights[i, 0] * visible[c0, j]
+                    + weights[i, 1] * visible[c1, j]
+                    + weights[i, 2] * visible[c2, j]
+                )
+                dx = position[j, 0] - points[i, 0]
+                dy = position[j, 1] - points[i, 1]
+                dz = position[j, 2] - points[i, 2]
+                facing = normals[i, 0] * dx + normals[i, 1] * dy + normals[i, 2] * dz
+                if seen <= 0 or facing <= 0:
+                    continue
+                d2 = dx * dx + dy * dy + dz * dz
+                fall = seen * weight[j] * radius[j] * radius[j] / (d2 * np.sqrt(d2))
+                x += fall * dx
+                y += fall * dy
+                z += fall * dz
+            first = group_end[group]
+            for k in range(levels.shape[1]):
+                out[i, k, 0] += levels[group, k] * x
+                out[i, k, 1] += levels[group, k] * y
+                out[i, k, 2] += levels[group, k] * z

@@ -89,7 +89,9 @@ def transport(
         shadows.visible,
         lights.position_mm.astype(np.float32),
         lights.radius_mm.astype(np.float32),
-        np.ascontiguousarray(lights.strength.T, np.float32),
+        lights.weight.astype(np.float32),
+        lights.levels.astype(np.float32),
+        lights.group_end,
         fresnel_table().astype(np.float32),
         out,
     )
@@ -117,7 +119,9 @@ def _transport(
     visible: np.ndarray,
     position: np.ndarray,
     radius: np.ndarray,
-    strength: np.ndarray,
+    weight: np.ndarray,
+    levels: np.ndarray,
+    group_end: np.ndarray,
     table: np.ndarray,
     out: np.ndarray,
 ) -> None:
@@ -130,42 +134,48 @@ def _transport(
         nv = max(nx * vx + ny * vy + nz * vz, np.float32(GRAZING))
         shadow_v = _shadowing(nv, roughness)
         c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
-        for j in range(len(position)):
-            seen = (
-                weights[i, 0] * visible[c0, j]
-                + weights[i, 1] * visible[c1, j]
-                + weights[i, 2] * visible[c2, j]
-            )
-            if seen <= 0:
-                continue
-            lx = position[j, 0] - points[i, 0]
-            ly = position[j, 1] - points[i, 1]
-            lz = position[j, 2] - points[i, 2]
-            nl = nx * lx + ny * ly + nz * lz
-            if nl <= 0:
-                continue
-            distance = math.sqrt(lx * lx + ly * ly + lz * lz)
-            fall = radius[j] / distance
-            seen *= fall * fall
-            nl /= distance
-            for k in range(strength.shape[1]):
-                out[0, i, k] += seen * strength[j, k] * nl
-            hx, hy, hz = lx / distance + vx, ly / distance + vy, lz / distance + vz
-            length = math.sqrt(hx * hx + hy * hy + hz * hz)
-            if length <= 0:
-                continue
-            nh = (nx * hx + ny * hy + nz * hz) / length
-            nh2 = nh * nh
-            if nh <= 0 or (1 - nh2) > FARTHEST_TAN * m2 * nh2:
-                continue
-            # pi D / (4 nv), the cosine to the light cancelled against the BRDF's.
-            lobe = math.exp((nh2 - 1) / (nh2 * m2)) / (4 * m2 * nh2 * nh2 * nv)
-            lobe *= seen * shadow_v * _shadowing(nl, roughness)
-            place = min(1.0, (vx * hx + vy * hy + vz * hz) / length) * steps
-            below = min(steps - 1, int(place))
-            part = place - below
-            a = table[below, 0] * (1 - part) + table[below + 1, 0] * part
-            b = table[below, 1] * (1 - part) + table[below + 1, 1] * part
-            for k in range(strength.shape[1]):
-                out[1, i, k] += lobe * a * strength[j, k]
-                out[2, i, k] += lobe * b * strength[j, k]
+        first = 0
+        for group in range(len(group_end)):
+            e = first_part = second_part = np.float32(0)
+            for j in range(first, group_end[group]):
+                seen = (
+                    weights[i, 0] * visible[c0, j]
+                    + weights[i, 1] * visible[c1, j]
+                    + weights[i, 2] * visible[c2, j]
+                )
+                if seen <= 0:
+                    continue
+                lx = position[j, 0] - points[i, 0]
+                ly = position[j, 1] - points[i, 1]
+                lz = position[j, 2] - points[i, 2]
+                nl = nx * lx + ny * ly + nz * lz
+                if nl <= 0:
+                    continue
+                distance = math.sqrt(lx * lx + ly * ly + lz * lz)
+                fall = radius[j] / distance
+                seen *= weight[j] * fall * fall
+                nl /= distance
+                e += seen * nl
+                hx, hy, hz = lx / distance + vx, ly / distance + vy, lz / distance + vz
+                length = math.sqrt(hx * hx + hy * hy + hz * hz)
+                if length <= 0:
+                    continue
+                nh = (nx * hx + ny * hy + nz * hz) / length
+                nh2 = nh * nh
+                if nh <= 0 or (1 - nh2) > FARTHEST_TAN * m2 * nh2:
+                    continue
+                # pi D / (4 nv), the cosine to the light cancelled against the BRDF's.
+                lobe = math.exp((nh2 - 1) / (nh2 * m2)) / (4 * m2 * nh2 * nh2 * nv)
+                lobe *= seen * shadow_v * _shadowing(nl, roughness)
+                place = min(1.0, (vx * hx + vy * hy + vz * hz) / length) * steps
+                below = min(steps - 1, int(place))
+                part = place - below
+                a = table[below, 0] * (1 - part) + table[below + 1, 0] * part
+                b = table[below, 1] * (1 - part) + table[below + 1, 1] * part
+                first_part += lobe * a
+                second_part += lobe * b
+            first = group_end[group]
+            for k in range(levels.shape[1]):
+                out[0, i, k] += levels[group, k] * e
+                out[1, i, k] += levels[group, k] * first_part
+                out[2, i, k] += levels[group, k] * second_part

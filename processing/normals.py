@@ -26,17 +26,30 @@ def chroma_signal(rgb: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.nd
 
     Source: [Mallick2005].
     """
-    unit = np.asarray(white, np.float32) / np.linalg.norm(white)
-    total = rgb.sum(axis=1, dtype=np.float64).astype(np.float32)
-    chroma = total - (total @ unit)[:, None] * unit
-    length = np.linalg.norm(chroma, axis=1)
-    mean = total.mean(axis=1)
-    good = (length > 0) & (mean > 0) & np.isfinite(length) & np.isfinite(mean)
-    safe = np.where(good, length, 1.0)
-    hue = np.where(good[:, None], chroma / safe[:, None], 0)
-    signal = np.einsum("npc,nc->np", np.where(good[:, None, None], rgb, 0), hue)
-    saturation = np.where(good, length / np.where(good, mean, 1.0), 0)
-    return signal.astype(np.float32), saturation.astype(np.float32)
+    unit = (np.asarray(white) / np.linalg.norm(white)).astype(np.float32)
+    signal = np.zeros(rgb.shape[:2], np.float32)
+    saturation = np.zeros(len(rgb), np.float32)
+    _chroma(np.ascontiguousarray(rgb, np.float32), unit, signal, saturation)
+    return signal, saturation
+
+
+@njit(parallel=True, cache=True)
+def _chroma(rgb: np.ndarray, unit: np.ndarray, signal: np.ndarray, saturation: np.ndarray) -> None:
+    for i in prange(len(rgb)):
+        r = g = b = 0.0
+        for k in range(rgb.shape[1]):
+            r += rgb[i, k, 0]
+            g += rgb[i, k, 1]
+            b += rgb[i, k, 2]
+        along = r * unit[0] + g * unit[1] + b * unit[2]
+        x, y, z = r - along * unit[0], g - along * unit[1], b - along * unit[2]
+        length = np.sqrt(x * x + y * y + z * z)
+        mean = (r + g + b) / 3
+        if not (length > 0 and mean > 0 and np.isfinite(length) and np.isfinite(mean)):
+            continue
+        saturation[i] = length / mean
+        for k in range(rgb.shape[1]):
+            signal[i, k] = (x * rgb[i, k, 0] + y * rgb[i, k, 1] + z * rgb[i, k, 2]) / length
 
 
 @njit(cache=True)

@@ -18,8 +18,8 @@ from processing.frames import read_foreground, read_frames
 from processing.lights import PatternLights, irradiance_vectors, pattern_lights
 from processing.lobe import SKIN_F0, transport
 from processing.masks import edge_distance_px
-from processing.normals import chroma_signal, solve_normals
-from processing.separation import PixelMaps, fit, px_per_mm, trusted, write_maps
+from processing.normals import solve_normals
+from processing.separation import PixelMaps, fit, px_per_mm, read_pixels, write_maps
 from processing.specular import Gloss, add_view, no_sums, solve_gloss
 from processing.surface import LitSurface, Sight, depth_edges, lit_surface, see
 
@@ -28,6 +28,8 @@ from processing.surface import LitSurface, Sight, depth_edges, lit_surface, see
 class RefineConfig:
     """What `refine` may be told."""
 
+    most_faces: int = 120_000
+    """A denser mesh is thinned: shadows are cast from its vertices."""
     shadow_offset_mm: float = 0.3
     """Shadow rays start this far off the mesh, beyond its own roughness."""
     smoothing_mm: float = 1.0
@@ -40,7 +42,7 @@ class RefineConfig:
     specular_pool_mm: float = 3.0
     """Sigma over which all views' evidence is pooled on the mesh."""
     gloss_pixels: int = 120_000
-    """At most this many pixels of a view give evidence of gloss."""
+    """At most this many pixels of a view, evenly spread, give evidence of gloss."""
     gloss_prior_pixels: float = 10.0
     """The face's own mean counts as much as this many pixels at every vertex."""
     detail_pool_px: float = 2.0
@@ -66,16 +68,22 @@ class View:
     """One view's readings and what the mesh says of its n pixels.
 
     Attributes:
-        camera_id: whose.
         sight: what the camera sees of the mesh.
-        rgb: (n, P, 3) float32 readings in the lights' own colour, 0 where not usable.
-        normal: (n, 3) unit diffuse normals, zero where unsolved.
-        confidence: (n,) 0..1.
+        rgb: (n, P, 3) float32 readings as the camera gave them.
+        valid: (n,) bool, false where clipped.
+        px_per_mm: pixels a millimetre.
     """
 
-    camera_id: str
     sight: Sight
     rgb: np.ndarray
+    valid: np.ndarray
+    px_per_mm: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Normals:
+    """(n, 3) float32 unit diffuse normals, zero where unsolved; (n,) float32 confidence."""
+
     normal: np.ndarray
     confidence: np.ndarray
 
@@ -106,21 +114,24 @@ def refine(
         offset_mm=config.shadow_offset_mm,
         smoothing_mm=config.smoothing_mm,
         directions=config.occlusion_directions,
+        most_faces=config.most_faces,
     )
     progress(1, steps)
     sums = no_sums(config.roughness, len(surface.vertices))
+    solved: list[Normals] = []
     for done, camera_id in enumerate(cameras):
-        view = solve_view(session, out, camera_id, lights, surface, config)
-        few = _every(view, config.gloss_pixels)
+        view = read_view(session, out, camera_id, surface)
+        solved.append(solve_pixels(view, lights, config))
+        few = _every(solved[-1].confidence, config.gloss_pixels)
         add_view(
             sums,
             lights,
-            view.rgb[few].mean(axis=2),
+            (view.rgb[few] / lights.colour).mean(axis=2),
             view.sight.points_mm[few],
-            view.normal[few],
+            solved[-1].normal[few],
             view.sight.views[few],
             view.sight.shadows.of(few),
-            view.confidence[few],
+            solved[-1].confidence[few],
         )
         progress(2 + done, steps)
     gloss = solve_gloss(
@@ -134,10 +145,9 @@ def refine(
     confidence: dict[str, float] = {}
     pixels = 0
     for done, camera_id in enumerate(cameras):
-        view = solve_view(session, out, camera_id, lights, surface, config)
+        view = read_view(session, out, camera_id, surface)
         mask = view.sight.mask
-        scale = px_per_mm(session.rig.camera(camera_id))
-        maps = solve_albedo(view, lights, gloss, scale, config)
+        maps = solve_albedo(view, solved[done], lights, gloss, config)
         write_maps(folder, camera_id, mask, maps, maps.normal)
         occlusion = np.zeros(mask.shape, np.float32)
         occlusion[mask] = view.sight.occlusion
@@ -158,23 +168,15 @@ def refine(
     }
 
 
-def solve_view(
-    session: Session,
-    out: Path,
-    camera_id: str,
-    lights: PatternLights,
-    surface: LitSurface,
-    config: RefineConfig,
-) -> View:
-    """Read one view and solve its normals with the mesh's positions and shadows.
-
-    The mesh's normals set the horizon of a first solve, the normals found that of a second.
+def read_view(session: Session, out: Path, camera_id: str, surface: LitSurface) -> View:
+    """Read one view and find what it shows of the mesh.
 
     Raises:
         ProcessingError: nothing of the mesh is seen.
     """
     frames = read_frames(out, camera_id)
-    sight = see(surface, session.rig.camera(camera_id), read_foreground(out, camera_id))
+    camera = session.rig.camera(camera_id)
+    sight = see(surface, camera, read_foreground(out, camera_id))
     if not sight.mask.any():
         raise ProcessingError(
             f"camera {camera_id}",
@@ -183,96 +185,89 @@ def solve_view(
             hint="Do base_mesh.ply and the rig belong to this session?",
         )
     rgb = np.ascontiguousarray(frames.images[:, sight.mask].transpose(1, 0, 2))
-    normal, rgb, confidence = solve_pixels(rgb, frames.valid[sight.mask], sight, lights, config)
-    edges = depth_edges(sight.depth_mm, config.depth_step_mm)
-    inside = edge_distance_px(sight.mask & ~edges)[sight.mask]
-    confidence *= np.clip(inside / config.edge_px, 0, 1)
-    return View(camera_id, sight, rgb, normal, confidence)
+    return View(sight, rgb, frames.valid[sight.mask], px_per_mm(camera))
 
 
-def solve_pixels(
-    rgb: np.ndarray,
-    valid: np.ndarray,
-    sight: Sight,
-    lights: PatternLights,
-    config: RefineConfig,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normals of pixels from chroma and the mesh's irradiance vectors.
+def solve_pixels(view: View, lights: PatternLights, config: RefineConfig) -> Normals:
+    """Normals of pixels from chroma and the irradiance vectors at their places on the mesh.
+
+    The mesh's normals set the horizon of a first solve, the normals found that of a second.
 
     Args:
-        rgb: (n, P, 3) readings.
-        valid: (n,) false where clipped.
-        sight: of the n pixels.
+        view: readings.
         lights: of the P patterns.
         config: see there.
 
     Returns:
-        (n, 3) unit normals, zero where unsolved; (n, P, 3) readings in the lights' own colour, 0
-        where not usable; (n,) confidence, 0 where clipped, dark, grey, unsolved or not finite.
+        Normals; confidence 0 where clipped, dark, grey, unsolved or not finite, and low at grazing
+        angles, in the dark, at edges and where the readings do not fit.
     """
-    usable, saturation = trusted(rgb, valid, lights.colour, config.dark_level)
-    rgb = np.where(usable[:, None, None], rgb, 0).astype(np.float32)
-    signal, _ = chroma_signal(rgb, lights.colour)
-    normal = solve_normals(signal, sight.vectors)
-    vectors = irradiance_vectors(lights, sight.points_mm, normal, sight.shadows)
-    normal = solve_normals(signal, vectors)
+    sight = view.sight
+    _, signal, saturation, usable = read_pixels(
+        view.rgb, view.valid, lights.colour, config.dark_level
+    )
+    normal = sight.normals
+    for _ in range(2):
+        vectors = irradiance_vectors(lights, sight.points_mm, normal, sight.shadows)
+        normal = solve_normals(signal, vectors)
     colourful = np.clip(saturation / config.grey_saturation - 1, 0, 1)
-    solved = usable & (colourful > 0) & (np.einsum("nk,nk->n", normal, normal) > 0.5)
     # A normal that the mesh could not have: mistaken shadows, or hair.
     agreement = np.einsum("nk,nk->n", normal, sight.normals)
-    solved &= agreement > 0
+    solved = usable & (colourful > 0) & (agreement > 0)
     normal[~solved] = 0
     irradiance = np.einsum("npk,nk->np", vectors, normal)
     facing = np.clip(np.einsum("nk,nk->n", sight.normals, sight.views) / 0.4, 0, 1)
     light = np.clip(irradiance.max(axis=1) / config.dark_irradiance, 0, 1)
+    edges = depth_edges(sight.depth_mm, config.depth_step_mm)
+    inside = edge_distance_px(sight.mask & ~edges)[sight.mask]
     confidence = colourful * facing * light * fit(signal, irradiance)
-    confidence *= np.clip(2 * agreement, 0, 1)
-    rgb = rgb / lights.colour.astype(np.float32)
-    return normal, rgb, np.where(solved, confidence, 0)
+    confidence *= np.clip(2 * agreement, 0, 1) * np.clip(inside / config.edge_px, 0, 1)
+    confidence = np.where(solved, confidence, 0)
+    return Normals(normal.astype(np.float32), confidence.astype(np.float32))
 
 
 def solve_albedo(
-    view: View, lights: PatternLights, gloss: Gloss, scale: float, config: RefineConfig
+    view: View, normals: Normals, lights: PatternLights, gloss: Gloss, config: RefineConfig
 ) -> PixelMaps:
     """Albedo of one view's pixels with the gloss of the mesh.
 
     Args:
-        view: its readings and normals.
+        view: its readings.
+        normals: of its pixels.
         lights: of the P patterns.
         gloss: at the mesh's vertices.
-        scale: pixels a millimetre.
         config: see there.
 
     Returns:
         PixelMaps, zero where there is no normal.
     """
-    sight, mask = view.sight, view.sight.mask
-    solved = np.einsum("nk,nk->n", view.normal, view.normal) > 0.5
+    sight, mask, normal = view.sight, view.sight.mask, normals.normal
+    solved = np.einsum("nk,nk->n", normal, normal) > 0.5
+    rgb = np.where(solved[:, None, None], view.rgb, 0) / lights.colour.astype(np.float32)
     corners, weights = sight.shadows.corners, sight.shadows.weights
     roughness = (gloss.roughness[corners] * weights).sum(axis=1)
-    pooled_specular = (gloss.specular[corners] * weights).sum(axis=1)
-    e, a, b = transport(lights, sight.points_mm, view.normal, sight.views, roughness, sight.shadows)
-    evidence = specular_evidence(view.rgb.mean(axis=2), e, a, b)
-    trust = view.confidence * solved
+    from_mesh = (gloss.specular[corners] * weights).sum(axis=1)
+    e, a, b = transport(lights, sight.points_mm, normal, sight.views, roughness, sight.shadows)
+    evidence = specular_evidence(rgb.mean(axis=2), e, a, b)
+    trust = np.where(solved, normals.confidence, 0)
     typical = float(np.median(evidence.weight[trust > 0])) if (trust > 0).any() else 1.0
     sigma = config.detail_pool_px
-    # A Gaussian's sum over its neighbours holds no more than about 4 pi sigma^2 pixels.
-    area = 4 * np.pi * sigma * sigma
+    area = 4 * np.pi * sigma * sigma  # pixels that a Gaussian's squared weights leave
     specular = shrunk(
         area * pooled(evidence.weighed * trust, mask, sigma),
         area * pooled(evidence.weight * trust, mask, sigma),
-        pooled_specular,
+        from_mesh,
         config.detail_prior_pixels * typical,
     )
     specular[~solved] = 0
-    lit, power = diffuse_light(view.rgb, e, a, b, specular)
+    lit, power = diffuse_light(rgb, e, a, b, specular)
     lit[~solved], power[~solved] = 0, 0
-    albedo = diffuse_albedo(lit, power, mask, scale, config.albedo_prior_power)
+    albedo = diffuse_albedo(lit, power, mask, view.px_per_mm, config.albedo_prior_power)
     albedo[~solved] = 0
-    return PixelMaps(view.normal, albedo, specular, view.confidence)
+    return PixelMaps(normal, albedo, specular, normals.confidence)
 
 
-def _every(view: View, most: int) -> np.ndarray:
+def _every(confidence: np.ndarray, most: int) -> np.ndarray:
     """Indices of evenly spaced pixels that have some confidence, at most `most`."""
-    trusted_pixels = np.flatnonzero(view.confidence > 0)
-    return trusted_pixels[:: max(1, -(-len(trusted_pixels) // most))]
+    chosen = np.flatnonzero(confidence > 0)
+    return chosen[:: max(1, -(-len(chosen) // most))]

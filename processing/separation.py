@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numba import njit, prange
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.processed import ProcessedFolder
@@ -119,9 +120,7 @@ def separate_pixels(
     Returns:
         PixelMaps; confidence 0 and zeros where a pixel is clipped, dark, grey or not finite.
     """
-    usable, saturation = trusted(rgb, valid, lights.colour, config.dark_level)
-    rgb = np.where(usable[:, None, None], rgb, 0).astype(np.float32)
-    signal, _ = chroma_signal(rgb, lights.colour)
+    rgb, signal, saturation, usable = read_pixels(rgb, valid, lights.colour, config.dark_level)
     normal = solve_far_normals(signal, far_field(lights), views, config.iterations)
     colourful = np.clip(saturation / config.grey_saturation - 1, 0, 1)
     solved = usable & (colourful > 0) & (np.einsum("nk,nk->n", normal, normal) > 0.5)
@@ -150,28 +149,48 @@ def separate_pixels(
     return PixelMaps(normal, albedo, specular, confidence)
 
 
-def trusted(
+def read_pixels(
     rgb: np.ndarray, valid: np.ndarray, white: np.ndarray, dark_level: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels that can be solved at all, and their saturation.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Sort out the pixels that cannot be solved, and take chroma from the others.
 
     Args:
-        rgb: (n, P, 3).
-        valid: (n,) bool.
+        rgb: (n, P, 3) readings.
+        valid: (n,) bool, false where clipped.
         white: (3,) the lights' colour.
         dark_level: see SeparateConfig.
 
     Returns:
-        (n,) bool: valid, finite, every channel alive and brighter than `dark_level` in some
-        pattern; and (n,) saturation as `chroma_signal` has it.
+        (n, P, 3) float32 readings, 0 where a pixel is not usable; (n, P) and (n,) signal and
+        saturation of `chroma_signal`; (n,) bool usable: valid, finite, every channel alive, and
+        brighter than `dark_level` under some pattern.
     """
-    finite = np.isfinite(rgb).all(axis=(1, 2))
-    clean = np.where(finite[:, None, None], rgb, 0)
-    # A mirror reflection feeds every channel: one that reads nothing at all is dead, not dark.
-    alive = (clean.sum(axis=1, dtype=np.float64) > 0).all(axis=1)
-    bright = clean.mean(axis=2).max(axis=1) > dark_level
-    saturation = chroma_signal(clean, white)[1]
-    return valid & finite & alive & bright, saturation
+    clean = np.array(rgb, np.float32, order="C")
+    usable = valid.copy()
+    _sort_out(clean, usable, dark_level)
+    signal, saturation = chroma_signal(clean, white)
+    return clean, signal, saturation, usable
+
+
+@njit(parallel=True, cache=True)
+def _sort_out(rgb: np.ndarray, usable: np.ndarray, dark_level: float) -> None:
+    """Zero the pixels that are not usable, in place."""
+    for i in prange(len(rgb)):
+        least = np.inf
+        brightest = 0.0
+        for c in range(3):
+            total = 0.0
+            highest = -np.inf
+            for k in range(rgb.shape[1]):
+                total += rgb[i, k, c]
+                highest = max(highest, rgb[i, k, c])
+            # A mirror reflection feeds every channel: one that reads nothing is dead, not dark.
+            least = total if not total >= least else least
+            brightest += highest / 3
+        if not (least > 0 and np.isfinite(brightest) and brightest > dark_level):
+            usable[i] = False
+        if not usable[i]:
+            rgb[i] = 0
 
 
 def fit(signal: np.ndarray, irradiance: np.ndarray) -> np.ndarray:

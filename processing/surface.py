@@ -6,12 +6,13 @@ import dataclasses
 
 import cv2
 import numpy as np
+import open3d
 from scipy import sparse
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.rig import Camera
-from processing.lights import PatternLights, Shadows, irradiance_vectors, shadows_at_vertices
+from processing.lights import PatternLights, Shadows
 from processing.rays import MeshRays, interpolate
 
 MOST_ROUNDS = 100
@@ -29,7 +30,6 @@ class LitSurface:
         normals: (V, 3) smooth unit normals.
         rays: the mesh, ready for ray queries.
         visible: (V, L) uint8, lights that each vertex sees.
-        vectors: (V, P, 3) float32 irradiance vectors.
         occlusion: (V,) 1 = open sky, cosine-weighted.
         average: (V, V) sparse, one round of averaging over neighbours.
         edge_mm: mean length of the mesh's edges.
@@ -40,7 +40,6 @@ class LitSurface:
     normals: np.ndarray
     rays: MeshRays
     visible: np.ndarray
-    vectors: np.ndarray
     occlusion: np.ndarray
     average: sparse.csr_array
     edge_mm: float
@@ -59,7 +58,6 @@ class Sight:
         points_mm: (n, 3).
         normals: (n, 3) smooth mesh normals, unit.
         views: (n, 3) unit, toward the camera.
-        vectors: (n, P, 3) irradiance vectors from the vertices.
         occlusion: (n,).
         shadows: lights that each pixel sees.
         depth_mm: (h, w) distance from the camera, infinite outside `mask`.
@@ -69,7 +67,6 @@ class Sight:
     points_mm: np.ndarray
     normals: np.ndarray
     views: np.ndarray
-    vectors: np.ndarray
     occlusion: np.ndarray
     shadows: Shadows
     depth_mm: np.ndarray
@@ -82,9 +79,12 @@ def lit_surface(
     offset_mm: float,
     smoothing_mm: float,
     directions: int,
+    most_faces: int,
     progress: ProgressCallback = quiet,
 ) -> LitSurface:
     """Cast each vertex's rays to the lights and to the sky, once.
+
+    Shadows and open sky vary over millimetres, so a denser mesh is thinned first.
 
     Args:
         mesh: mm, world.
@@ -92,10 +92,10 @@ def lit_surface(
         offset_mm: how far off the mesh rays start, beyond its own roughness.
         smoothing_mm: over which the normals are averaged.
         directions: of the sky, spread evenly over the sphere.
+        most_faces: a mesh of more triangles is thinned to as many.
         progress: counts rays' vertices.
     """
-    triangles = mesh.triangles()
-    vertices = mesh.vertices
+    vertices, triangles = thinned(mesh, most_faces)
     average = _average(triangles, len(vertices))
     normals = vertex_normals(vertices, triangles)
     sides = vertices[triangles[:, 0]] - vertices[triangles[:, 1]]
@@ -109,16 +109,12 @@ def lit_surface(
         vertices, normals, lights.position_mm, offset_mm=offset_mm, progress=progress
     ).astype(np.uint8)
     sky = fibonacci_sphere(directions)
-    cosine = np.maximum(normals @ sky.T, 0)
     open_sky = rays.visible(vertices, normals, sky * SKY_MM, offset_mm=offset_mm)
+    cosine = np.maximum(normals.astype(np.float32) @ sky.T.astype(np.float32), 0)
     total = cosine.sum(axis=1)
-    occlusion = np.where(
-        total > 0, (cosine * open_sky).sum(axis=1) / np.where(total > 0, total, 1), 1
-    )
-    vectors = irradiance_vectors(lights, vertices, normals, shadows_at_vertices(seen))
-    return LitSurface(
-        vertices, triangles, normals, rays, seen, vectors, occlusion, average, edge_mm
-    )
+    lit = np.einsum("vd,vd->v", cosine, open_sky)
+    occlusion = np.where(total > 0, lit / np.where(total > 0, total, 1), 1)
+    return LitSurface(vertices, triangles, normals, rays, seen, occlusion, average, edge_mm)
 
 
 def see(surface: LitSurface, camera: Camera, foreground: np.ndarray) -> Sight:
@@ -139,24 +135,38 @@ def see(surface: LitSurface, camera: Camera, foreground: np.ndarray) -> Sight:
     )
     corners = np.ascontiguousarray(surface.triangles[hits.face], np.int32)
     weights = np.ascontiguousarray(hits.barycentric, np.float32)
-    normals = interpolate(surface.normals, surface.triangles, hits)
+    at_vertices = np.column_stack([surface.normals, surface.occlusion]).astype(np.float32)
+    at_pixels = interpolate(at_vertices, surface.triangles, hits)
+    normals = at_pixels[:, :3]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    vertices, patterns = surface.vectors.shape[:2]
-    vectors = interpolate(surface.vectors.reshape(vertices, -1), surface.triangles, hits)
-    directions = camera.pixel_rays()[1].reshape(-1, 3)[found]
+    origin, rays = camera.pixel_rays()
+    directions = rays.reshape(-1, 3)[found]
     mask = found.reshape(foreground.shape)
     depth = np.full(foreground.shape, np.inf, np.float32)
     depth[mask] = hits.distance_mm
     return Sight(
         mask=mask,
-        points_mm=interpolate(surface.vertices, surface.triangles, hits),
+        points_mm=origin + directions * hits.distance_mm[:, None],
         normals=normals,
         views=-directions,
-        vectors=vectors.reshape(-1, patterns, 3).astype(np.float32),
-        occlusion=interpolate(surface.occlusion[:, None], surface.triangles, hits)[:, 0],
+        occlusion=at_pixels[:, 3],
         shadows=Shadows(corners, weights, surface.visible),
         depth_mm=depth,
     )
+
+
+def thinned(mesh: Mesh, most_faces: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a mesh, thinned by quadric edge collapse where it has too many.
+
+    Source: [Garland1997].
+    """
+    triangles = mesh.triangles()
+    if len(triangles) <= most_faces:
+        return mesh.vertices, triangles
+    shape = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(triangles)
+    ).simplify_quadric_decimation(most_faces)
+    return np.asarray(shape.vertices), np.asarray(shape.triangles, np.int32)
 
 
 def depth_edges(depth_mm: np.ndarray, step_mm: float) -> np.ndarray:
