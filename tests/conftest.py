@@ -6,11 +6,16 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 
 from lightstage.formats.files import write_json
 from lightstage.formats.processed import ProcessedFolder
+
+# How long an example takes says more about the machine's other work than about the code.
+hypothesis.settings.register_profile("project", deadline=None)
+hypothesis.settings.load_profile("project")
 
 
 def head_data_path() -> Path | None:
