@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.errors import FormatError
@@ -29,6 +29,7 @@ def test_white_at_the_origin_under_full_reads_one():
     assert np.allclose(read_of_white(lights, [0, 0, 1]), 1)
 
 
+@settings(max_examples=25)
 @given(st.lists(st.floats(0, 1), min_size=168, max_size=168))
 def test_light_is_linear_in_the_levels(levels):
     rig = default_rig()
