@@ -190,8 +190,8 @@ def geometry_section(demo: Demo) -> Section:
             Picture(
                 side_by_side([profile, *faces], 480),
                 "The template on this person from the side; its 68 landmarks (red) on the true "
-                "ones (green); its quads. Red should cover green, quads should flow around eyes and "
-                "mouth.",
+                "ones (green); its quads. Red should cover green, quads should flow around eyes "
+                "and mouth.",
                 "registration",
             ),
         ],
