@@ -129,6 +129,8 @@ def capture_session(world: World, out: Path, seed: int, sequence: str) -> Path:
             with _running(command) as process:
                 while process.poll() is None and device.failure is None:
                     time.sleep(POLL_S)
+                if device.failure is not None:
+                    process.kill()  # it would wait long for lamps that no longer answer
             if device.failure is not None:
                 raise device.failure
     if process.returncode != 0:

@@ -17,6 +17,7 @@ from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import changed_frames, load_session, missing_frames
 from lightstage.patterns import pattern_levels, sequence_patterns
+from sim.camera_device import CameraFolders
 from sim.capture import Photographer, capture_session
 from sim.errors import SimError
 from sim.scene import Scene
@@ -185,4 +186,17 @@ def test_a_failed_capture_is_an_error_and_leaves_no_session(world, tmp_path, cap
     with pytest.raises(SimError, match="exit code 2"):
         capture_session(world, tmp_path / "s", 5, "full,sideways")
     assert "sideways" in capfd.readouterr().err
+    assert not (tmp_path / "s" / "session.json").exists()
+
+
+def test_lamps_that_fail_end_the_capture_and_say_why(world, tmp_path, monkeypatch):
+    def broken(self: Photographer, levels: np.ndarray, folders: CameraFolders) -> None:
+        if levels.any():
+            raise SimError("lamps", found="no current")
+        real(self, levels, folders)
+
+    real = Photographer.photographs
+    monkeypatch.setattr(Photographer, "photographs", broken)
+    with pytest.raises(SimError, match="no current"):
+        capture_session(world, tmp_path / "s", 5, "full")
     assert not (tmp_path / "s" / "session.json").exists()
