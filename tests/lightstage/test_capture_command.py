@@ -107,7 +107,7 @@ def test_a_camera_whose_picture_is_gone_is_named_and_the_others_are_kept(stage, 
 
 def test_a_device_that_falls_silent_ends_the_capture(stage, tmp_path):
     stage.device.dead_after = 4  # HELLO?, DARK, SET, STATE? are answered, nothing after
-    stage.device.url = stage.device.url.replace("timeout_s=5", "timeout_s=0.3&attempts=2")
+    stage.device.url = stage.device.url.replace("timeout_s=5", "timeout_s=1&attempts=2")
     done = run(stage, tmp_path / "S")
     one_clear_message(done, "no answer to 2 SET", "The lights may still be on")
 

@@ -42,7 +42,7 @@ def set_(sequence, *counts):
 class Conversation:
     """The far end of a pty: expects bytes in order, answers with bytes in order."""
 
-    def __init__(self, *turns, timeout_s=0.3, delay_s=0.0):
+    def __init__(self, *turns, timeout_s=0.8, delay_s=0.0):
         self.device, self.host = pty.openpty()
         for end in (self.device, self.host):
             tty.setraw(end)
@@ -182,8 +182,8 @@ def test_a_device_that_never_answers_is_an_error_that_says_how_often_it_was_aske
     request = packet(0x11, 6)
     turns = ((request, b""), (request, b""), (request, b""))
     with (
-        talking(*turns, timeout_s=0.1) as leds,
-        pytest.raises(DeviceError, match=r"no answer to 3 DARK of 0\.1 s"),
+        talking(*turns, timeout_s=0.5) as leds,
+        pytest.raises(DeviceError, match=r"no answer to 3 DARK of 0\.5 s"),
     ):
         leds.dark()
 
