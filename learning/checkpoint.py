@@ -96,7 +96,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
     Raises:
         FormatError, CheckpointError: missing, of another kind, or fields missing.
     """
-    index = path / INDEX if path.is_dir() else path
+    index = path / INDEX if path.suffix == "" else path
     if index.suffix != ".json":
         raise CheckpointError(
             index,
@@ -158,6 +158,7 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
     config = make_config(GeneratorConfig, checkpoint.config.get("generator", {}), where)
     with torch.device("meta"):
         generator = Generator(config)
+    generator.to_empty(device="cpu")
     fill(generator, load_tensors(checkpoint, "generator"), where)
     return generator.eval(), checkpoint
 
@@ -165,7 +166,7 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
 def fill(network: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:
     """Put weights into a network; CheckpointError when they are not its own."""
     try:
-        network.load_state_dict(tensors, assign=True)
+        network.load_state_dict(tensors)
     except RuntimeError as error:
         raise CheckpointError(
             where,

@@ -151,8 +151,8 @@ def infer_command(
             hint="Skin's detail has one size for the network; make the texture that large.",
         )
     head_from_mesh = read_head_pose(head_pose)[:, :3] if head_pose else np.eye(3)
-    patch = make_config(DataConfig, about.config["data"], checkpoint).patch_px
-    found = infer(generator, patch, image, read_mesh(mesh), head_from_mesh, progress)
+    data = make_config(DataConfig, about.config.get("data", {}), checkpoint)
+    found = infer(generator, data, image, read_mesh(mesh), head_from_mesh, progress)
     for name, values in found.maps.items():
         write_map(out / f"{name}.exr", name, values)
     rows, columns = image.shape[:2]

@@ -11,7 +11,14 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from learning import augment
-from learning.encoding import encode_maps, network_input, shrink
+from learning.encoding import (
+    Tone,
+    absolute_tone,
+    encode_maps,
+    network_input,
+    relative_tone,
+    shrink,
+)
 from learning.errors import TrainingError
 from learning.maps import to_batch, typical_texel_mm
 from learning.render.environments import (
@@ -51,6 +58,8 @@ class DataConfig:
         patches_in_memory: at most so many patches are kept decoded.
         shadow_rows: rows of the grid that shadows are baked on; 0 for no cast shadows.
         shadow_sets: sets of light positions per scan whose shadows are baked.
+        relative_tone: tell colours against the lit texture's mean (see learning.encoding); the
+            published networks do not.
     """
 
     patch_px: int = 512
@@ -60,6 +69,7 @@ class DataConfig:
     patches_in_memory: int = 64
     shadow_rows: int = 384
     shadow_sets: int = 64
+    relative_tone: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,6 +125,7 @@ class Batch:
         skin: the patches' true maps.
         environment: the light that is baked into the inputs.
         texture: (B, 3, h, w) linear, what `inputs` encodes.
+        tone: of the encoding.
         places: (scan, row, column) of each patch.
     """
 
@@ -124,6 +135,7 @@ class Batch:
     skin: SkinMaps
     environment: Environment
     texture: Tensor
+    tone: Tone
     places: list[tuple[int, int, int]]
 
 
@@ -213,10 +225,13 @@ class PatchData:
             texture = shade(skin, environment, options, seen) * (skin.area > 0)
             whole_texture = shade(whole_skin, environment, options, whole_seen)
             whole_texture = whole_texture * (whole_skin.area > 0)
-            inputs = network_input(texture, region.maps["shape_normal"], whole_texture)
-            target = encode_maps(skin, whole_skin.diffuse_albedo)
+            tone = absolute_tone(1)
+            if self._config.relative_tone:
+                tone = relative_tone(whole_texture, (whole_skin.area > 0).to(texture))
+            inputs = network_input(texture, region.maps["shape_normal"], whole_texture, tone)
+            target = encode_maps(skin, whole_skin.diffuse_albedo, tone)
         covered = (skin.area > 0).to(texture)
-        return Batch(inputs, target, covered, skin, environment, texture, [place])
+        return Batch(inputs, target, covered, skin, environment, texture, tone, [place])
 
     def _read_patch(self, place: tuple[int, int, int]) -> Region:
         scan, row, column = place
@@ -302,5 +317,9 @@ def join(examples: list[Batch]) -> Batch:
         skin,
         stack([e.environment for e in examples]),
         torch.cat([e.texture for e in examples]),
+        Tone(
+            torch.cat([e.tone.texture for e in examples]),
+            torch.cat([e.tone.albedo for e in examples]),
+        ),
         [place for e in examples for place in e.places],
     )

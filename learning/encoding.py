@@ -2,6 +2,11 @@
 
 Albedo and textures are encoded as sRGB (so that a step looks the same in dark and light skin),
 specular albedo linearly over 0..0.1, normals as they are.
+
+Instance norm takes a patch's mean away in the first layer, so the tone of the skin would reach the
+output only through its contrast with eyes and hair, which takes long to learn. With a `relative`
+tone, colours are told against the mean colour of the whole lit texture: the tone goes around the
+network, and what it learns is how shading relates to albedo. The published encoding is absolute.
 """
 
 from __future__ import annotations
@@ -16,6 +21,10 @@ from learning.render.shading import SkinMaps, unit
 
 SPECULAR_MOST = 0.1
 """Specular albedo that stands for 1; skin has about 0.03."""
+TEXTURE_HEADROOM = 4.0
+"""Brightest lit texel told apart, in units of the texture's mean."""
+ALBEDO_HEADROOM = 10.0
+"""Brightest albedo told apart, in the same units: the white of an eye in dim light."""
 
 
 def srgb_from_linear(rgb: Tensor) -> Tensor:
@@ -33,36 +42,71 @@ def linear_from_srgb(image: Tensor) -> Tensor:
     )
 
 
-def encode_colour(rgb_linear: Tensor) -> Tensor:
-    """Linear 0..1 (clipped) to sRGB in -1..1."""
-    return 2 * srgb_from_linear(rgb_linear) - 1
+@dataclasses.dataclass(frozen=True)
+class Tone:
+    """Linear colours that are encoded as white, each (B, 3, 1, 1).
+
+    Attributes:
+        texture: in the input.
+        albedo: in the output.
+    """
+
+    texture: Tensor
+    albedo: Tensor
 
 
-def decode_colour(channels: Tensor) -> Tensor:
-    """-1..1 to linear 0..1."""
-    return linear_from_srgb((channels + 1) / 2)
+def absolute_tone(batch: int) -> Tone:
+    """White is white."""
+    return Tone(torch.ones(batch, 3, 1, 1), torch.ones(batch, 3, 1, 1))
 
 
-def network_input(texture: Tensor, shape_normal: Tensor, whole_texture: Tensor) -> Tensor:
+def relative_tone(whole_texture: Tensor, covered: Tensor) -> Tone:
+    """White is a multiple of the mean lit colour: a face's shading and albedo fit below it.
+
+    Args:
+        whole_texture: (B, 3, h, w) linear, of the whole face.
+        covered: (B, 1, h, w), 1 where a surface is.
+    """
+    total = (whole_texture * covered).sum(dim=(2, 3), keepdim=True)
+    mean = total / covered.sum(dim=(2, 3), keepdim=True).clamp_min(1.0)
+    mean = mean.clamp_min(1e-4)
+    return Tone(TEXTURE_HEADROOM * mean, ALBEDO_HEADROOM * mean)
+
+
+def encode_colour(rgb_linear: Tensor, white: Tensor | float = 1.0) -> Tensor:
+    """Linear 0..white (clipped) to sRGB in -1..1."""
+    return 2 * srgb_from_linear(rgb_linear / white) - 1
+
+
+def decode_colour(channels: Tensor, white: Tensor | float = 1.0) -> Tensor:
+    """-1..1 to linear 0..white."""
+    return linear_from_srgb((channels + 1) / 2) * white
+
+
+def network_input(
+    texture: Tensor, shape_normal: Tensor, whole_texture: Tensor, tone: Tone
+) -> Tensor:
     """The nine input channels.
 
     Args:
         texture: (B, 3, h, w) linear, light baked in.
         shape_normal: (B, 3, h, w) unit, head frame; zero where no surface is.
         whole_texture: (B, 3, h, w) linear, the whole texture shrunk to the patch's size.
+        tone: of the whole texture.
     """
-    return torch.cat([encode_colour(texture), shape_normal, encode_colour(whole_texture)], dim=1)
+    colours = [encode_colour(image, tone.texture) for image in (texture, whole_texture)]
+    return torch.cat([colours[0], shape_normal, colours[1]], dim=1)
 
 
-def encode_maps(skin: SkinMaps, whole_albedo: Tensor) -> Tensor:
+def encode_maps(skin: SkinMaps, whole_albedo: Tensor, tone: Tone) -> Tensor:
     """The thirteen channels the generator should give for a skin; where no surface is, 0."""
     channels = torch.cat(
         [
-            encode_colour(skin.diffuse_albedo),
+            encode_colour(skin.diffuse_albedo, tone.albedo),
             (2 / SPECULAR_MOST) * skin.specular_albedo.clamp(0, SPECULAR_MOST) - 1,
             unit(skin.diffuse_normal),
             unit(skin.specular_normal),
-            encode_colour(whole_albedo),
+            encode_colour(whole_albedo, tone.albedo),
         ],
         dim=1,
     )
@@ -96,14 +140,14 @@ class Reflectance:
         )
 
 
-def decode_maps(channels: Tensor) -> Reflectance:
+def decode_maps(channels: Tensor, tone: Tone) -> Reflectance:
     """Thirteen channels (the whole albedo is dropped) to reflectance.
 
     Normals shorter than 0.1 keep a shorter length, so that the gradient of an untrained network,
     whose outputs are near zero, stays small.
     """
     return Reflectance(
-        decode_colour(channels[:, :3]),
+        decode_colour(channels[:, :3], tone.albedo),
         (channels[:, 3:4] + 1) * (SPECULAR_MOST / 2),
         unit(channels[:, 4:7], floor=0.1),
         unit(channels[:, 7:10], floor=0.1),

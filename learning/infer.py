@@ -14,7 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from learning.encoding import decode_maps, network_input, shrink
+from learning.data import DataConfig
+from learning.encoding import absolute_tone, decode_maps, network_input, relative_tone, shrink
 from learning.errors import MapsError
 from learning.maps import from_batch, to_batch
 from learning.networks.generator import OUT_CHANNELS, Generator
@@ -42,7 +43,7 @@ class Inferred:
 
 def infer(
     generator: Generator,
-    patch_px: int,
+    data: DataConfig,
     texture: np.ndarray,
     mesh: Mesh,
     head_from_mesh: np.ndarray,
@@ -52,7 +53,7 @@ def infer(
 
     Args:
         generator: in evaluation mode.
-        patch_px: side of the patches it was trained on; the tiles' side.
+        data: how it was trained; tiles are as large as its patches.
         texture: (rows, columns, 3) linear, with light and shadow in it.
         mesh: with the texture's UV.
         head_from_mesh: (3, 3) rotation from the mesh's axes to the head frame.
@@ -66,6 +67,7 @@ def infer(
         MapsError: a texture smaller than a patch.
     """
     rows, columns = texture.shape[:2]
+    patch_px = data.patch_px
     if min(rows, columns) < patch_px:
         raise MapsError(
             "texture",
@@ -81,10 +83,13 @@ def infer(
     weight = shrink(seen, size)
     whole = shrink(lit, size) / weight.clamp_min(1e-3) * (weight > 0.5)
     shape = to_batch(surface.normal @ head_from_mesh.T)
-    inputs = network_input(lit, shape, whole.new_zeros(lit.shape))[:, :6]
-    context = network_input(whole, torch.zeros_like(whole), whole)[:, 6:]
+    tone = absolute_tone(1)
+    if data.relative_tone:
+        tone = relative_tone(whole, (weight > 0.5).to(whole))
+    inputs = network_input(lit, shape, torch.zeros_like(lit), tone)[:, :6]
+    context = network_input(whole, torch.zeros_like(whole), whole, tone)[:, 6:]
     channels, spread = run_tiles(generator, inputs, context, patch_px, progress)
-    found = decode_maps(channels)
+    found = decode_maps(channels, tone)
     confidence = 1 / (1 + (spread / DISAGREEMENT) ** 2)
     maps = {
         "diffuse_albedo": found.diffuse_albedo,

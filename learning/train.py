@@ -191,12 +191,13 @@ def train(
         "metrics": {},
     }
     total = max(1, math.ceil(config.epochs * len(data.places) / config.batch))
-    step, saved = first, time.monotonic()
+    finished, saved = first, time.monotonic()
     try:
         for step, done in _steps(first, total, config.seconds, progress):
             rng = np.random.default_rng([config.seed, 2, step])
             rate = trainer.set_rate(done)
             losses = trainer.step(data.draw(config.batch, rng), rng)
+            finished = step + 1
             if not all(map(math.isfinite, losses.values())):
                 raise TrainingError(
                     out,
@@ -208,19 +209,18 @@ def train(
             if step % config.log_steps == 0:
                 _log(out, {"step": step, "learning_rate": rate, **losses}, began)
             if time.monotonic() - saved > config.save_seconds:
-                save_checkpoint(out, step + 1, trainer.tensors(), about)
+                save_checkpoint(out, finished, trainer.tensors(), about)
                 saved = time.monotonic()
-        step += 1
     except KeyboardInterrupt:
-        save_checkpoint(out, step, trainer.tensors(), about)
+        save_checkpoint(out, finished, trainer.tensors(), about)
         raise
     trainer.generator.eval()
     result = score(trainer.generator, scored, data, config.score_patches, config.seed)
     about["metrics"] = dataclasses.asdict(result)
-    _log(out, {"step": step, **about["metrics"]}, began)
-    index = save_checkpoint(out, step, trainer.tensors(), about)
+    _log(out, {"step": finished, **about["metrics"]}, began)
+    index = save_checkpoint(out, finished, trainer.tensors(), about)
     seconds = time.monotonic() - began
-    return TrainResult(index, step, seconds, len(data.places), sorted(held_out), result)
+    return TrainResult(index, finished, seconds, len(data.places), sorted(held_out), result)
 
 
 def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:

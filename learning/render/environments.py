@@ -54,8 +54,8 @@ class RandomLightConfig:
     lights: int = 3
     distance_mm: tuple[float, float] = (700.0, 2000.0)
     exposure: tuple[float, float] = (0.6, 1.1)
-    ambient_share: tuple[float, float] = (0.1, 0.5)
-    tint: float = 0.04
+    ambient_share: tuple[float, float] = (0.0, 0.5)
+    tint: float = 0.1
     camera_mm: float = 1100.0
     position_spread: float = 0.5
     camera_spread: float = 0.25

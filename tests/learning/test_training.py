@@ -1,0 +1,299 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from learning import augment
+from learning.checkpoint import INDEX, load_generator, read_checkpoint
+from learning.data import DataConfig, PatchData
+from learning.encoding import decode_colour, decode_maps, encode_colour, encode_maps
+from learning.errors import CheckpointError, TrainingError
+from learning.losses import maps_loss, rendering_loss
+from learning.networks.discriminator import DiscriminatorConfig
+from learning.networks.generator import GeneratorConfig
+from learning.presets import PRESETS, TrainConfig, preset
+from learning.render.environments import (
+    RandomLightConfig,
+    around,
+    random_environment,
+    random_lights,
+)
+from learning.render.shading import unit
+from learning.train import split, train
+from lightstage.errors import ConfigError
+from processing.dataset import open_store
+
+TINY = TrainConfig(
+    generator=GeneratorConfig(width=8, downsamplings=2, global_blocks=1, local_blocks=1),
+    discriminator=DiscriminatorConfig(width=4, scales=2),
+    data=DataConfig(
+        patch_px=32,
+        stride_px=32,
+        patches_in_memory=16,
+        shadow_rows=24,
+        shadow_sets=2,
+        relative_tone=True,
+    ),
+    batch=2,
+    epochs=1,
+    learning_rate=2e-3,
+    map_weight=10.0,
+    environments=1,
+    log_steps=1,
+    score_patches=4,
+)
+
+
+def patches(store_path: Path, config: DataConfig = TINY.data) -> PatchData:
+    store = open_store(store_path)
+    people = {scan.subject for scan in store.scans}
+    rng = np.random.default_rng(0)
+    return PatchData(store, people, config, TINY.lights, TINY.augment, rng)
+
+
+def test_a_pair_is_the_store_relit(store_path: Path) -> None:
+    data = patches(store_path)
+    assert len(data.places) == 3 * 6
+    place = data.places[3]
+    batch = data.batch([place], np.random.default_rng(1))
+    assert batch.inputs.shape == (1, 9, 32, 32)
+    assert batch.target.shape == (1, 13, 32, 32)
+    scan, row, column = place
+    store = open_store(store_path)
+    truth = store.read(scan, "diffuse_albedo", slice(row, row + 32), slice(column, column + 32))
+    found = decode_colour(batch.target[:, :3], batch.tone.albedo)[0].permute(1, 2, 0).numpy()
+    gain = (found / truth).reshape(-1, 3)
+    # One complexion for the whole patch.
+    np.testing.assert_allclose(gain, np.broadcast_to(gain.mean(axis=0), gain.shape), rtol=2e-2)
+    specular = decode_maps(batch.target, batch.tone).specular_albedo[0, 0].numpy()
+    expected = store.read(scan, "specular_albedo", slice(row, row + 32), slice(column, column + 32))
+    np.testing.assert_allclose(specular, expected[..., 0], atol=1e-5)
+    normal = store.read(scan, "diffuse_normal", slice(row, row + 32), slice(column, column + 32))
+    np.testing.assert_allclose(batch.target[0, 4:7].permute(1, 2, 0), normal, atol=2e-3)
+    # Shape normals come from the positions and point outward, as the ball's do.
+    facing = (batch.inputs[0, 3:6].permute(1, 2, 0).numpy() * normal).sum(axis=2)
+    assert np.median(facing) > 0.99
+
+
+def test_the_same_randomness_gives_the_same_pair(store_path: Path) -> None:
+    first, second = (patches(store_path).draw(2, np.random.default_rng(5)) for _ in range(2))
+    assert torch.equal(first.inputs, second.inputs)
+    assert not torch.equal(
+        first.inputs, patches(store_path).draw(2, np.random.default_rng(6)).inputs
+    )
+
+
+def test_few_patches_are_kept_in_memory(store_path: Path) -> None:
+    data = patches(store_path, dataclasses.replace(TINY.data, patches_in_memory=2))
+    regions = [data.patch(place) for place in data.places]
+    again = data.patch(data.places[0])
+    assert again is not regions[0]
+    assert torch.equal(again.maps["diffuse_albedo"], regions[0].maps["diffuse_albedo"])
+    assert data.patch(data.places[-1]) is regions[-1]
+
+
+def test_patches_that_cannot_be_are_a_clear_error(store_path: Path) -> None:
+    with pytest.raises(TrainingError, match="patches of 512 texels: found none"):
+        patches(store_path, dataclasses.replace(TINY.data, patch_px=512))
+
+
+def test_colour_encoding_is_inverted() -> None:
+    colour = torch.linspace(0, 1, 101).view(1, 1, 1, -1).repeat(1, 3, 1, 1)
+    torch.testing.assert_close(decode_colour(encode_colour(colour)), colour, atol=1e-6, rtol=1e-5)
+    assert float(encode_colour(torch.tensor(0.18))) == pytest.approx(2 * 0.46135 - 1, abs=1e-4)
+
+
+def test_maps_survive_encoding(store_path: Path) -> None:
+    batch = patches(store_path).draw(1, np.random.default_rng(2))
+    skin = batch.skin
+    found = decode_maps(encode_maps(skin, skin.diffuse_albedo, batch.tone), batch.tone)
+    torch.testing.assert_close(found.diffuse_albedo, skin.diffuse_albedo, atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(found.specular_albedo, skin.specular_albedo, atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(found.diffuse_normal, unit(skin.diffuse_normal), atol=1e-5, rtol=0)
+
+
+def test_losses_vanish_at_the_truth_and_only_there(store_path: Path) -> None:
+    batch = patches(store_path).draw(2, np.random.default_rng(3))
+    lights = RandomLightConfig()
+
+    def losses(channels: torch.Tensor) -> list[float]:
+        rendered = rendering_loss(channels, batch, 3, lights, np.random.default_rng(0))
+        return [float(rendered), float(maps_loss(channels, batch))]
+
+    truth = losses(batch.target)
+    assert truth[0] < 5e-4
+    assert truth[1] == 0
+    darker = batch.target.clone()
+    darker[:, :3] -= 0.1
+    assert min(losses(darker)) > 0.005
+    # The whole albedo, channels 10 to 12, is not rendered.
+    other = batch.target.clone()
+    other[:, 10:] = 0
+    assert losses(other)[0] == pytest.approx(truth[0])
+
+
+def test_rendering_loss_of_a_known_difference(store_path: Path) -> None:
+    batch = patches(store_path).draw(1, np.random.default_rng(3))
+    skin = dataclasses.replace(
+        batch.skin,
+        diffuse_albedo=torch.ones_like(batch.skin.diffuse_albedo),
+        specular_albedo=torch.zeros_like(batch.skin.specular_albedo),
+    )
+    dark = torch.zeros_like(batch.environment.rgb)
+    ambient = torch.full_like(batch.environment.ambient_rgb, 0.5)
+    lights = dataclasses.replace(batch.environment, rgb=dark, ambient_rgb=ambient)
+    even = dataclasses.replace(batch, skin=skin, environment=lights)
+    black = encode_maps(skin, skin.diffuse_albedo, batch.tone)
+    black[:, :3] = -1
+    still = RandomLightConfig(intensity_spread=0.0)
+    # White against black in light of 0.5: rgb differs by 0.5 sqrt(3); four environments over three.
+    found = rendering_loss(black, even, 3, still, np.random.default_rng(0))
+    assert float(found) == pytest.approx(4 / 3 * 0.5 * np.sqrt(3), rel=1e-3)
+
+
+def test_environments_around_a_target_stay_within_the_published_ranges() -> None:
+    rng, config = np.random.default_rng(0), RandomLightConfig()
+    target = random_environment(rng, config, random_lights(rng, config))
+    distance = target.position_mm.norm(dim=-1, keepdim=True)
+    moves, gains, cameras = [], [], []
+    for _ in range(300):
+        found = around(target, rng, config)
+        moves.append(((found.position_mm - target.position_mm) / distance).abs().max())
+        gains.append((found.rgb / target.rgb - 1).abs().max())
+        cameras.append(((found.camera_mm - target.camera_mm) / target.camera_mm.norm()).abs().max())
+    for values, most in ((moves, 0.5), (gains, 0.25), (cameras, 0.25)):
+        assert 0.8 * most < float(max(values)) <= most + 1e-5
+
+
+def test_random_light_gives_the_exposure_asked_for() -> None:
+    config = RandomLightConfig(tint=0.0, exposure=(0.8, 0.8))
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        front = np.array([[0.0, 0.0, 1000.0], [300.0, 0.0, 900.0]])
+        found = random_environment(rng, config, front)
+        facing = torch.from_numpy(front[:, 2] / np.linalg.norm(front, axis=1)).float()
+        total = (found.rgb[0, :, 0] * facing).sum() + found.ambient_rgb[0, 0]
+        assert float(total) == pytest.approx(0.8, rel=1e-4)
+
+
+def test_complexion_moves_along_melanin_and_blood() -> None:
+    only_melanin = augment.AugmentConfig(melanin=0.3, haemoglobin=0.0)
+    gain = np.log(augment.draw(np.random.default_rng(0), only_melanin).gain)
+    np.testing.assert_allclose(gain / gain[1], augment.MELANIN)
+
+
+def run_interrupted(store_path: Path, out: Path, config: TrainConfig, after: int) -> None:
+    def stop(done: int, total: int) -> None:
+        if done == after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(open_store(store_path), out, config, progress=stop)
+
+
+def test_training_learns_scores_and_writes_whole_files(store_path: Path, tmp_path: Path) -> None:
+    config = dataclasses.replace(TINY, epochs=12, map_weight=100.0)
+    result = train(open_store(store_path), tmp_path / "run", config)
+    lines = [json.loads(s) for s in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert result.steps == 72
+    assert [line["step"] for line in lines] == [*range(72), 72]
+    first = np.mean([line["maps"] for line in lines[:8]])
+    last = np.mean([line["maps"] for line in lines[-9:-1]])
+    assert last < 0.7 * first
+    assert lines[-1]["psnr_db"] == result.score.psnr_db
+    assert result.held_out == ["person-2"]
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert names == {
+        "checkpoint.json",
+        "metrics.jsonl",
+        "generator-0000072.safetensors",
+        "training-0000072.safetensors",
+    }
+    generator, checkpoint = load_generator(tmp_path / "run")
+    assert checkpoint.step == 72
+    assert checkpoint.texture_rows == 96
+    assert checkpoint.data_fingerprint == open_store(store_path).fingerprint
+    assert checkpoint.metrics["psnr_db"] == result.score.psnr_db
+    assert not generator.training
+
+
+def test_resuming_goes_on_as_if_never_interrupted(store_path: Path, tmp_path: Path) -> None:
+    straight = train(open_store(store_path), tmp_path / "a", TINY)
+    run_interrupted(store_path, tmp_path / "b", TINY, 3)
+    assert read_checkpoint(tmp_path / "b").step == 3
+    resumed = train(open_store(store_path), tmp_path / "b", TINY, resume=True)
+    assert resumed.steps == straight.steps == 6
+    first, second = (load_generator(tmp_path / name)[0].state_dict() for name in "ab")
+    for name, value in first.items():
+        torch.testing.assert_close(second[name], value, rtol=1e-4, atol=1e-6)
+
+
+def test_a_run_is_neither_overwritten_nor_mixed(store_path: Path, tmp_path: Path) -> None:
+    store = open_store(store_path)
+    with pytest.raises(Exception, match=r"checkpoint\.json: found no such file"):
+        train(store, tmp_path / "run", TINY, resume=True)
+    run_interrupted(store_path, tmp_path / "run", TINY, 1)
+    with pytest.raises(CheckpointError, match="a run that is there already"):
+        train(store, tmp_path / "run", TINY)
+    with pytest.raises(CheckpointError, match="learning_rate: found other values"):
+        train(store, tmp_path / "run", dataclasses.replace(TINY, learning_rate=1.0), resume=True)
+    other = dataclasses.replace(store, fingerprint="0" * 64)
+    with pytest.raises(CheckpointError, match="data_fingerprint"):
+        train(other, tmp_path / "run", TINY, resume=True)
+
+
+def test_a_training_that_diverges_says_so(store_path: Path, tmp_path: Path) -> None:
+    config = dataclasses.replace(TINY, learning_rate=1e30)
+    with pytest.raises(TrainingError, match="Lower learning_rate"):
+        train(open_store(store_path), tmp_path / "run", config)
+    assert not (tmp_path / "run" / INDEX).exists()
+
+
+def test_damaged_checkpoints_are_refused(store_path: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run_interrupted(store_path, run, TINY, 1)
+    weights = next(run.glob("generator-*.safetensors"))
+    data = weights.read_bytes()
+    weights.write_bytes(data[:-4])
+    with pytest.raises(CheckpointError, match="other bytes than were saved"):
+        load_generator(run)
+    weights.unlink()
+    with pytest.raises(CheckpointError, match="no such file"):
+        load_generator(run)
+    weights.write_bytes(data)
+    value = json.loads((run / INDEX).read_text())
+    value["config"]["generator"]["width"] = 16
+    (run / INDEX).write_text(json.dumps(value))
+    with pytest.raises(CheckpointError, match="those of the configured network"):
+        load_generator(run)
+    del value["step"]
+    (run / INDEX).write_text(json.dumps(value))
+    with pytest.raises(CheckpointError, match="step"):
+        load_generator(run)
+
+
+def test_people_are_split_never_patches(store_path: Path) -> None:
+    store = open_store(store_path)
+    held_out, trained_on = split(store, 1)
+    assert held_out == {"person-2"}
+    assert trained_on == {"person-0", "person-1"}
+    for wrong in (0, 3):
+        with pytest.raises(TrainingError, match="subjects: found 3"):
+            split(store, wrong)
+
+
+def test_presets_resolve_and_refuse_unknown_names() -> None:
+    assert preset("paper", {}, "test") == TrainConfig()
+    demo = preset("demo", {"generator": {"width": 16}}, "test")
+    assert demo.generator.width == 16
+    assert demo.generator.downsamplings == PRESETS["demo"]["generator"]["downsamplings"]
+    assert demo.data.patch_px % demo.generator.multiple_px == 0
+    with pytest.raises(ConfigError, match="one of paper, demo"):
+        preset("huge", {}, "test")
+    with pytest.raises(ConfigError, match="found an unknown key"):
+        preset("demo", {"generator": {"depth": 3}}, "test")
