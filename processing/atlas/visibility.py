@@ -25,7 +25,8 @@ def depth_buffer(camera: Camera, vertices: np.ndarray, triangles: np.ndarray) ->
     """
     pixels, depth = camera.project(vertices)
     out = np.full((camera.height_px, camera.width_px), np.inf, np.float32)
-    _fill_depth(pixels, 1.0 / depth, np.ascontiguousarray(triangles, np.int32), out)
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0)
+    _fill_depth(pixels, inverse, np.ascontiguousarray(triangles, np.int32), out)
     return out
 
 

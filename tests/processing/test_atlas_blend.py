@@ -1,0 +1,188 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lightstage.formats.mesh import vertex_normals
+from processing.atlas.blend import BlendConfig, Blender, ViewSamples, masked_blur, view_samples
+from processing.atlas.visibility import depth_buffer, silhouette_distance
+from processing.rays import MeshRays
+from tests.processing.shapes import bumpy_ellipsoid, camera
+
+
+def test_depth_buffer_agrees_with_rays_through_distortion():
+    mesh = bumpy_ellipsoid()
+    for cam in (camera("a", 30, 10), camera("b", -50, 0, dist=True)):
+        found = depth_buffer(cam, mesh.vertices, mesh.triangles())
+        hits = MeshRays(mesh.vertices, mesh.triangles()).cast_camera(cam)
+        _, directions = cam.pixel_rays()
+        along = directions.reshape(-1, 3) @ cam.cam_from_world[2, :3]
+        truth = (hits.distance_mm * along).reshape(found.shape)
+        both = np.isfinite(truth) & np.isfinite(found)
+        assert (np.isfinite(truth) == np.isfinite(found)).mean() > 0.999
+        inner = silhouette_distance(found, both, 15.0) > 1.5
+        assert inner.sum() > 10_000
+        error = np.abs(found[inner] - truth[inner])
+        assert error.max() < 0.2
+        assert np.median(error) < 2e-3
+
+
+def test_what_is_behind_the_camera_is_not_drawn():
+    mesh = bumpy_ellipsoid()
+    behind = mesh.vertices + np.array([0, 0, 1500.0])
+    assert np.isinf(depth_buffer(camera("a", 0), behind, mesh.triangles())).all()
+
+
+def test_silhouette_distance_counts_from_jumps_holes_and_the_border():
+    depth = np.full((40, 60), 1000, np.float32)
+    depth[:, 30:] = 1050
+    mask = np.ones(depth.shape, bool)
+    mask[10, 10] = False
+    found = silhouette_distance(depth, mask, 4.0)
+    assert found[10, 10] == 0
+    assert (found[:, 29:31] == 0).all()
+    assert found[30, 15] == pytest.approx(10, abs=0.6)
+    assert found[20, 45] == pytest.approx(15, abs=0.6)
+    smooth = silhouette_distance(depth, mask, 100.0)
+    assert smooth[20, 30] > 10
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    sigma=st.floats(0.3, 5),
+    scale=st.sampled_from([1e-6, 1e-3, 1.0, 1e3, 1e6]),
+)
+def test_masked_blur_keeps_constants_and_never_reads_outside(seed, sigma, scale):
+    rng = np.random.default_rng(seed)
+    mask = rng.uniform(size=(24, 30)) > 0.5
+    image = np.full((24, 30, 2), scale, np.float32)
+    image[~mask] = [np.nan, -1e9]
+    found = masked_blur(image, mask, sigma)
+    assert np.allclose(found[mask], scale, rtol=1e-4)
+    assert (found[~mask] == 0).all()
+
+
+def samples_of(pixel, weight, shape=(20, 20), usable=None):
+    return ViewSamples(
+        np.arange(len(pixel), dtype=np.int32),
+        np.asarray(pixel, np.float32),
+        np.asarray(weight, np.float32),
+        np.ones(shape, bool) if usable is None else usable,
+        1.0,
+    )
+
+
+def bilinear(image, usable, x, y):
+    """Plain float64 twin: usable taps of the 2 x 2 neighbourhood, renormalised."""
+    total, weight = 0.0, 0.0
+    left, top = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
+    for row in (top, top + 1):
+        for column in (left, left + 1):
+            inside = 0 <= row < image.shape[0] and 0 <= column < image.shape[1]
+            if inside and usable[row, column]:
+                share = (1 - abs(x - 0.5 - column)) * (1 - abs(y - 0.5 - row))
+                total += share * image[row, column, 0]
+                weight += share
+    return total / weight if weight >= 0.25 else 0.0
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_sampling_agrees_with_its_plain_twin(seed):
+    rng = np.random.default_rng(seed)
+    image = rng.normal(size=(20, 20, 1)).astype(np.float32)
+    usable = rng.uniform(size=(20, 20)) > 0.3
+    image[~usable] = np.nan
+    pixel = rng.uniform(-1, 21, size=(50, 2)).astype(np.float32)
+    blender = Blender(50, 1, BlendConfig())
+    blender.add(samples_of(pixel, rng.uniform(0.1, 1, 50), usable=usable), image)
+    found = blender.result()[:, 0]
+    clean = np.where(usable[..., None], image, 0).astype(float)
+    for value, (x, y) in zip(found, pixel, strict=True):
+        assert value == pytest.approx(bilinear(clean, usable, float(x), float(y)), abs=1e-4)
+
+
+def test_a_pixel_centre_reads_exactly_that_pixel():
+    image = np.arange(400, dtype=np.float32).reshape(20, 20, 1)
+    blender = Blender(2, 1, BlendConfig())
+    blender.add(samples_of([[3.5, 7.5], [19.5, 19.5]], [1, 1]), image)
+    assert blender.result()[:, 0].tolist() == pytest.approx([7 * 20 + 3, 399], abs=1e-3)
+
+
+def test_low_frequencies_are_averaged_and_detail_comes_from_the_best_view():
+    rng = np.random.default_rng(0)
+    detail = rng.normal(size=(20, 20, 1)).astype(np.float32)
+    pixel = np.stack(np.meshgrid(np.arange(5, 15) + 0.5, np.arange(5, 15) + 0.5), -1).reshape(-1, 2)
+    config = dataclasses.replace(BlendConfig(), band_mm=2.0)
+    blender = Blender(len(pixel), 1, config)
+    blender.add(samples_of(pixel, np.full(len(pixel), 0.9)), 1.0 + detail)
+    blender.add(samples_of(pixel, np.full(len(pixel), 0.3)), np.full((20, 20, 1), 2, np.float32))
+    found = blender.result()[:, 0]
+    inside = detail[5:15, 5:15, 0].ravel()
+    assert found.mean() == pytest.approx(0.75 * (1 + inside.mean()) + 0.25 * 2, abs=0.1)
+    # The weights' ratio is 3, so the fine band takes 81 / 82 of the first view.
+    assert np.std(found) > 0.9 * np.std(inside)
+
+
+def test_texels_without_a_view_stay_zero_and_tiny_weights_stay_finite():
+    blender = Blender(3, 1, BlendConfig())
+    blender.add(samples_of([[5, 5], [6, 6]], [1.0, 2e-6]), np.full((20, 20, 1), 4, np.float32))
+    found = blender.result()[:, 0]
+    assert found == pytest.approx([4, 4, 0], abs=1e-3)
+
+
+def test_views_see_only_what_faces_them_and_is_not_hidden():
+    mesh = bumpy_ellipsoid()
+    triangles = mesh.triangles()
+    normals = vertex_normals(mesh.vertices, triangles)
+    cam = camera("a", 50)
+    shape = (cam.height_px, cam.width_px)
+    found = view_samples(
+        cam,
+        mesh.vertices,
+        triangles,
+        mesh.vertices.astype(np.float32),
+        normals.astype(np.float32),
+        np.ones(len(normals), np.float32),
+        np.ones(shape, np.float32),
+        np.ones(shape, bool),
+        BlendConfig(),
+    )
+    truth = MeshRays(mesh.vertices, triangles).visible(
+        mesh.vertices, normals, cam.centre_mm[None], offset_mm=3.0
+    )[:, 0]
+    seen = np.zeros(len(normals), bool)
+    seen[found.slot] = True
+    assert not seen[~truth].any()
+    toward = cam.centre_mm - mesh.vertices
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    cosine = np.einsum("nk,nk->n", toward, normals)
+    assert seen[truth & (cosine > 0.4)].mean() > 0.95
+    # Straight and far from silhouettes the weight is cos^2.
+    best = found.weight.argmax()
+    assert found.weight[best] == pytest.approx(cosine[found.slot[best]] ** 2, rel=1e-3)
+
+
+def test_no_trust_or_no_confidence_means_no_sample():
+    mesh = bumpy_ellipsoid()
+    triangles = mesh.triangles()
+    normals = vertex_normals(mesh.vertices, triangles).astype(np.float32)
+    cam = camera("a", 0)
+    shape = (cam.height_px, cam.width_px)
+    ones = np.ones(len(normals), np.float32)
+    for trust, confidence in ((0 * ones, np.ones(shape)), (ones, np.zeros(shape))):
+        found = view_samples(
+            cam,
+            mesh.vertices,
+            triangles,
+            mesh.vertices.astype(np.float32),
+            normals,
+            trust,
+            confidence.astype(np.float32),
+            np.ones(shape, bool),
+            BlendConfig(),
+        )
+        assert len(found.slot) == 0
