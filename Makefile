@@ -21,7 +21,7 @@ check: $(READY) ## lint, types, import arrows
 	$(BIN)/lint-imports
 
 bench: $(READY) ## every benchmark; tables go to benchmarks/RESULTS.md
-	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+	for script in benchmarks/*.py; do $(BIN)/python -m benchmarks.$$(basename $$script .py) || exit 1; done
 
 setup: $(READY) ## system packages and the virtual environment, pinned
 
