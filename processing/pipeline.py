@@ -17,6 +17,7 @@ from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import AtlasConfig, atlas
 from processing.decode import DecodeConfig, decode
 from processing.errors import ProcessingError
+from processing.pages import write_processed_report
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
     Record,
@@ -108,7 +109,7 @@ def run(
         bar: draws progress.
 
     Returns:
-        The content of OUT/report.json, plus "ran": the stages that were not skipped.
+        The content of OUT/report.json (report.html shows it), plus "ran": the stages that were not skipped.
 
     Raises:
         LightstageError: input that the user can mend; stages that finished before stay finished.
@@ -129,7 +130,10 @@ def run(
     planned = _only(only, records, keys) if only else _stale(job, records, keys, last)
     for stage in planned:
         records = _run_stage(job, stage, keys[stage], records, bar)
-    return {**write_report_json(job, records), "ran": planned}
+    report = write_report_json(job, records)
+    if planned:
+        write_processed_report(out, report)
+    return {**report, "ran": planned}
 
 
 def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:
