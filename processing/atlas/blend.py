@@ -26,6 +26,10 @@ class BlendConfig:
     """A texel this far (and than four pixels' width) behind the z-buffer still counts as seen."""
     least_cos: float = 0.15
     """Views from flatter than this show nothing usable."""
+    doubt_deg: float = 25.0
+    """Where a view's normal is farther than this from the mesh's, its maps count less ..."""
+    disbelief_deg: float = 50.0
+    """... and not at all from here on: it was solved on a wrong surface."""
     band_mm: float = 3.0
     """Gaussian sigma between the two bands: below it views are averaged widely, above narrowly."""
     detail_power: float = 4.0
@@ -60,12 +64,13 @@ def view_samples(
     trust: np.ndarray,
     confidence: np.ndarray,
     mask: np.ndarray,
+    measured: np.ndarray,
     config: BlendConfig,
 ) -> ViewSamples:
     """Which texels a view sees and with what weight.
 
     The weight is cos^2 of the viewing angle x the view's own confidence x the distance to its
-    silhouettes x the trust in the surface there.
+    silhouettes x the trust in the surface there x the agreement of measured and mesh normal.
 
     Args:
         camera: the view.
@@ -76,6 +81,7 @@ def view_samples(
         trust: (k,) float32 in 0..1, how far the mesh may be believed there.
         confidence: (h, w) the view's.
         mask: (h, w) bool, the face.
+        measured: (h, w, 3) the view's normals.
         config: settings.
 
     Returns:
@@ -91,6 +97,7 @@ def view_samples(
     feather = np.clip(edge * (footprint / config.feather_mm), 0, 1)
     quality = (feather * feather * (3 - 2 * feather) * confidence).astype(np.float32)
     centre = camera.centre_mm.astype(np.float32)
+    doubt, disbelief = np.cos(np.deg2rad([config.doubt_deg, config.disbelief_deg]))
     slots, pixels, weights = [], [], []
     for first in range(0, len(positions), CHUNK_TEXELS):
         part = slice(first, first + CHUNK_TEXELS)
@@ -104,6 +111,8 @@ def view_samples(
         inside = (row >= 0) & (column >= 0) & (row < depth.shape[0]) & (column < depth.shape[1])
         facing, pixel, row, column = facing[inside], pixel[inside], row[inside], column[inside]
         weight = cosine[facing] ** 2 * trust[part][facing] * quality[row, column]
+        agreement = np.einsum("kc,kc->k", measured[row, column], normals[part][facing])
+        weight *= np.clip((agreement - disbelief) / (doubt - disbelief), 0, 1)
         keep = (own_depth[inside] <= depth[row, column] + bias) & (weight > 1e-6)
         slots.append((first + facing[keep]).astype(np.int32))
         pixels.append(pixel[keep].astype(np.float32))

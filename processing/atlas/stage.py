@@ -41,7 +41,7 @@ class AtlasConfig:
     """Columns are two thirds of it."""
     gutter_px: int = 16
     """How far the islands' colours reach beyond their borders."""
-    largest_gap_mm: float = 3.0
+    largest_gap_mm: float = 1.5
     """Where the registered mesh is farther than this from the scan, views are not believed."""
     blend: BlendConfig = dataclasses.field(default_factory=BlendConfig)
 
@@ -106,6 +106,7 @@ def atlas(
             trust,
             folder.read_view(camera.id, "confidence"),
             folder.read_mask(camera.id),
+            folder.read_view(camera.id, "diffuse_normal"),
             config.blend,
         )
         better = found.weight > best[found.slot]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from lightstage.formats.mesh import vertex_normals
 from processing.atlas.blend import BlendConfig, Blender, ViewSamples, masked_blur, view_samples
 from processing.atlas.visibility import depth_buffer, silhouette_distance
-from processing.rays import MeshRays
+from processing.rays import MeshRays, interpolate
 from tests.processing.shapes import bumpy_ellipsoid, camera
 
 
@@ -134,6 +134,43 @@ def test_texels_without_a_view_stay_zero_and_tiny_weights_stay_finite():
     assert found == pytest.approx([4, 4, 0], abs=1e-3)
 
 
+def measured_normals(cam, mesh):
+    hits = MeshRays(mesh.vertices, mesh.triangles()).cast_camera(cam)
+    normals = vertex_normals(mesh.vertices, mesh.triangles())
+    found = interpolate(normals, mesh.triangles(), hits)
+    return found.reshape(cam.height_px, cam.width_px, 3)
+
+
+def test_a_view_whose_normals_are_wrong_is_not_believed():
+    mesh = bumpy_ellipsoid()
+    triangles = mesh.triangles()
+    normals = vertex_normals(mesh.vertices, triangles).astype(np.float32)
+    cam = camera("a", 0)
+    shape = (cam.height_px, cam.width_px)
+    weights = {}
+    for tilt_deg in (0, 20, 60):
+        c, s = np.cos(np.deg2rad(tilt_deg)), np.sin(np.deg2rad(tilt_deg))
+        tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+        found = view_samples(
+            cam,
+            mesh.vertices,
+            triangles,
+            mesh.vertices.astype(np.float32),
+            normals,
+            np.ones(len(normals), np.float32),
+            np.ones(shape, np.float32),
+            np.ones(shape, bool),
+            measured_normals(cam, mesh) @ tilt.T,
+            BlendConfig(),
+        )
+        weights[tilt_deg] = np.zeros(len(normals))
+        weights[tilt_deg][found.slot] = found.weight
+    # The tilt is about x: normals without an x part turn by all of it.
+    top = (np.abs(normals[:, 0]) < 0.2) & (mesh.vertices[:, 2] > 60)
+    assert weights[20][top].sum() > 0.9 * weights[0][top].sum() > 0
+    assert weights[60][top].sum() < 0.1 * weights[0][top].sum()
+
+
 def test_views_see_only_what_faces_them_and_is_not_hidden():
     mesh = bumpy_ellipsoid()
     triangles = mesh.triangles()
@@ -149,6 +186,7 @@ def test_views_see_only_what_faces_them_and_is_not_hidden():
         np.ones(len(normals), np.float32),
         np.ones(shape, np.float32),
         np.ones(shape, bool),
+        measured_normals(cam, mesh),
         BlendConfig(),
     )
     truth = MeshRays(mesh.vertices, triangles).visible(
@@ -183,6 +221,7 @@ def test_no_trust_or_no_confidence_means_no_sample():
             trust,
             confidence.astype(np.float32),
             np.ones(shape, bool),
+            measured_normals(cam, mesh),
             BlendConfig(),
         )
         assert len(found.slot) == 0
