@@ -109,7 +109,8 @@ def run(
         bar: draws progress.
 
     Returns:
-        The content of OUT/report.json (report.html shows it), plus "ran": the stages that were not skipped.
+        The content of OUT/report.json (report.html shows it), plus "ran": the stages that were not
+        skipped.
 
     Raises:
         LightstageError: input that the user can mend; stages that finished before stay finished.
