@@ -12,13 +12,13 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
-from processing.albedo import diffuse_albedo, diffuse_light, pooled, shrunk, specular_evidence
+from processing.albedo import diffuse_albedo, diffuse_light
 from processing.errors import ProcessingError
 from processing.frames import read_foreground, read_frames
 from processing.lights import PatternLights, irradiance_vectors, pattern_lights
 from processing.lobe import SKIN_F0, transport
 from processing.masks import edge_distance_px
-from processing.normals import solve_normals
+from processing.normals import blurred, merged_detail, misfit, solve_normals
 from processing.separation import PixelMaps, fit, px_per_mm, read_pixels, write_maps
 from processing.specular import Gloss, add_view, no_sums, solve_gloss
 from processing.surface import LitSurface, Sight, depth_edges, lit_surface, see
@@ -45,9 +45,10 @@ class RefineConfig:
     """At most this many pixels of a view, evenly spread, give evidence of gloss."""
     gloss_prior_pixels: float = 10.0
     """The face's own mean counts as much as this many pixels at every vertex."""
-    detail_pool_px: float = 2.0
-    detail_prior_pixels: float = 60.0
-    """Pixels' own evidence of specular albedo, over this sigma, against the mesh's answer."""
+    gloss_normal_px: float = 2.0
+    """Sigma that calms the normals which take the gloss off the mean channel."""
+    detail_px: float = 3.0
+    """Relief finer than this sigma may come from all channels, coarser relief from chroma."""
     specular_prior: float = SKIN_F0
     albedo_prior_power: float = 0.005
     """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
@@ -203,7 +204,7 @@ def solve_pixels(view: View, lights: PatternLights, config: RefineConfig) -> Nor
         angles, in the dark, at edges and where the readings do not fit.
     """
     sight = view.sight
-    _, signal, saturation, usable = read_pixels(
+    rgb, signal, saturation, usable = read_pixels(
         view.rgb, view.valid, lights.colour, config.dark_level
     )
     normal = sight.normals
@@ -223,7 +224,54 @@ def solve_pixels(view: View, lights: PatternLights, config: RefineConfig) -> Nor
     confidence = colourful * facing * light * fit(signal, irradiance)
     confidence *= np.clip(2 * agreement, 0, 1) * np.clip(inside / config.edge_px, 0, 1)
     confidence = np.where(solved, confidence, 0)
+    mean = (rgb / lights.colour.astype(np.float32)).mean(axis=2)
+    normal = add_detail(normal, signal, vectors, mean, sight, lights, config)
     return Normals(normal.astype(np.float32), confidence.astype(np.float32))
+
+
+def add_detail(
+    normal: np.ndarray,
+    signal: np.ndarray,
+    vectors: np.ndarray,
+    mean: np.ndarray,
+    sight: Sight,
+    lights: PatternLights,
+    config: RefineConfig,
+) -> np.ndarray:
+    """Give chroma's normals the fine relief that all channels together show with less noise.
+
+    Chroma is free of gloss but weak, so that its normals are right on average and noisy. The mean
+    channel less a typical skin's gloss is strong and slightly biased. Low frequencies stay with
+    chroma; detail is shared between the two by how well each fits its readings.
+
+    Args:
+        normal: (n, 3) from chroma, zero where unsolved.
+        signal: (n, P) chroma.
+        vectors: (n, P, 3) irradiance vectors.
+        mean: (n, P) mean channel.
+        sight: of the n pixels.
+        lights: of the P patterns.
+        config: see there.
+
+    Returns:
+        (n, 3) unit normals, zero where unsolved.
+    """
+    solved = np.einsum("nk,nk->n", normal, normal) > 0.5
+    smooth = blurred(normal, solved, sight.mask, config.gloss_normal_px)
+    length = np.linalg.norm(smooth, axis=1, keepdims=True)
+    smooth = np.where(solved[:, None] & (length > 1e-6), smooth / np.maximum(length, 1e-6), 0)
+    middle = config.roughness[len(config.roughness) // 2]
+    _, a, b = transport(lights, sight.points_mm, smooth, sight.views, middle, sight.shadows)
+    matte = mean - a - np.float32(config.specular_prior) * b
+    sharp = solve_normals(matte, vectors)
+    return merged_detail(
+        normal,
+        sharp,
+        misfit(signal, vectors, normal),
+        misfit(matte, vectors, sharp),
+        sight.mask,
+        config.detail_px,
+    )
 
 
 def solve_albedo(
@@ -246,19 +294,8 @@ def solve_albedo(
     rgb = np.where(solved[:, None, None], view.rgb, 0) / lights.colour.astype(np.float32)
     corners, weights = sight.shadows.corners, sight.shadows.weights
     roughness = (gloss.roughness[corners] * weights).sum(axis=1)
-    from_mesh = (gloss.specular[corners] * weights).sum(axis=1)
+    specular = (gloss.specular[corners] * weights).sum(axis=1)
     e, a, b = transport(lights, sight.points_mm, normal, sight.views, roughness, sight.shadows)
-    evidence = specular_evidence(rgb.mean(axis=2), e, a, b)
-    trust = np.where(solved, normals.confidence, 0)
-    typical = float(np.median(evidence.weight[trust > 0])) if (trust > 0).any() else 1.0
-    sigma = config.detail_pool_px
-    area = 4 * np.pi * sigma * sigma  # pixels that a Gaussian's squared weights leave
-    specular = shrunk(
-        area * pooled(evidence.weighed * trust, mask, sigma),
-        area * pooled(evidence.weight * trust, mask, sigma),
-        from_mesh,
-        config.detail_prior_pixels * typical,
-    )
     specular[~solved] = 0
     lit, power = diffuse_light(rgb, e, a, b, specular)
     lit[~solved], power[~solved] = 0, 0
