@@ -12,11 +12,11 @@ from torch import Tensor
 
 from learning import augment
 from learning.encoding import (
-    Tone,
-    absolute_tone,
+    Reference,
+    absolute_reference,
     encode_maps,
     network_input,
-    relative_tone,
+    relative_reference,
     shrink,
 )
 from learning.errors import TrainingError
@@ -58,8 +58,8 @@ class DataConfig:
         patches_in_memory: at most so many patches are kept decoded.
         shadow_rows: rows of the grid that shadows are baked on; 0 for no cast shadows.
         shadow_sets: sets of light positions per scan whose shadows are baked.
-        relative_tone: tell colours against the lit texture's mean (see learning.encoding); the
-            published networks do not.
+        relative: tell colours against the lit texture's mean and normals against the shape's
+            (see learning.encoding); the published networks do not.
     """
 
     patch_px: int = 512
@@ -69,7 +69,7 @@ class DataConfig:
     patches_in_memory: int = 64
     shadow_rows: int = 384
     shadow_sets: int = 64
-    relative_tone: bool = False
+    relative: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Batch:
         skin: the patches' true maps.
         environment: the light that is baked into the inputs.
         texture: (B, 3, h, w) linear, what `inputs` encodes.
-        tone: of the encoding.
+        reference: of the encoding.
         places: (scan, row, column) of each patch.
     """
 
@@ -135,7 +135,7 @@ class Batch:
     skin: SkinMaps
     environment: Environment
     texture: Tensor
-    tone: Tone
+    reference: Reference
     places: list[tuple[int, int, int]]
 
 
@@ -225,13 +225,15 @@ class PatchData:
             texture = shade(skin, environment, options, seen) * (skin.area > 0)
             whole_texture = shade(whole_skin, environment, options, whole_seen)
             whole_texture = whole_texture * (whole_skin.area > 0)
-            tone = absolute_tone(1)
-            if self._config.relative_tone:
-                tone = relative_tone(whole_texture, (whole_skin.area > 0).to(texture))
-            inputs = network_input(texture, region.maps["shape_normal"], whole_texture, tone)
-            target = encode_maps(skin, whole_skin.diffuse_albedo, tone)
+            shape_normal = region.maps["shape_normal"]
+            reference = absolute_reference(shape_normal)
+            if self._config.relative:
+                whole_covered = (whole_skin.area > 0).to(texture)
+                reference = relative_reference(whole_texture, whole_covered, shape_normal)
+            inputs = network_input(texture, shape_normal, whole_texture, reference)
+            target = encode_maps(skin, whole_skin.diffuse_albedo, reference)
         covered = (skin.area > 0).to(texture)
-        return Batch(inputs, target, covered, skin, environment, texture, tone, [place])
+        return Batch(inputs, target, covered, skin, environment, texture, reference, [place])
 
     def _read_patch(self, place: tuple[int, int, int]) -> Region:
         scan, row, column = place
@@ -317,9 +319,10 @@ def join(examples: list[Batch]) -> Batch:
         skin,
         stack([e.environment for e in examples]),
         torch.cat([e.texture for e in examples]),
-        Tone(
-            torch.cat([e.tone.texture for e in examples]),
-            torch.cat([e.tone.albedo for e in examples]),
+        Reference(
+            torch.cat([e.reference.texture for e in examples]),
+            torch.cat([e.reference.albedo for e in examples]),
+            torch.cat([e.reference.normal for e in examples]),
         ),
         [place for e in examples for place in e.places],
     )

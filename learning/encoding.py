@@ -6,7 +6,8 @@ specular albedo linearly over 0..0.1, normals as they are.
 Instance norm takes a patch's mean away in the first layer, so the tone of the skin would reach the
 output only through its contrast with eyes and hair, which takes long to learn. With a `relative`
 tone, colours are told against the mean colour of the whole lit texture: the tone goes around the
-network, and what it learns is how shading relates to albedo. The published encoding is absolute.
+network, and what it learns is how shading relates to albedo. For the same reason normals are then
+told in the frame of the shape's own. The published encoding is absolute.
 """
 
 from __future__ import annotations
@@ -43,34 +44,58 @@ def linear_from_srgb(image: Tensor) -> Tensor:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tone:
-    """Linear colours that are encoded as white, each (B, 3, 1, 1).
+class Reference:
+    """What colours and normals are told against.
 
     Attributes:
-        texture: in the input.
-        albedo: in the output.
+        texture: (B, 3, 1, 1) linear colour that is encoded as white in the input.
+        albedo: (B, 3, 1, 1) the same in the output.
+        normal: (B, 3, h, w) unit vectors that are +z for the output's normals.
     """
 
     texture: Tensor
     albedo: Tensor
+    normal: Tensor
 
 
-def absolute_tone(batch: int) -> Tone:
-    """White is white."""
-    return Tone(torch.ones(batch, 3, 1, 1), torch.ones(batch, 3, 1, 1))
+def absolute_reference(shape_normal: Tensor) -> Reference:
+    """White is white and +z is the head's."""
+    ones = shape_normal.new_ones(len(shape_normal), 3, 1, 1)
+    ahead = torch.zeros_like(shape_normal)
+    ahead[:, 2] = 1
+    return Reference(ones, ones, ahead)
 
 
-def relative_tone(whole_texture: Tensor, covered: Tensor) -> Tone:
-    """White is a multiple of the mean lit colour: a face's shading and albedo fit below it.
+def relative_reference(whole_texture: Tensor, covered: Tensor, shape_normal: Tensor) -> Reference:
+    """White is a multiple of the mean lit colour; +z is the shape's normal.
 
     Args:
         whole_texture: (B, 3, h, w) linear, of the whole face.
         covered: (B, 1, h, w), 1 where a surface is.
+        shape_normal: (B, 3, h, w) of the patch.
     """
     total = (whole_texture * covered).sum(dim=(2, 3), keepdim=True)
     mean = total / covered.sum(dim=(2, 3), keepdim=True).clamp_min(1.0)
     mean = mean.clamp_min(1e-4)
-    return Tone(TEXTURE_HEADROOM * mean, ALBEDO_HEADROOM * mean)
+    return Reference(TEXTURE_HEADROOM * mean, ALBEDO_HEADROOM * mean, shape_normal)
+
+
+def turn(vectors: Tensor, normal: Tensor, back: bool = False) -> Tensor:
+    """Turn (B, 3, h, w) vectors by the smallest rotation that takes +z to a unit normal.
+
+    Args:
+        vectors: to be turned.
+        normal: (B, 3, h, w).
+        back: the inverse, from the normal's frame to the head's axes being the forward one.
+    """
+    x, y, z = normal.unbind(dim=1)
+    # Straight backward (-z) every turn is as small as any; the scalp's edge alone is there.
+    a = 1 / (1 + z).clamp_min(1e-3)
+    first = torch.stack([1 - x * x * a, -x * y * a, -x], dim=1)
+    second = torch.stack([-x * y * a, 1 - y * y * a, -y], dim=1)
+    if back:
+        return torch.stack([(axis * vectors).sum(dim=1) for axis in (first, second, normal)], dim=1)
+    return vectors[:, :1] * first + vectors[:, 1:2] * second + vectors[:, 2:] * normal
 
 
 def encode_colour(rgb_linear: Tensor, white: Tensor | float = 1.0) -> Tensor:
@@ -84,7 +109,7 @@ def decode_colour(channels: Tensor, white: Tensor | float = 1.0) -> Tensor:
 
 
 def network_input(
-    texture: Tensor, shape_normal: Tensor, whole_texture: Tensor, tone: Tone
+    texture: Tensor, shape_normal: Tensor, whole_texture: Tensor, reference: Reference
 ) -> Tensor:
     """The nine input channels.
 
@@ -92,21 +117,21 @@ def network_input(
         texture: (B, 3, h, w) linear, light baked in.
         shape_normal: (B, 3, h, w) unit, head frame; zero where no surface is.
         whole_texture: (B, 3, h, w) linear, the whole texture shrunk to the patch's size.
-        tone: of the whole texture.
+        reference: of the encoding.
     """
-    colours = [encode_colour(image, tone.texture) for image in (texture, whole_texture)]
+    colours = [encode_colour(image, reference.texture) for image in (texture, whole_texture)]
     return torch.cat([colours[0], shape_normal, colours[1]], dim=1)
 
 
-def encode_maps(skin: SkinMaps, whole_albedo: Tensor, tone: Tone) -> Tensor:
+def encode_maps(skin: SkinMaps, whole_albedo: Tensor, reference: Reference) -> Tensor:
     """The thirteen channels the generator should give for a skin; where no surface is, 0."""
     channels = torch.cat(
         [
-            encode_colour(skin.diffuse_albedo, tone.albedo),
+            encode_colour(skin.diffuse_albedo, reference.albedo),
             (2 / SPECULAR_MOST) * skin.specular_albedo.clamp(0, SPECULAR_MOST) - 1,
-            unit(skin.diffuse_normal),
-            unit(skin.specular_normal),
-            encode_colour(whole_albedo, tone.albedo),
+            turn(unit(skin.diffuse_normal), reference.normal, back=True),
+            turn(unit(skin.specular_normal), reference.normal, back=True),
+            encode_colour(whole_albedo, reference.albedo),
         ],
         dim=1,
     )
@@ -140,17 +165,17 @@ class Reflectance:
         )
 
 
-def decode_maps(channels: Tensor, tone: Tone) -> Reflectance:
+def decode_maps(channels: Tensor, reference: Reference) -> Reflectance:
     """Thirteen channels (the whole albedo is dropped) to reflectance.
 
     Normals shorter than 0.1 keep a shorter length, so that the gradient of an untrained network,
     whose outputs are near zero, stays small.
     """
     return Reflectance(
-        decode_colour(channels[:, :3], tone.albedo),
+        decode_colour(channels[:, :3], reference.albedo),
         (channels[:, 3:4] + 1) * (SPECULAR_MOST / 2),
-        unit(channels[:, 4:7], floor=0.1),
-        unit(channels[:, 7:10], floor=0.1),
+        unit(turn(channels[:, 4:7], reference.normal), floor=0.1),
+        unit(turn(channels[:, 7:10], reference.normal), floor=0.1),
     )
 
 

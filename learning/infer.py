@@ -15,7 +15,13 @@ import torch
 from torch import Tensor, nn
 
 from learning.data import DataConfig
-from learning.encoding import absolute_tone, decode_maps, network_input, relative_tone, shrink
+from learning.encoding import (
+    absolute_reference,
+    decode_maps,
+    network_input,
+    relative_reference,
+    shrink,
+)
 from learning.errors import MapsError
 from learning.maps import from_batch, to_batch
 from learning.networks.generator import OUT_CHANNELS, Generator
@@ -83,13 +89,13 @@ def infer(
     weight = shrink(seen, size)
     whole = shrink(lit, size) / weight.clamp_min(1e-3) * (weight > 0.5)
     shape = to_batch(surface.normal @ head_from_mesh.T)
-    tone = absolute_tone(1)
-    if data.relative_tone:
-        tone = relative_tone(whole, (weight > 0.5).to(whole))
-    inputs = network_input(lit, shape, torch.zeros_like(lit), tone)[:, :6]
-    context = network_input(whole, torch.zeros_like(whole), whole, tone)[:, 6:]
+    reference = absolute_reference(shape)
+    if data.relative:
+        reference = relative_reference(whole, (weight > 0.5).to(whole), shape)
+    inputs = network_input(lit, shape, torch.zeros_like(lit), reference)[:, :6]
+    context = network_input(whole, torch.zeros_like(whole), whole, reference)[:, 6:]
     channels, spread = run_tiles(generator, inputs, context, patch_px, progress)
-    found = decode_maps(channels, tone)
+    found = decode_maps(channels, reference)
     confidence = 1 / (1 + (spread / DISAGREEMENT) ** 2)
     maps = {
         "diffuse_albedo": found.diffuse_albedo,
@@ -218,7 +224,10 @@ def _origins(length: int, patch_px: int) -> list[int]:
 
 
 def _window(patch_px: int) -> Tensor:
-    """(n, n) weights that fall to nearly nothing at a tile's border."""
-    at = (torch.arange(patch_px) + 0.5) / patch_px
+    """(n, n) weights of a tile's middle; its border, which knows the padding, hardly counts.
+
+    The border still counts where no other tile reaches: at the texture's own border.
+    """
+    at = (((torch.arange(patch_px) + 0.5) / patch_px - 0.125) / 0.75).clamp(0, 1)
     rise = torch.sin(torch.pi * at) ** 2
     return rise[:, None] * rise[None] + 1e-4

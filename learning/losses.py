@@ -32,7 +32,7 @@ def rendering_loss(
         lights: how far the draws go.
         rng: randomness.
     """
-    skin = decode_maps(found, batch.tone).on(batch.skin)
+    skin = decode_maps(found, batch.reference).on(batch.skin)
     total = found.new_zeros(())
     options = ShadeOptions()
     for index in range(environments + 1):

@@ -78,7 +78,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "patches_in_memory": 1024,
             "shadow_rows": 192,
             "shadow_sets": 16,
-            "relative_tone": True,
+            "relative": True,
         },
         "batch": 2,
         "seconds": 90.0,

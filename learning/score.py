@@ -55,7 +55,7 @@ def score(
     batches = [held_out.batch([held_out.places[i]], rng) for i in chosen]
     found = []
     with torch.inference_mode():
-        found = [decode_maps(generator(b.inputs), b.tone) for b in batches]
+        found = [decode_maps(generator(b.inputs), b.reference) for b in batches]
 
     def mean_square(values: list[Tensor]) -> float:
         texels = [

@@ -11,7 +11,7 @@ import torch
 from learning import augment
 from learning.checkpoint import INDEX, load_generator, read_checkpoint
 from learning.data import DataConfig, PatchData
-from learning.encoding import decode_colour, decode_maps, encode_colour, encode_maps
+from learning.encoding import decode_colour, decode_maps, encode_colour, encode_maps, turn
 from learning.errors import CheckpointError, TrainingError
 from learning.losses import maps_loss, rendering_loss
 from learning.networks.discriminator import DiscriminatorConfig
@@ -37,7 +37,7 @@ TINY = TrainConfig(
         patches_in_memory=16,
         shadow_rows=24,
         shadow_sets=2,
-        relative_tone=True,
+        relative=True,
     ),
     batch=2,
     epochs=1,
@@ -66,15 +66,18 @@ def test_a_pair_is_the_store_relit(store_path: Path) -> None:
     scan, row, column = place
     store = open_store(store_path)
     truth = store.read(scan, "diffuse_albedo", slice(row, row + 32), slice(column, column + 32))
-    found = decode_colour(batch.target[:, :3], batch.tone.albedo)[0].permute(1, 2, 0).numpy()
+    found = decode_colour(batch.target[:, :3], batch.reference.albedo)[0].permute(1, 2, 0).numpy()
     gain = (found / truth).reshape(-1, 3)
     # One complexion for the whole patch.
     np.testing.assert_allclose(gain, np.broadcast_to(gain.mean(axis=0), gain.shape), rtol=2e-2)
-    specular = decode_maps(batch.target, batch.tone).specular_albedo[0, 0].numpy()
+    specular = decode_maps(batch.target, batch.reference).specular_albedo[0, 0].numpy()
     expected = store.read(scan, "specular_albedo", slice(row, row + 32), slice(column, column + 32))
     np.testing.assert_allclose(specular, expected[..., 0], atol=1e-5)
     normal = store.read(scan, "diffuse_normal", slice(row, row + 32), slice(column, column + 32))
-    np.testing.assert_allclose(batch.target[0, 4:7].permute(1, 2, 0), normal, atol=2e-3)
+    found = decode_maps(batch.target, batch.reference).diffuse_normal[0].permute(1, 2, 0).numpy()
+    np.testing.assert_allclose(found, normal, atol=5e-3)
+    # In the frame of the shape the ball's normals all point nearly ahead.
+    assert float(batch.target[:, 6].median()) > 0.99
     # Shape normals come from the positions and point outward, as the ball's do.
     facing = (batch.inputs[0, 3:6].permute(1, 2, 0).numpy() * normal).sum(axis=2)
     assert np.median(facing) > 0.99
@@ -111,10 +114,21 @@ def test_colour_encoding_is_inverted() -> None:
 def test_maps_survive_encoding(store_path: Path) -> None:
     batch = patches(store_path).draw(1, np.random.default_rng(2))
     skin = batch.skin
-    found = decode_maps(encode_maps(skin, skin.diffuse_albedo, batch.tone), batch.tone)
+    found = decode_maps(encode_maps(skin, skin.diffuse_albedo, batch.reference), batch.reference)
     torch.testing.assert_close(found.diffuse_albedo, skin.diffuse_albedo, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(found.specular_albedo, skin.specular_albedo, atol=1e-6, rtol=1e-4)
     torch.testing.assert_close(found.diffuse_normal, unit(skin.diffuse_normal), atol=1e-5, rtol=0)
+
+
+def test_turning_takes_z_to_the_normal_and_back() -> None:
+    rng = np.random.default_rng(0)
+    normal = unit(torch.tensor(rng.normal(size=(1, 3, 8, 8))))
+    ahead = torch.zeros_like(normal)
+    ahead[:, 2] = 1
+    torch.testing.assert_close(turn(ahead, normal), normal)
+    vectors = torch.tensor(rng.normal(size=(1, 3, 8, 8)))
+    torch.testing.assert_close(turn(turn(vectors, normal), normal, back=True), vectors)
+    torch.testing.assert_close(turn(vectors, ahead), vectors)
 
 
 def test_losses_vanish_at_the_truth_and_only_there(store_path: Path) -> None:
@@ -148,7 +162,7 @@ def test_rendering_loss_of_a_known_difference(store_path: Path) -> None:
     ambient = torch.full_like(batch.environment.ambient_rgb, 0.5)
     lights = dataclasses.replace(batch.environment, rgb=dark, ambient_rgb=ambient)
     even = dataclasses.replace(batch, skin=skin, environment=lights)
-    black = encode_maps(skin, skin.diffuse_albedo, batch.tone)
+    black = encode_maps(skin, skin.diffuse_albedo, batch.reference)
     black[:, :3] = -1
     still = RandomLightConfig(intensity_spread=0.0)
     # White against black in light of 0.5: rgb differs by 0.5 sqrt(3); four environments over three.

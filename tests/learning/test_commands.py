@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from learning.__main__ import main
+from lightstage.formats.environment import LightSet, write_lights
+from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.mesh import Mesh, read_obj, write_obj
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.rig import Rig, default_rig, save_rig
+
+TINY_TOML = """
+epochs = 1
+seconds = 1.0
+score_patches = 2
+[generator]
+width = 8
+downsamplings = 2
+global_blocks = 1
+local_blocks = 1
+[discriminator]
+width = 4
+[data]
+patch_px = 32
+stride_px = 32
+shadow_rows = 24
+shadow_sets = 1
+"""
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
+    """Exit code of a command."""
+    monkeypatch.setattr(sys, "argv", ["lightstage-learning", *map(str, words)])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return int(stopped.value.code or 0)
+
+
+@pytest.fixture
+def scene(people: list[ProcessedFolder], tmp_path: Path) -> dict[str, Path]:
+    """A head's maps and mesh, a light set and a small rig."""
+    shutil.copytree(people[0].root / "atlas", tmp_path / "atlas")
+    lights = LightSet(
+        "two", np.array([[600.0, 500, 900], [-900, 0, 300]]), np.ones((2, 3)) * 0.5, np.full(3, 0.1)
+    )
+    rig = default_rig().scaled(0.02)
+    return {
+        "maps": tmp_path / "atlas",
+        "mesh": people[0].registered_mesh,
+        "environment": write_lights(lights, tmp_path / "lights.json"),
+        "rig": save_rig(Rig(rig.lights, rig.cameras), tmp_path / "rig.json"),
+    }
+
+
+def options(scene: dict[str, Path]) -> list[object]:
+    return [word for name, path in scene.items() for word in (f"--{name}", path)]
+
+
+def test_render_writes_a_picture_of_the_head(
+    scene: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    picture = tmp_path / "head.png"
+    words = ["render", *options(scene), "--out", picture, "--camera", "cam1", "--json"]
+    assert run(monkeypatch, *words) == 0
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    image = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)
+    assert image.shape == (facts["height_px"], facts["width_px"], 4)
+    middle = image[image.shape[0] // 2, image.shape[1] // 2]
+    assert middle[3] == 255
+    assert middle[2] > middle[0] > 0
+    assert image[0, 0].tolist() == [255, 255, 255, 0]
+    linear = tmp_path / "head.exr"
+    dark = ["render", *options(scene), "--out", linear, "--background", "black"]
+    assert run(monkeypatch, *dark) == 0
+    assert not read_exr(linear)[0, 0].any()
+
+
+def test_bake_writes_the_lit_texture(
+    scene: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run(monkeypatch, "bake", *options(scene), "--out", tmp_path / "lit.exr") == 0
+    lit = read_exr(tmp_path / "lit.exr", finite=True)
+    albedo = read_exr(scene["maps"] / "diffuse_albedo.exr")
+    assert lit.shape == albedo.shape
+    # The ball's back sees neither light: ambient alone, a tenth of the albedo.
+    back = (slice(40, 56), slice(0, 3))
+    np.testing.assert_allclose(lit[back], 0.1 * albedo[back], rtol=0.05)
+    assert lit[40, 40].mean() > 3 * lit[40, 1].mean()
+
+
+def test_train_then_infer_writes_the_maps(
+    store_path: Path,
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "tiny.toml").write_text(TINY_TOML)
+    train = [
+        "train",
+        "--data",
+        store_path,
+        "--out",
+        tmp_path / "run",
+        "--config",
+        tmp_path / "tiny.toml",
+    ]
+    assert run(monkeypatch, *train) == 0
+    assert "PSNR" in capsys.readouterr().out
+    assert run(monkeypatch, *train) == 2
+    assert "a run that is there already" in capsys.readouterr().err
+    assert run(monkeypatch, *train, "--resume", "--seconds", 0.5) == 0
+    texture = people[1].atlas_path("diffuse_albedo")
+    base = ["infer", "--mesh", people[1].registered_mesh, "--checkpoint", tmp_path / "run"]
+    pose = ["--head-pose", people[1].head_pose]
+    out = tmp_path / "maps"
+    assert run(monkeypatch, *base, "--texture", texture, "--out", out, *pose) == 0
+    assert sorted(p.stem for p in out.iterdir()) == [
+        "confidence",
+        "diffuse_albedo",
+        "diffuse_normal",
+        "specular_albedo",
+        "specular_normal",
+    ]
+    small = write_exr(tmp_path / "small.exr", read_exr(texture)[::2, ::2])
+    assert run(monkeypatch, *base, "--texture", small, "--out", out) == 2
+    assert "found 48 rows, expected 96" in capsys.readouterr().err
+    bad = read_exr(texture)
+    bad[5, 7, 1] = np.nan
+    refused = tmp_path / "refused"
+    nan = write_exr(tmp_path / "nan.exr", bad)
+    assert run(monkeypatch, *base, "--texture", nan, "--out", refused) == 2
+    assert "element (5, 7, 1): found 1 values that are NaN" in capsys.readouterr().err
+    assert not refused.exists()
+
+
+def test_bad_input_is_one_message_and_exit_2(
+    scene: dict[str, Path],
+    store_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "never.png"
+
+    def refused(expected: str, *words: object, **changed: Path) -> None:
+        assert run(monkeypatch, *words, *options({**scene, **changed}), "--out", out) == 2
+        said = capsys.readouterr().err
+        assert expected in said
+        assert "Traceback" not in said
+        assert not out.exists()
+
+    mesh = read_obj(scene["mesh"])
+    bare = write_obj(Mesh(mesh.vertices, mesh.faces), tmp_path / "bare.obj")
+    refused("uv: found none", "render", mesh=bare)
+    refused("found no such file", "render", environment=tmp_path / "missing.json")
+    refused("found no cam99", "render", "--camera", "cam99")
+    refused("expected white or black", "render", "--background", "pink")
+    refused("expected one of ('default', 'paper')", "render", "--mode", "glossy")
+    small = read_exr(scene["maps"] / "specular_albedo.exr")[:48]
+    write_exr(scene["maps"] / "specular_albedo.exr", small)
+    refused("found 48 x 64 texels, expected 96 x 64", "render")
+    broken = small.copy()
+    broken[0, 0] = np.inf
+    write_exr(scene["maps"] / "specular_albedo.exr", broken, half=False)
+    refused("NaN or infinite", "render")
+
+    infer = ["infer", "--texture", scene["maps"] / "diffuse_albedo.exr", "--mesh", scene["mesh"]]
+    for checkpoint, expected in (
+        (tmp_path / "nowhere", "found no such file"),
+        (scene["rig"], "expected 'lightstage.checkpoint/1'"),
+        (scene["mesh"], "found suffix '.obj'"),
+    ):
+        assert run(monkeypatch, *infer, "--checkpoint", checkpoint, "--out", tmp_path / "x") == 2
+        assert expected in capsys.readouterr().err
+    train = ["train", "--data", store_path, "--out", tmp_path / "run"]
+    assert run(monkeypatch, *train, "--preset", "huge") == 2
+    assert "one of paper, demo" in capsys.readouterr().err
+    assert run(monkeypatch, "train", "--data", tmp_path, "--out", tmp_path / "run") == 2
+    assert not (tmp_path / "run").exists()
