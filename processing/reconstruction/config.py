@@ -38,12 +38,12 @@ class ReconstructConfig:
     source_views: int = 4
     min_angle_deg: float = 8.0
     max_angle_deg: float = 50.0
-    patch_radius_px: int = 4
-    patch_stride_px: int = 2
+    patch_radius_px: int = 2
+    patch_stride_px: int = 1
     min_cosine: float = 0.2
     contrast_floor: float = 0.003
-    smoothness: float = 0.1
-    iterations: tuple[int, ...] = (4, 3, 2, 2)
+    smoothness: float = 0.03
+    iterations: tuple[int, ...] = (3, 2, 1)
     max_cost: float = 0.7
     agree_mm: float = 0.4
     agree_views: int = 1

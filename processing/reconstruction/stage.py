@@ -16,6 +16,12 @@ from processing.frames import Frames, read_foreground, read_frames
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import consistent_points
 from processing.reconstruction.fusion import Holes, boundary_loops, fuse
+from processing.reconstruction.poses import (
+    PoseReport,
+    check_poses,
+    raise_when_off,
+    tone_mapped,
+)
 from processing.reconstruction.stereo import match_views
 from processing.reconstruction.views import View, common_basis, make_view
 
@@ -38,8 +44,10 @@ def reconstruct(
 
     Raises:
         FormatError: an input that an earlier stage should have written.
+        PoseError: cameras that do not stand where the rig says.
         ReconstructionError: views that do not see one surface.
     """
+    poses = check_session_poses(session, out, config)
     views = read_views(session, out)
     mesh, holes, facts = reconstruct_views(views, config, progress)
     write_ply(mesh, ProcessedFolder(out).base_mesh)
@@ -50,8 +58,33 @@ def reconstruct(
         "holes": len(holes.lengths_mm),
         "hole_lengths_mm": [round(length, 1) for length in holes.lengths_mm[:20]],
         **facts,
-        "warnings": _warnings(session, views),
+        "pose_residual_px": {
+            camera: None if np.isnan(residual) else round(residual, 3)
+            for camera, residual in zip(poses.camera_ids, poses.residual_px, strict=True)
+        },
+        "pose_matches": dict(zip(poses.camera_ids, poses.matches, strict=True)),
+        "pose_tracks": poses.tracks,
+        "warnings": _warnings(session, views, poses),
     }
+
+
+def check_session_poses(session: Session, out: Path, config: ReconstructConfig) -> PoseReport:
+    """Check the rig against matches between the pictures of the brightest pattern.
+
+    Raises:
+        PoseError: cameras that do not stand where the rig says, or a rig in another unit.
+    """
+    cameras = [session.rig.camera(camera) for camera in session.camera_ids()]
+    pictures, masks = [], []
+    for camera in cameras:
+        frames = read_frames(out, camera.id)
+        masks.append(read_foreground(out, camera.id) & frames.valid)
+        brightest = int(np.argmax([image[::8, ::8].mean() for image in frames.images]))
+        pictures.append(tone_mapped(frames.images[brightest], masks[-1]))
+    report = check_poses(pictures, masks, cameras, config)
+    radius = float(np.median(np.linalg.norm(session.rig.positions_mm, axis=1)))
+    raise_when_off(report, radius)
+    return report
 
 
 def read_views(session: Session, out: Path) -> list[View]:
@@ -112,9 +145,16 @@ def reconstruct_views(
     return mesh, boundary_loops(mesh), facts
 
 
-def _warnings(session: Session, views: list[View]) -> list[str]:
+def _warnings(session: Session, views: list[View], poses: PoseReport) -> list[str]:
     empty = [view.camera.id for view in views if not np.isfinite(view.textures).any()]
     said = [f"{camera} shows nothing and was not used" for camera in empty]
     known = {view.camera.id for view in views}
     said += [f"{c.id} has no photographs" for c in session.rig.cameras if c.id not in known]
+    said += [
+        f"the pose of {camera} could not be checked: {count} matches"
+        for camera, count, residual in zip(
+            poses.camera_ids, poses.matches, poses.residual_px, strict=True
+        )
+        if np.isnan(residual)
+    ]
     return said

@@ -15,6 +15,9 @@ STEEPEST = 0.15
 """Cosine to the line of sight below which a normal is bent toward the camera: a patch that is
 seen at a more grazing angle has no samples to speak of."""
 
+WHITE = 0.5
+"""Weight of the white part of colour, which holds the highlights, beside the rest."""
+
 
 @dataclasses.dataclass(frozen=True)
 class View:
@@ -55,8 +58,10 @@ class Level:
 def common_basis(images: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.ndarray:
     """Weights from patterns and colours to the textures that carry most local contrast.
 
-    Principal components of the differences between pixels a few apart: orthonormal, so that the
-    pooled correlation over them is nearly that over all pictures.
+    Mirror reflection has the light's own (white) colour, and a highlight lies behind the surface
+    and wanders from view to view; the part of RGB orthogonal to white is free of it [Mallick2005]
+    but noisier. So white is weighed down; of the rest, principal components of the differences
+    between pixels a few apart: the pooled correlation over them is nearly that over all pictures.
 
     Args:
         images: of each view, (P, h, w, 3) linear.
@@ -76,10 +81,12 @@ def common_basis(images: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> n
             change = (some[:, *step[0]] - some[:, *step[1]])[:, both]
             change = change[:, np.isfinite(change).all(axis=0)]
             moment += change @ change.T
+    chroma = np.kron(np.eye(patterns), np.eye(3) - (1 - WHITE) / 3)
+    moment = chroma @ moment @ chroma
     vectors = np.linalg.eigh(moment)[1][:, ::-1][:, :TEXTURES]
     # An eigenvector's sign is arbitrary: fixed here, so that results repeat.
     vectors = vectors * np.where(vectors.sum(axis=0) < 0, -1.0, 1.0)
-    return vectors.reshape(patterns, 3, -1)
+    return (chroma @ vectors).reshape(patterns, 3, -1)
 
 
 def make_view(

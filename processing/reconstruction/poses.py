@@ -1,0 +1,354 @@
+"""Do the cameras stand where the rig says? Checked against matches that pycolmap finds by itself.
+
+SIFT features are matched and verified between all pairs of views without the rig's poses
+[Lowe2004]; then each verified match is held against the rig, and the tracks are
+triangulated with the rig's poses. Nothing is moved: a camera that is off is named.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import pycolmap
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.rig import Camera
+from processing.errors import PoseError
+from processing.reconstruction.config import ReconstructConfig
+
+REFERENCE_ROWS = 1000
+"""`max_residual_px` is meant for pictures of this height."""
+MAX_FEATURES = 1500
+PEAK_THRESHOLD = 0.002
+"""SIFT's; skin shows little contrast, so a third of its usual value."""
+RATIO = 0.85
+MIN_INLIERS = 15
+RANSAC_PX = 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class PairMatches:
+    """Verified matches of two views.
+
+    Attributes:
+        first, second: indices of the views.
+        pixels: (n, 2, 2) undistorted pixels in the first and in the second view.
+        residual_px: (n,) distance to the epipolar geometry that the rig gives (Sampson).
+    """
+
+    first: int
+    second: int
+    pixels: np.ndarray
+    residual_px: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class PoseReport:
+    """What the matches say about each camera, in the order of the cameras.
+
+    Attributes:
+        camera_ids: names.
+        matches: verified matches with all other cameras.
+        residual_px: median distance of a camera's matches to the rig's epipolar geometry, of the
+            pairs with cameras that are not off themselves; NaN without matches.
+        limit_px: residual above which a camera is off.
+        off: indices of cameras that are off, the worst first.
+        tracks: points triangulated with the rig's poses.
+        track_residual_px: their median reprojection error, NaN without tracks.
+        spread_mm: median distance of the tracks from their median, the size of what was seen.
+    """
+
+    camera_ids: tuple[str, ...]
+    matches: tuple[int, ...]
+    residual_px: tuple[float, ...]
+    limit_px: float
+    off: tuple[int, ...]
+    tracks: int
+    track_residual_px: float
+    spread_mm: float
+
+
+def tone_mapped(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """An 8-bit grey picture with the local contrast evened out, for the feature detector.
+
+    Args:
+        image: (h, w, 3) linear.
+        mask: (h, w) bool foreground; the scale is taken from it.
+    """
+    grey = np.nan_to_num(image.mean(axis=2))
+    inside = grey[mask]
+    scale = float(np.percentile(inside, 99)) if inside.size else 0.0
+    encoded = np.clip(grey / scale, 0, 1) ** (1 / 2.2) if scale > 0 else np.zeros(grey.shape)
+    even = cv2.createCLAHE(clipLimit=3.0, tileGridSize=(8, 8))
+    return np.asarray(even.apply(np.round(encoded * 255).astype(np.uint8)))
+
+
+def check_poses(
+    pictures: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray],
+    cameras: Sequence[Camera],
+    config: ReconstructConfig,
+    progress: ProgressCallback = quiet,
+) -> PoseReport:
+    """Hold matches between the pictures against the rig.
+
+    Args:
+        pictures: of each camera, (h, w) uint8, in the camera's own (distorted) pixels.
+        masks: of each camera, (h, w) bool; features outside are not used.
+        cameras: the rig's.
+        config: limits.
+        progress: called after each step.
+
+    Returns:
+        The report; `raise_when_off` turns it into an error.
+    """
+    found = _find_matches(pictures, masks, cameras, progress)
+    pairs = [
+        PairMatches(first, second, pixels, against_rig(cameras[first], cameras[second], pixels))
+        for first, second, pixels in found
+    ]
+    rows = float(np.median([camera.height_px for camera in cameras]))
+    limit = config.max_residual_px * max(1.0, rows / REFERENCE_ROWS)
+    residuals, off = blame(pairs, len(cameras), limit, config.min_matches)
+    good = [pair for pair in pairs if pair.first not in off and pair.second not in off]
+    points, errors = _triangulate(good, cameras)
+    near = np.isfinite(errors) & (errors < 4 * limit)
+    points, errors = points[near], errors[near]
+    spread = np.linalg.norm(points - np.median(points, axis=0), axis=1) if len(points) else [np.nan]
+    counts = np.zeros(len(cameras), int)
+    for pair in pairs:
+        counts[[pair.first, pair.second]] += len(pair.residual_px)
+    return PoseReport(
+        tuple(camera.id for camera in cameras),
+        tuple(int(count) for count in counts),
+        tuple(float(value) for value in residuals),
+        limit,
+        tuple(off),
+        len(points),
+        float(np.median(errors)) if len(errors) else float("nan"),
+        float(np.median(spread)),
+    )
+
+
+def raise_when_off(report: PoseReport, stage_radius_mm: float) -> None:
+    """Turn a report into an error where a camera is off or the rig's unit is wrong.
+
+    Args:
+        report: of `check_poses`.
+        stage_radius_mm: median distance of the lights from the origin.
+
+    Raises:
+        PoseError: naming every camera that is off.
+    """
+    if report.off:
+        named = ", ".join(
+            f"{report.camera_ids[k]} ({report.residual_px[k]:.1f} px)" for k in report.off
+        )
+        raise PoseError(
+            "camera poses",
+            field=named,
+            found="matches that miss the rig's geometry by that much (median)",
+            expected=f"at most {report.limit_px:.1f} px",
+            hint="Were cameras swapped or moved since the rig was calibrated?",
+        )
+    spread = report.spread_mm
+    if report.tracks >= 20 and not 0.005 < spread / stage_radius_mm < 0.5:
+        raise PoseError(
+            "camera poses",
+            found=f"matched points spread over {spread:.3g} mm in a stage of "
+            f"{stage_radius_mm:.3g} mm radius",
+            expected="a head",
+            hint="Are the cameras' positions in mm, as the lights' are?",
+        )
+
+
+def blame(
+    pairs: Sequence[PairMatches], count: int, limit_px: float, min_matches: int
+) -> tuple[np.ndarray, list[int]]:
+    """Which cameras are off: the worst is taken out until the others agree.
+
+    A camera that is off spoils all pairs it is in, so what is left without it decides about the
+    others.
+
+    Args:
+        pairs: matches held against the rig.
+        count: of cameras.
+        limit_px: median residual above which a camera is off.
+        min_matches: a camera of fewer matches is not judged.
+
+    Returns:
+        (count,) median residual of each camera (NaN where there are no matches), and the indices
+        of those that are off, the worst first.
+    """
+    off: list[int] = []
+    final = np.full(count, np.nan)
+    while True:
+        medians = np.full(count, np.nan)
+        for camera in range(count):
+            own = [
+                pair.residual_px
+                for pair in pairs
+                if camera in (pair.first, pair.second) and not {pair.first, pair.second} & set(off)
+            ]
+            if own and sum(map(len, own)) >= min_matches:
+                medians[camera] = float(np.median(np.concatenate(own)))
+        judged = [k for k in range(count) if k not in off and np.isfinite(medians[k])]
+        final[judged] = medians[judged]
+        worst = max(judged, key=lambda k: medians[k], default=None)
+        if worst is None or not medians[worst] > limit_px:
+            return final, off
+        off.append(worst)
+
+
+def features(picture: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """SIFT features of a picture, the largest first.
+
+    Returns:
+        (n, 2) pixels (top-left pixel's centre 0.5) and (n, 128) float32 unit descriptors.
+    """
+    options = pycolmap.FeatureExtractionOptions()
+    options.sift.max_num_features = MAX_FEATURES
+    options.sift.peak_threshold = PEAK_THRESHOLD
+    options.num_threads = 1
+    # Without the usual doubling of the picture: a quarter of the time, and enough features.
+    options.sift.first_octave = 0
+    points, descriptors = pycolmap.Sift(options, pycolmap.Device.cpu).extract(
+        np.ascontiguousarray(picture)
+    )
+    if not len(points):
+        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
+    row = np.clip(points[:, 1].astype(int), 0, mask.shape[0] - 1)
+    column = np.clip(points[:, 0].astype(int), 0, mask.shape[1] - 1)
+    order = np.argsort(-points[:, 2], kind="stable")
+    order = order[mask[row, column][order]]
+    found = np.asarray(descriptors, np.float32)[order]
+    found /= np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9)
+    return points[order, :2].astype(float), found
+
+
+def match_features(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Mutual nearest neighbours among unit descriptors that pass the ratio test [Lowe2004].
+
+    Returns:
+        (n, 2) indices into first and second.
+    """
+    if min(len(first), len(second)) < 2:
+        return np.zeros((0, 2), np.int64)
+    alike = first @ second.T
+    nearest, back = alike.argmax(axis=1), alike.argmax(axis=0)
+    rows = np.arange(len(first))
+    two = -np.partition(-alike, 1, axis=1)[:, :2]
+    distance = np.arccos(np.clip(two, -1, 1))
+    good = (distance[:, 0] < RATIO * distance[:, 1]) & (back[nearest] == rows)
+    return np.stack([rows[good], nearest[good]], axis=1)
+
+
+def _find_matches(
+    pictures: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray],
+    cameras: Sequence[Camera],
+    progress: ProgressCallback,
+) -> list[tuple[int, int, np.ndarray]]:
+    """Matches (first, second, (n, 2, 2) undistorted pixels) that fit one essential matrix."""
+    pycolmap.set_random_seed(0)
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.WARNING.value
+    total = len(pictures) + len(cameras) * (len(cameras) - 1) // 2
+    points, descriptors = [], []
+    for picture, mask, camera in zip(pictures, masks, cameras, strict=True):
+        pixels, found = features(picture, mask)
+        points.append(_undistorted(pixels, camera))
+        descriptors.append(found)
+        progress(len(points), total)
+    lenses = [
+        pycolmap.Camera(
+            model="PINHOLE",
+            width=camera.width_px,
+            height=camera.height_px,
+            params=[camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px],
+        )
+        for camera in cameras
+    ]
+    options = pycolmap.RANSACOptions()
+    options.max_error = RANSAC_PX
+    options.max_num_trials = 2000
+    options.random_seed = 0
+    pairs, done = [], len(pictures)
+    for first in range(len(cameras)):
+        for second in range(first + 1, len(cameras)):
+            matches = match_features(descriptors[first], descriptors[second])
+            pixels = np.stack([points[first][matches[:, 0]], points[second][matches[:, 1]]], axis=1)
+            fit = (
+                pycolmap.estimate_essential_matrix(
+                    pixels[:, 0], pixels[:, 1], lenses[first], lenses[second], options
+                )
+                if len(matches) >= MIN_INLIERS
+                else None
+            )
+            inliers = None if fit is None else np.asarray(fit["inlier_mask"], bool)
+            if inliers is not None and inliers.sum() >= MIN_INLIERS:
+                pairs.append((first, second, pixels[inliers]))
+            done += 1
+            progress(done, total)
+    return pairs
+
+
+def _undistorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
+    """(n, 2) pixels that a pinhole camera of the same matrix would show."""
+    if not len(pixels) or not any(camera.dist):
+        return pixels
+    lens = camera.opencv_matrix
+    straight = cv2.undistortPoints((pixels - 0.5)[:, None], lens, np.array(camera.dist), P=lens)
+    return np.asarray(straight, float)[:, 0] + 0.5
+
+
+def against_rig(first: Camera, second: Camera, pixels: np.ndarray) -> np.ndarray:
+    """Sampson distance of matches to the epipolar geometry of two cameras, pixels.
+
+    Args:
+        first, second: the cameras; their distortion is not used.
+        pixels: (n, 2, 2) undistorted pixels in the first and in the second.
+
+    Returns:
+        (n,); infinite where both cameras stand in one place.
+    """
+    relative = second.cam_from_world[:, :3] @ first.cam_from_world[:, :3].T
+    x, y, z = second.cam_from_world[:, 3] - relative @ first.cam_from_world[:, 3]
+    if np.linalg.norm([x, y, z]) < 1e-9:
+        return np.full(len(pixels), np.inf)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    fundamental = np.linalg.inv(second.matrix).T @ cross @ relative @ np.linalg.inv(first.matrix)
+    one = np.concatenate([pixels[:, 0], np.ones((len(pixels), 1))], axis=1)
+    two = np.concatenate([pixels[:, 1], np.ones((len(pixels), 1))], axis=1)
+    line_two, line_one = one @ fundamental.T, two @ fundamental
+    miss = np.einsum("nk,nk->n", two, line_two)
+    under = np.sqrt((line_two[:, :2] ** 2).sum(axis=1) + (line_one[:, :2] ** 2).sum(axis=1))
+    return np.abs(np.divide(miss, under, out=np.full(len(pixels), np.inf), where=under > 0))
+
+
+def _triangulate(
+    pairs: Sequence[PairMatches], cameras: Sequence[Camera]
+) -> tuple[np.ndarray, np.ndarray]:
+    """World points (n, 3) of all matches by the rig's poses, and their reprojection errors (n,)."""
+    points, errors = [], []
+    for pair in pairs:
+        views = [cameras[pair.first], cameras[pair.second]]
+        poses = [camera.cam_from_world for camera in views]
+        for match in pair.pixels:
+            rays = [
+                [(u - c.cx_px) / c.fx_px, (v - c.cy_px) / c.fy_px]
+                for (u, v), c in zip(match, views, strict=True)
+            ]
+            point = pycolmap.triangulate_point(poses[0], poses[1], rays[0], rays[1])
+            if point is None:
+                continue
+            straight = [dataclasses.replace(camera, dist=(0, 0, 0, 0, 0)) for camera in views]
+            off = [
+                np.linalg.norm(camera.project(point)[0][0] - pixel)
+                for camera, pixel in zip(straight, match, strict=True)
+            ]
+            points.append(np.asarray(point, float).reshape(3))
+            errors.append(float(np.mean(off)))
+    return np.array(points).reshape(-1, 3), np.array(errors)
