@@ -43,7 +43,7 @@ class RefineConfig:
     """Sigma over which all views' evidence is pooled on the mesh."""
     gloss_pixels: int = 120_000
     """At most this many pixels of a view, evenly spread, give evidence of gloss."""
-    gloss_prior_pixels: float = 10.0
+    gloss_prior_pixels: float = 2.0
     """The face's own mean counts as much as this many pixels at every vertex."""
     gloss_normal_px: float = 2.0
     """Sigma that calms the normals which take the gloss off the mean channel."""

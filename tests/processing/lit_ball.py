@@ -37,7 +37,7 @@ class Sight:
     views: np.ndarray
 
 
-def small_rig(cameras: int = 1, factor: float = 0.04) -> Rig:
+def small_rig(cameras: int = 1, factor: float = 0.028) -> Rig:
     """The default rig with fewer and smaller cameras."""
     rig = default_rig().scaled(factor)
     return dataclasses.replace(rig, cameras=rig.cameras[:cameras])

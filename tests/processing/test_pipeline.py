@@ -1,0 +1,184 @@
+"""Decode, coarse maps, staleness and bad input, through the pipeline and its commands."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightstage.errors import ConfigError, FormatError
+from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.files import sha256_file
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.template import default_template_path
+from processing.errors import ProcessingError
+from processing.frames import Frames, read_frames, write_frames
+from processing.masks import foreground
+from processing.pipeline import PipelineConfig, read_config, run
+from tests.processing import lit_ball
+from tests.processing.lit_ball import Ball
+
+TEMPLATE = default_template_path()
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    return lit_ball.write_session(Ball(), lit_ball.small_rig(2, 0.015), tmp_path / "session")
+
+
+def coarse(session: Path, out: Path, config: PipelineConfig | None = None) -> list[str]:
+    report = run(session, out, TEMPLATE, config or PipelineConfig(), until="separate")
+    return list(report["ran"])
+
+
+def command(*words: object) -> subprocess.CompletedProcess[str]:
+    asked = [sys.executable, "-m", "processing", *map(str, words)]
+    return subprocess.run(asked, capture_output=True, text=True, check=False)
+
+
+def test_frames_come_back_as_they_were_written(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    images = rng.uniform(0, 30, (3, 5, 7, 3)).astype(np.float32)
+    valid = rng.uniform(size=(5, 7)) > 0.3
+    write_frames(tmp_path, "cam0", Frames(("full", "x+", "x-"), images, valid))
+    found = read_frames(tmp_path, "cam0")
+    assert found.patterns == ("full", "x+", "x-")
+    np.testing.assert_allclose(found.images, images, rtol=5e-4, atol=1e-5)
+    np.testing.assert_array_equal(found.valid, valid)
+
+
+def test_missing_frames_say_which_stage_makes_them(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="decode"):
+        read_frames(tmp_path, "cam0")
+
+
+def test_foreground_is_the_largest_bright_region_without_holes() -> None:
+    image = np.zeros((60, 80), np.float32)
+    image[10:50, 20:60] = 1.0
+    image[25:30, 30:35] = 0.0
+    image[5:8, 70:75] = 1.0
+    mask = foreground(image, 0.03)
+    assert mask[27, 32]
+    assert not mask[6, 72]
+    assert abs(int(mask.sum()) - 1600) < 20
+    assert not foreground(np.zeros((9, 9)), 0.03).any()
+
+
+def test_linear_sessions_become_maps_of_the_ball(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert coarse(session, out) == ["decode", "separate"]
+    folder = ProcessedFolder(out)
+    mask = folder.read_mask("cam1")
+    sight = lit_ball.see(Ball(), lit_ball.small_rig(2, 0.015).cameras[1])
+    assert (mask ^ sight.mask).mean() < 0.01
+    albedo = folder.read_view("cam1", "diffuse_albedo")
+    confident = folder.read_view("cam1", "confidence") > 0.9
+    np.testing.assert_allclose(albedo[confident].mean(axis=0), Ball().albedo, atol=0.02)
+
+
+def test_a_second_run_does_nothing_and_a_changed_setting_reruns_its_stage(
+    session: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    coarse(session, out)
+    assert coarse(session, out) == []
+    toml = tmp_path / "c.toml"
+    toml.write_text("[separate]\nroughness = 0.3\n")
+    assert coarse(session, out, read_config(toml)) == ["separate"]
+    ProcessedFolder(out).view_path("cam0", "diffuse_normal").unlink()
+    assert coarse(session, out, read_config(toml)) == ["separate"]
+
+
+def test_a_changed_photograph_reruns_everything(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    coarse(session, out)
+    path = session / "frames" / "x+" / "cam0.exr"
+    old = sha256_file(path)
+    write_exr(path, 1.01 * read_exr(path), half=False)
+    text = (session / "session.json").read_text()
+    (session / "session.json").write_text(text.replace(old, sha256_file(path)))
+    assert coarse(session, out) == ["decode", "separate"]
+
+
+def test_a_dark_frame_is_taken_off_the_others(tmp_path: Path) -> None:
+    root = lit_ball.write_session(Ball(), lit_ball.small_rig(1, 0.015), tmp_path / "session")
+    value = json.loads((root / "session.json").read_text())
+    for frame in value["frames"]:
+        path = root / frame["path"]
+        write_exr(path, read_exr(path) + np.float32(0.05), half=False)
+        frame["sha256"] = sha256_file(path)
+    dark = root / "frames" / "dark" / "cam0.exr"
+    write_exr(dark, np.full_like(read_exr(path), 0.05), half=False)
+    value["sequence"].append("dark")
+    value["frames"].append(
+        {**value["frames"][0], "pattern": "dark", "path": "frames/dark/cam0.exr"}
+        | {"sha256": sha256_file(dark)}
+    )
+    (root / "session.json").write_text(json.dumps(value))
+    out = tmp_path / "out"
+    coarse(root, out)
+    frames = read_frames(out, "cam0")
+    assert "dark" not in frames.patterns
+    sight = lit_ball.see(Ball(), lit_ball.small_rig(1, 0.015).cameras[0])
+    exact = lit_ball.photograph(Ball(), sight, lit_ball.small_rig(1, 0.015))
+    found = frames.images[:, sight.mask].transpose(1, 0, 2)
+    np.testing.assert_allclose(found, exact, atol=1e-3)
+
+
+def test_a_photograph_in_which_nothing_is_lit_is_named(session: Path, tmp_path: Path) -> None:
+    value = json.loads((session / "session.json").read_text())
+    for frame in value["frames"]:
+        if frame["camera"] == "cam1":
+            path = session / frame["path"]
+            write_exr(path, np.zeros_like(read_exr(path)))
+            frame["sha256"] = sha256_file(path)
+    (session / "session.json").write_text(json.dumps(value))
+    with pytest.raises(ProcessingError, match="cam1"):
+        coarse(session, tmp_path / "out")
+
+
+def test_missing_and_changed_photographs_exit_2_and_write_nothing(
+    session: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    cut = session / "frames" / "z+" / "cam0.exr"
+    cut.write_bytes(cut.read_bytes()[:-100])
+    done = command("run", session, "--out", out, "--until", "separate")
+    assert (done.returncode, out.exists()) == (2, False)
+    assert "sha256" in done.stderr
+    assert "Traceback" not in done.stderr
+    cut.unlink()
+    (session / "frames" / "full" / "cam1.exr").unlink()
+    done = command("run", session, "--out", out)
+    assert (done.returncode, out.exists()) == (2, False)
+    assert "2 problems" in done.stderr
+
+
+def test_unknown_keys_and_stages_exit_2(session: Path, tmp_path: Path) -> None:
+    toml = tmp_path / "c.toml"
+    toml.write_text("[refine]\nrougness = 0.3\n")
+    with pytest.raises(ConfigError, match="rougness"):
+        read_config(toml)
+    done = command("run", session, "--out", tmp_path / "out", "--until", "polish")
+    assert done.returncode == 2
+    assert "polish" in done.stderr
+
+
+def test_a_stage_without_those_before_it_says_what_to_run(session: Path, tmp_path: Path) -> None:
+    with pytest.raises(ProcessingError, match="--until reconstruct"):
+        run(session, tmp_path / "out", TEMPLATE, PipelineConfig(), only="refine")
+
+
+def test_separate_alone_decodes_first_and_prints_facts(session: Path, tmp_path: Path) -> None:
+    done = command("separate", session, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout.splitlines()[-1])
+    assert facts["ran"] == ["decode", "separate"]
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["subject"] == "ball"
+    assert report["stages"]["separate"]["seconds"] >= 0
+    assert report["stages"]["separate"]["peak_rss_mb"] > 10
