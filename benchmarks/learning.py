@@ -45,8 +45,8 @@ def main() -> None:
         rows,
         f"{PEOPLE - 1} simulated people trained on for {SECONDS} s ({result.steps} steps), one "
         f"held out; sRGB-encoded albedo. Specular albedo RMSE {score.specular_rmse:.4f}, best "
-        f"constant {score.specular_constant_rmse:.4f}; diffuse normals {score.diffuse_normal_deg:.1f} deg, "
-        f"specular {score.specular_normal_deg:.1f} deg. Simulated people are no real ones.",
+        f"constant {score.specular_constant_rmse:.4f}; normals {score.diffuse_normal_deg:.1f} deg "
+        f"(diffuse), {score.specular_normal_deg:.1f} (specular). Simulated people, no real ones.",
     )
 
 

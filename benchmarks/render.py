@@ -76,8 +76,10 @@ def dense_blur(image: Tensor, sigma_px: float) -> Tensor:
     radius = int(np.ceil(3.5 * sigma_px))
     taps = torch.exp(-0.5 * (torch.arange(-radius, radius + 1) / sigma_px) ** 2)
     kernel = torch.outer(taps, taps) / taps.sum() ** 2
-    weights = kernel.repeat(image.shape[1], 1, 1, 1)
-    return functional.conv2d(image, weights, padding=radius, groups=image.shape[1])
+    # Planes as a batch: torch's grouped convolution of this size is a hundred times slower.
+    return functional.conv2d(image.transpose(0, 1), kernel[None, None], padding=radius).transpose(
+        0, 1
+    )
 
 
 def best_ms(function: Callable[[], object]) -> float:
