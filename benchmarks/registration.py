@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import open3d
 import trimesh
 
 from benchmarks.record import record
@@ -40,6 +41,21 @@ def coarse(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return vertices, triangles[np.sort(first)], cluster
 
 
+def open3d_closest(
+    mesh: trimesh.Trimesh, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """trimesh.proximity.closest_point by Open3D: faster, and without rtree."""
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        open3d.core.Tensor(np.asarray(mesh.vertices, np.float32)),
+        open3d.core.Tensor(np.asarray(mesh.faces, np.uint32)),
+    )
+    found = scene.compute_closest_points(open3d.core.Tensor(np.asarray(points, np.float32)))
+    near = found["points"].numpy().astype(float)
+    faces = found["primitive_ids"].numpy().astype(np.int64)
+    return near, np.linalg.norm(near - points, axis=1), faces
+
+
 def main() -> None:
     template = load_template(default_template_path())
     vertices, triangles, cluster = coarse(template.mesh)
@@ -65,6 +81,8 @@ def main() -> None:
     ours = fit_nonrigid(vertices, triangles, scan, marks, truth[marks], NonrigidConfig())
     results["this project"] = (ours.vertices, time.perf_counter() - begin)
 
+    # To the peer's advantage: its own search takes 20 times as long.
+    trimesh.proximity.closest_point = open3d_closest
     begin = time.perf_counter()
     source = trimesh.Trimesh(vertices, triangles, process=False)
     target = trimesh.Trimesh(scan_vertices, scan_faces, process=False)
@@ -108,7 +126,7 @@ def main() -> None:
         rows,
         f"{len(vertices)} vertices onto {len(scan_faces)} faces of a person made of the template's "
         f"identity modes (seed {SEED}), {len(marks)} landmarks, no shape model used. "
-        f"trimesh steps {PEER_STEPS}; ours {NonrigidConfig()}.",
+        f"trimesh with Open3D's closest points and steps {PEER_STEPS}; ours {NonrigidConfig()}.",
     )
 
 
