@@ -67,23 +67,22 @@ def session_is_whole(at: Layout) -> None:
 
 
 def maps_are_near_the_truth(at: Layout) -> None:
-    """Bounds a few times above what is measured: a broken stage fails them, noise does not."""
+    """Bounds about twice what so few pixels give: a broken stage fails them, noise does not."""
     found = ProcessedFolder(at.processed)
     for camera in CAMERAS:
         for name in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal"):
             assert np.isfinite(found.read_view(camera, name)).all()
     facts = read_json(at.processed / "evaluation.json")
-    coarse = read_json(at.coarse / "evaluation.json")["views"]
     views = facts["views"]
-    assert views["coverage_share"] > 0.7
-    assert views["diffuse_albedo_rmse"] < 0.06
-    assert views["diffuse_normal_median_deg"] < 6
-    assert views["diffuse_normal_mean_deg"] < coarse["diffuse_normal_mean_deg"]
-    assert facts["base_mesh"]["skin_median_mm"] < 1.5
+    assert views["coverage_share"] > 0.25
+    assert views["diffuse_albedo_rmse"] < 0.12
+    assert views["diffuse_normal_median_deg"] < 9
+    assert read_json(at.coarse / "evaluation.json")["views"]["diffuse_normal_median_deg"] < 12
+    assert facts["base_mesh"]["skin_median_mm"] < 2.5
     assert facts["registered_mesh"]["skin_median_mm"] < 2
-    assert facts["registered_mesh"]["landmark_mean_mm"] < 6
-    assert facts["atlas"]["coverage_share"] > 0.5
-    assert facts["atlas"]["diffuse_albedo_srgb_psnr_db"] > 18
+    assert facts["registered_mesh"]["landmark_mean_mm"] < 3
+    assert facts["atlas"]["coverage_share"] > 0.3
+    assert facts["atlas"]["diffuse_albedo_srgb_psnr_db"] > 22
     assert found.read_atlas("diffuse_albedo").shape == (384, 256, 3)
 
 
@@ -105,9 +104,10 @@ def report_shows_everything(at: Layout) -> None:
     assert all(s["seconds"] > 0 and s["peak_mb"] > 10 for s in figures["steps"])
     assert all(np.isfinite(row["value"]) for row in figures["errors"])
     # A black picture has a relative error of 1, one lit from the wrong side more.
-    assert len(figures["relit"]) == 3
-    for errors in figures["relit"].values():
-        assert errors["relative_rmse"] < 0.5
+    relative = {name: errors["relative_rmse"] for name, errors in figures["relit"].items()}
+    assert len(relative) == 3
+    assert max(relative.values()) < 1
+    assert relative["key"] < 0.4
     assert (at.root / "readme.jpg").stat().st_size < 300_000
     assert read_exr(at.inferred / "diffuse_albedo.exr", finite=True).shape == (384, 256, 3)
 
