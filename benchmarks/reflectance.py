@@ -148,8 +148,8 @@ def simulate(folder: Path) -> Path:
     rig = default_rig()
     save_rig(dataclasses.replace(rig, cameras=rig.cameras[: len(CAMERAS)]), folder / "rig.json")
     command = [sys.executable, "-m", "sim", "session", "--subject", "parametric", "--seed", "5"]
-    options = ["--direct", "--scale", "0.1", "--rig", str(folder / "rig.json"), "--out", str(folder / "session")]
-    subprocess.run([*command, *options], check=True)
+    options = ["--direct", "--scale", "0.1", "--rig", str(folder / "rig.json")]
+    subprocess.run([*command, *options, "--out", str(folder / "session")], check=True)
     return folder / "session"
 
 
