@@ -12,7 +12,7 @@ from lightstage.formats.session import Session
 from processing.errors import ProcessingError
 
 OCTAHEDRON = 96
-"""Side of the octahedral grid of normals for which the far field is tabulated (off by 2.5 deg at most)."""
+"""Side of the octahedral grid that the far field is tabulated for (off by 2.5 deg at most)."""
 
 
 @dataclasses.dataclass(frozen=True)
