@@ -132,7 +132,8 @@ def source_cost(
     """One minus the pooled normalised cross-correlation of a patch with one other view.
 
     The textures' covariances are summed before the division, so each counts by the contrast that
-    it shows: rho = sum_c cov_c / sqrt((sum_c var_c + floor) (sum_c var'_c + floor)).
+    it shows: rho = sum_c cov_c / sqrt((sum_c var_c + floor) (sum_c var'_c + floor')), where floor'
+    is no less than the same share of the two views' difference in radiance.
 
     Args:
         stereo: the views.
@@ -199,10 +200,13 @@ def source_cost(
     variance_r = n * (rr - n * (r_0 * r_0 + r_1 * r_1 + r_2 * r_2 + r_3 * r_3))
     variance_s = n * (ss - n * (s_0 * s_0 + s_1 * s_1 + s_2 * s_2 + s_3 * s_3))
     covariance = n * (rs - n * (r_0 * s_0 + r_1 * s_1 + r_2 * s_2 + r_3 * s_3))
-    under = math.sqrt(max(variance_r, ZERO) + floor) * math.sqrt(max(variance_s, ZERO) + floor)
+    # Much brighter than the reference, the other view has coarser noise (and rounding).
+    offset = n * n * (s_0 * s_0 + s_1 * s_1 + s_2 * s_2 + s_3 * s_3)
+    floor_s = max(floor, stereo.contrast_floor * stereo.contrast_floor * offset)
+    under = math.sqrt(max(variance_r, ZERO) + floor) * math.sqrt(max(variance_s, ZERO) + floor_s)
     if not under > ZERO:
         return ONE
-    return ONE - covariance / np.float32(under)
+    return ONE - min(max(covariance / np.float32(under), -ONE), ONE)
 
 
 @njit(cache=True, fastmath=FAST, inline="always")

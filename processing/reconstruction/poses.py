@@ -204,29 +204,29 @@ def blame(
 
 
 def features(picture: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """SIFT features of a picture, the largest first.
+    """SIFT features of a picture.
 
     Returns:
         (n, 2) pixels (top-left pixel's centre 0.5) and (n, 128) float32 unit descriptors.
     """
     options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu = False
+    options.num_threads = 1
     options.sift.max_num_features = MAX_FEATURES
     options.sift.peak_threshold = PEAK_THRESHOLD
-    options.num_threads = 1
     # Without the usual doubling of the picture: a quarter of the time, and enough features.
     options.sift.first_octave = 0
-    points, descriptors = pycolmap.Sift(options, pycolmap.Device.cpu).extract(
-        np.ascontiguousarray(picture)
-    )
-    if not len(points):
+    extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
+    keypoints, descriptors = extractor.extract_from_uint8_array(np.ascontiguousarray(picture))
+    if not len(keypoints):
         return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
+    points = np.asarray(pycolmap.keypoints_to_matrix(keypoints), float)[:, :2]
     row = np.clip(points[:, 1].astype(int), 0, mask.shape[0] - 1)
     column = np.clip(points[:, 0].astype(int), 0, mask.shape[1] - 1)
-    order = np.argsort(-points[:, 2], kind="stable")
-    order = order[mask[row, column][order]]
-    found = np.asarray(descriptors, np.float32)[order]
+    inside = mask[row, column]
+    found = np.asarray(descriptors.data, np.float32)[inside]
     found /= np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9)
-    return points[order, :2].astype(float), found
+    return points[inside], found
 
 
 def match_features(first: np.ndarray, second: np.ndarray) -> np.ndarray:
