@@ -292,14 +292,15 @@ def learning_section(demo: Demo) -> Section:
         "Learning",
         [
             "A network is shown a texture with light and shadow in it, as a photograph gives, and "
-            "learns to say albedo and normals. Two minutes of training on four simulated people "
-            "show that everything works; they do not make a good network.",
+            "learns to say albedo and normals. A minute or two of training on a few simulated people "
+            "shows that everything works; it does not make a good network.",
             _losses(demo),
             Picture(
                 side_by_side([labelled(resize(i, 420), t) for t, i in rows], 444),
                 "The captured head's texture under a light that no pattern used, and what the "
                 "network makes of it beside the truth: light and shadow should go, the skin's "
-                "colour should stay. The network never saw this person.",
+                "colour should stay. The network never saw this person; after so short a training "
+                "its albedo may be hardly more than one tone.",
                 "inference",
             ),
         ],
