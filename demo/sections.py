@@ -292,8 +292,8 @@ def learning_section(demo: Demo) -> Section:
         "Learning",
         [
             "A network is shown a texture with light and shadow in it, as a photograph gives, and "
-            "learns to say albedo and normals. A minute or two of training on a few simulated people "
-            "shows that everything works; it does not make a good network.",
+            "learns to say albedo and normals. A minute or two of training on a few simulated "
+            "people shows that everything works; it does not make a good network.",
             _losses(demo),
             Picture(
                 side_by_side([labelled(resize(i, 420), t) for t, i in rows], 444),
