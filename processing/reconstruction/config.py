@@ -47,5 +47,5 @@ class ReconstructConfig:
     max_cost: float = 0.7
     agree_mm: float = 0.4
     agree_views: int = 1
-    cell_mm: float = 0.8
+    cell_mm: float = 1.2
     trim_mm: float = 2.0
