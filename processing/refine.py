@@ -149,7 +149,7 @@ def refine(
         view = read_view(session, out, camera_id, surface)
         mask = view.sight.mask
         maps = solve_albedo(view, solved[done], lights, gloss, config)
-        write_maps(folder, camera_id, mask, maps, maps.normal)
+        write_maps(folder, camera_id, mask, maps)
         occlusion = np.zeros(mask.shape, np.float32)
         occlusion[mask] = view.sight.occlusion
         folder.write_view(camera_id, "ambient_occlusion", occlusion)

@@ -81,7 +81,7 @@ def separate(
         maps = separate_pixels(
             rgb, frames.valid[mask], views, mask, lights, px_per_mm(camera), config
         )
-        write_maps(folder, camera_id, mask, maps, maps.normal)
+        write_maps(folder, camera_id, mask, maps)
         folder.write_mask(camera_id, mask)
         confidence[camera_id] = round(float(maps.confidence.mean()), 4)
         pixels += len(rgb)
@@ -214,12 +214,14 @@ def write_maps(
     camera_id: str,
     mask: np.ndarray,
     maps: PixelMaps,
-    specular_normal: np.ndarray,
 ) -> None:
-    """Write one view's maps, zero outside the mask."""
+    """Write one view's maps, zero outside the mask.
+
+    Both normals are one: until the highlights' own are solved, the diffuse normal is the best known.
+    """
     named = {
         "diffuse_normal": maps.normal,
-        "specular_normal": specular_normal,
+        "specular_normal": maps.normal,
         "diffuse_albedo": maps.albedo,
         "specular_albedo": maps.specular,
         "confidence": maps.confidence,
