@@ -56,6 +56,7 @@ class PoseReport:
             pairs with cameras that are not off themselves; NaN without matches.
         limit_px: residual above which a camera is off.
         off: indices of cameras that are off, the worst first.
+        pairs: (first, second, median residual in px) of every pair with verified matches.
         tracks: points triangulated with the rig's poses.
         track_residual_px: their median reprojection error, NaN without tracks.
         spread_mm: median distance of the tracks from their median, the size of what was seen.
@@ -66,6 +67,7 @@ class PoseReport:
     residual_px: tuple[float, ...]
     limit_px: float
     off: tuple[int, ...]
+    pairs: tuple[tuple[int, int, float], ...]
     tracks: int
     track_residual_px: float
     spread_mm: float
@@ -127,6 +129,7 @@ def check_poses(
         tuple(float(value) for value in residuals),
         limit,
         tuple(off),
+        tuple((p.first, p.second, float(np.median(p.residual_px))) for p in pairs),
         len(points),
         float(np.median(errors)) if len(errors) else float("nan"),
         float(np.median(spread)),
@@ -144,15 +147,14 @@ def raise_when_off(report: PoseReport, stage_radius_mm: float) -> None:
         PoseError: naming every camera that is off.
     """
     if report.off:
-        named = ", ".join(
-            f"{report.camera_ids[k]} ({report.residual_px[k]:.1f} px)" for k in report.off
-        )
+        named = ", ".join(f"{report.camera_ids[k]} ({_misses(report, k)})" for k in report.off)
         raise PoseError(
             "camera poses",
             field=named,
             found="matches that miss the rig's geometry by that much (median)",
             expected=f"at most {report.limit_px:.1f} px",
-            hint="Were cameras swapped or moved since the rig was calibrated?",
+            hint="Were cameras swapped or moved since the rig was calibrated? "
+            "Of each pair that is named, one or both stand elsewhere.",
         )
     spread = report.spread_mm
     if report.tracks >= 20 and not 0.005 < spread / stage_radius_mm < 0.5:
@@ -165,10 +167,20 @@ def raise_when_off(report: PoseReport, stage_radius_mm: float) -> None:
         )
 
 
+def _misses(report: PoseReport, camera: int) -> str:
+    """A camera's residual, and that of each pair in which it is above the limit."""
+    said = [f"{report.residual_px[camera]:.1f} px"]
+    for first, second, residual in report.pairs:
+        if camera in (first, second) and residual > report.limit_px:
+            partner = report.camera_ids[first + second - camera]
+            said.append(f"with {partner} {residual:.1f} px")
+    return ", ".join(said)
+
+
 def blame(
     pairs: Sequence[PairMatches], count: int, limit_px: float, min_matches: int
 ) -> tuple[np.ndarray, list[int]]:
-    """Which cameras are off: the worst is taken out until the others agree.
+    """Which cameras are off: the one with most misses is taken out until the others agree.
 
     A camera that is off spoils all pairs it is in, so what is left without it decides about the
     others.
@@ -186,21 +198,20 @@ def blame(
     off: list[int] = []
     final = np.full(count, np.nan)
     while True:
-        medians = np.full(count, np.nan)
-        for camera in range(count):
-            own = [
-                pair.residual_px
-                for pair in pairs
-                if camera in (pair.first, pair.second) and not {pair.first, pair.second} & set(off)
-            ]
-            if own and sum(map(len, own)) >= min_matches:
-                medians[camera] = float(np.median(np.concatenate(own)))
-        judged = [k for k in range(count) if k not in off and np.isfinite(medians[k])]
-        final[judged] = medians[judged]
-        worst = max(judged, key=lambda k: medians[k], default=None)
-        if worst is None or not medians[worst] > limit_px:
+        left = [pair for pair in pairs if not {pair.first, pair.second} & set(off)]
+        residuals = [
+            np.concatenate(
+                [np.zeros(0)] + [p.residual_px for p in left if k in (p.first, p.second)]
+            )
+            for k in range(count)
+        ]
+        judged = [k for k in range(count) if k not in off and len(residuals[k]) >= min_matches]
+        final[judged] = [np.median(residuals[k]) for k in judged]
+        suspects = [k for k in judged if final[k] > limit_px]
+        if not suspects:
             return final, off
-        off.append(worst)
+        # One that is off misses with everybody; its neighbours miss only with it.
+        off.append(max(suspects, key=lambda k: int((residuals[k] > limit_px).sum())))
 
 
 def features(picture: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
