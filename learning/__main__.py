@@ -34,14 +34,30 @@ def render(
     template: TemplateOption = None,
     mode: ModeOption = "default",
     background: Annotated[str, typer.Option(help="`white` or `black`.")] = "white",
+    captured_only: Annotated[
+        bool, typer.Option("--captured-only", help="Leave out texels of confidence 0.")
+    ] = False,
     as_json: bool = JsonFlag,
 ) -> None:
-    """Relight: show a head with maps under a light set, with cast shadows."""
+    """Relight: show a head with maps under a light set, with cast shadows.
+
+    Places that no camera saw are shown with what the atlas was filled with there.
+    """
     from learning.commands import render_command
 
     with progress_bar("render") as progress:
         facts = render_command(
-            maps, mesh, environment, out, rig, camera, template, mode, background, progress
+            maps,
+            mesh,
+            environment,
+            out,
+            rig,
+            camera,
+            template,
+            mode,
+            background,
+            captured_only,
+            progress,
         )
     finish(
         f"{out}: {facts['width_px']} x {facts['height_px']} px, {facts['lights']} lights, "

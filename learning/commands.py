@@ -44,6 +44,7 @@ def render_command(
     template: Path | None,
     mode: str,
     background: str,
+    captured_only: bool,
     progress: ProgressCallback,
 ) -> dict[str, Any]:
     """Render a head to a picture; returns the facts."""
@@ -55,7 +56,9 @@ def render_command(
     options = make_config(ShadeOptions, {"mode": mode}, "--mode")
     view = _camera(rig, camera)
     head, lights = _head(maps, mesh, template), read_lights(environment)
-    rgb, alpha = render_head(head, lights, view, BACKGROUNDS[background], options, progress)
+    rgb, alpha = render_head(
+        head, lights, view, BACKGROUNDS[background], captured_only, options, progress
+    )
     write_picture(out, rgb, alpha)
     return {
         "width_px": view.width_px,

@@ -30,21 +30,21 @@ class TexturedHead:
         mesh: in the maps' axes.
         raster: its texels at the maps' size.
         skin: batch of one.
-        known: (rows, columns) bool, texels that hold a measured surface.
+        captured: (rows, columns) bool, texels of the surface whose confidence is above 0.
     """
 
     mesh: Mesh
     raster: UvRaster
     skin: SkinMaps
-    known: np.ndarray
+    captured: np.ndarray
 
 
 def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> TexturedHead:
     """Read a folder of atlas maps.
 
     Needed are diffuse_albedo, specular_albedo, diffuse_normal and specular_normal; a texel without
-    a normal takes the mesh's. ambient_occlusion and confidence are used where present (a texel of
-    confidence 0 is not shown). Shininess and translucency come from the template.
+    a normal takes the mesh's. ambient_occlusion and confidence are used where present. Shininess
+    and translucency come from the template.
 
     Args:
         folder: such as OUT/atlas.
@@ -76,7 +76,7 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
         missing = np.linalg.norm(maps[name], axis=2) < 1e-3
         maps[name] = np.where(missing[..., None], normals, maps[name])
     ones = np.ones((rows, columns), np.float32)
-    known = raster.covered & (maps.get("confidence", ones) > 0)
+    captured = raster.covered & (maps.get("confidence", ones) > 0)
     skin_maps = template.maps if template else {}
     skin = skin_maps_from(
         {**maps, "position": position},
@@ -84,7 +84,7 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
         _resized(skin_maps.get("shininess"), rows, columns, SHININESS),
         _resized(skin_maps.get("translucency"), rows, columns, TRANSLUCENCY),
     )
-    return TexturedHead(mesh, raster, skin, known)
+    return TexturedHead(mesh, raster, skin, captured)
 
 
 def skin_maps_from(

@@ -53,12 +53,17 @@ def render_head(
     lights: LightSet,
     camera: Camera,
     background: float = 1.0,
+    captured_only: bool = False,
     options: ShadeOptions | None = None,
     progress: ProgressCallback = quiet,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A picture of the head: (h, w, 3) linear rgb before a grey background, and (h, w) alpha."""
+    """A picture of the head: (h, w, 3) linear rgb before a grey background, and (h, w) alpha.
+
+    Texels that were not captured show what they were filled with, unless `captured_only`.
+    """
     texture = lit_texture(head, lights, camera.centre_mm, options, progress)
-    return render_view(texture, head.known, head.mesh, camera, background)
+    shown = head.captured if captured_only else head.raster.covered
+    return render_view(texture, shown, head.mesh, camera, background)
 
 
 def write_picture(path: Path, rgb_linear: np.ndarray, alpha: np.ndarray) -> Path:

@@ -217,7 +217,7 @@ def write_maps(
 ) -> None:
     """Write one view's maps, zero outside the mask.
 
-    Both normals are one: until the highlights' own are solved, the diffuse normal is the best known.
+    Both normals are one: the highlights' own is not solved yet, the diffuse one stands for it.
     """
     named = {
         "diffuse_normal": maps.normal,

@@ -116,7 +116,7 @@ def row_elevation_deg(azimuth_deg: np.ndarray) -> np.ndarray:
         ROW_LIP_LOW: lips * lip_low + (1 - lips) * -33.6,
         ROW_CHIN: -45.0 + 2.0 * behind,
         ROW_THROAT: -59.0 + 6.0 * behind,
-        ROWS: -62.0 + 7.0 * behind,
+        ROWS: -68.0 + 11.0 * behind,
     }
     rows = np.array(sorted(anchors), float)
     values = np.stack([anchors[int(r)] for r in rows])

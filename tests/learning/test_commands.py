@@ -85,6 +85,23 @@ def test_render_writes_a_picture_of_the_head(
     assert not read_exr(linear)[0, 0].any()
 
 
+def test_render_leaves_out_what_was_not_captured_when_told(
+    scene: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    confidence = read_exr(scene["maps"] / "confidence.exr")
+    confidence[: len(confidence) // 2] = 0
+    write_exr(scene["maps"] / "confidence.exr", confidence)
+    shown = []
+    for flag in ([], ["--captured-only"]):
+        words = ["render", *options(scene), "--out", tmp_path / "head.png", *flag, "--json"]
+        assert run(monkeypatch, *words) == 0
+        shown.append(json.loads(capsys.readouterr().out.splitlines()[-1])["surface_percent"])
+    assert 0.3 * shown[0] < shown[1] < 0.7 * shown[0]
+
+
 def test_bake_writes_the_lit_texture(
     scene: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
