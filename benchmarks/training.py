@@ -35,13 +35,14 @@ def main() -> None:
         result = train(store, root / "run", config)
     score = result.score
     rows = [
-        ["generator", f"{score.psnr_db:.2f}"],
-        ["the lit texture as albedo", f"{score.psnr_input_db:.2f}"],
-        ["the training people's mean albedo", f"{score.psnr_mean_db:.2f}"],
+        ["generator", f"{score.psnr_db:.2f}", f"{score.detail:.2f}"],
+        ["the lit texture as albedo", f"{score.psnr_input_db:.2f}", f"{score.detail_input:.2f}"],
+        ["the training people's mean albedo", f"{score.psnr_mean_db:.2f}", ""],
+        ["one tone, from the lit texture's", f"{score.psnr_flat_db:.2f}", "0.00"],
     ]
     record(
         "Learning, demo preset",
-        ["diffuse albedo of a person held out", "PSNR dB"],
+        ["diffuse albedo of a person held out", "PSNR dB", "correlation within patches"],
         rows,
         f"{PEOPLE - 1} simulated people trained on for {SECONDS} s ({result.steps} steps), one "
         f"held out; sRGB-encoded albedo. Specular albedo RMSE {score.specular_rmse:.4f}, best "

@@ -111,7 +111,8 @@ def train(
     finish(
         f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; diffuse albedo of the people "
         f"held out ({facts['held_out']}): PSNR {facts['psnr_db']:.2f} dB; the lit texture as "
-        f"albedo {facts['psnr_input_db']:.2f}, the mean person {facts['psnr_mean_db']:.2f}",
+        f"albedo {facts['psnr_input_db']:.2f}, the mean person {facts['psnr_mean_db']:.2f}, one "
+        f"tone {facts['psnr_flat_db']:.2f}; correlation with the true detail {facts['detail']:.2f}",
         facts,
         as_json,
     )

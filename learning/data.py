@@ -15,6 +15,7 @@ from learning.encoding import (
     Reference,
     absolute_reference,
     encode_maps,
+    local_contrast,
     network_input,
     relative_reference,
     shrink,
@@ -60,6 +61,8 @@ class DataConfig:
         shadow_sets: sets of light positions per scan whose shadows are baked.
         relative: tell colours against the lit texture's mean and normals against the shape's
             (see learning.encoding); the published networks do not.
+        detail_px: standard deviation of the blur against which the texture's contrast is told to
+            go around the network; 0 for none, as published.
     """
 
     patch_px: int = 512
@@ -70,6 +73,7 @@ class DataConfig:
     shadow_rows: int = 384
     shadow_sets: int = 64
     relative: bool = False
+    detail_px: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -221,8 +225,9 @@ class PatchData:
             seen = _crop(grid, box, size, sharpness)
             whole_seen = _crop(grid, (0.0, 0.0, 1.0, 1.0), size, 1.0)
         options = ShadeOptions()
+        covered = (skin.area > 0).to(skin.area)
         with torch.no_grad():
-            texture = shade(skin, environment, options, seen) * (skin.area > 0)
+            texture = shade(skin, environment, options, seen) * covered
             whole_texture = shade(whole_skin, environment, options, whole_seen)
             whole_texture = whole_texture * (whole_skin.area > 0)
             shape_normal = region.maps["shape_normal"]
@@ -230,9 +235,12 @@ class PatchData:
             if self._config.relative:
                 whole_covered = (whole_skin.area > 0).to(texture)
                 reference = relative_reference(whole_texture, whole_covered, shape_normal)
+            if self._config.detail_px > 0:
+                white, blur_px = reference.texture, self._config.detail_px
+                detail = local_contrast(texture, covered, white, blur_px)
+                reference = dataclasses.replace(reference, detail=detail)
             inputs = network_input(texture, shape_normal, whole_texture, reference)
             target = encode_maps(skin, whole_skin.diffuse_albedo, reference)
-        covered = (skin.area > 0).to(texture)
         return Batch(inputs, target, covered, skin, environment, texture, reference, [place])
 
     def _read_patch(self, place: tuple[int, int, int]) -> Region:
@@ -323,6 +331,12 @@ def join(examples: list[Batch]) -> Batch:
             torch.cat([e.reference.texture for e in examples]),
             torch.cat([e.reference.albedo for e in examples]),
             torch.cat([e.reference.normal for e in examples]),
+            _joined([e.reference.detail for e in examples]),
         ),
         [place for e in examples for place in e.places],
     )
+
+
+def _joined(parts: list[Tensor | None]) -> Tensor | None:
+    given = [part for part in parts if part is not None]
+    return torch.cat(given) if given else None

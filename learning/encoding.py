@@ -8,6 +8,12 @@ output only through its contrast with eyes and hair, which takes long to learn. 
 tone, colours are told against the mean colour of the whole lit texture: the tone goes around the
 network, and what it learns is how shading relates to albedo. For the same reason normals are then
 told in the frame of the shape's own. The published encoding is absolute.
+
+Skin is nearly of one tone: a flat albedo is some 3 % wrong, so in a few hundred steps losses teach
+nothing of brows, lips and moles, and a network without a way around its bottleneck does not show
+them. With a reference of `detail`, albedo is told against the texture's local contrast too: a
+constant output is then the texture with its slow light taken out, and what is learned are the edges
+of shadows, the highlights and the tones of regions.
 """
 
 from __future__ import annotations
@@ -19,13 +25,20 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from learning.render.shading import SkinMaps, unit
+from learning.render.subsurface import blur
 
 SPECULAR_MOST = 0.1
 """Specular albedo that stands for 1; skin has about 0.03."""
 TEXTURE_HEADROOM = 4.0
-"""Brightest lit texel told apart, in units of the texture's mean."""
+"""Brightest lit texel told apart, in units of the texture's colour."""
 ALBEDO_HEADROOM = 10.0
 """Brightest albedo told apart, in the same units: the white of an eye in dim light."""
+DETAIL_FLOOR = 0.02
+"""Added to sRGB-encoded colours before their ratio is taken, so that black has no contrast."""
+DARK = 0.1
+"""sRGB-encoded colour below which a texel's contrast fades; a 60th of the texture's mean."""
+DETAIL_MOST = 2.0
+"""Largest contrast, and the inverse of the smallest, that goes around the network."""
 
 
 def srgb_from_linear(rgb: Tensor) -> Tensor:
@@ -51,11 +64,13 @@ class Reference:
         texture: (B, 3, 1, 1) linear colour that is encoded as white in the input.
         albedo: (B, 3, 1, 1) the same in the output.
         normal: (B, 3, h, w) unit vectors that are +z for the output's normals.
+        detail: (B, 3, h, w) that sRGB-encoded albedo (0..1) is divided by; None for nothing.
     """
 
     texture: Tensor
     albedo: Tensor
     normal: Tensor
+    detail: Tensor | None = None
 
 
 def absolute_reference(shape_normal: Tensor) -> Reference:
@@ -67,17 +82,43 @@ def absolute_reference(shape_normal: Tensor) -> Reference:
 
 
 def relative_reference(whole_texture: Tensor, covered: Tensor, shape_normal: Tensor) -> Reference:
-    """White is a multiple of the mean lit colour; +z is the shape's normal.
+    """White is a multiple of the lit texture's colour; +z is the shape's normal.
+
+    The colour is the root of the mean square, in which the lit parts count more than the shadows:
+    how much of a face lies in shadow says little of its skin.
 
     Args:
         whole_texture: (B, 3, h, w) linear, of the whole face.
-        covered: (B, 1, h, w), 1 where a surface is.
+        covered: (B, 1, h, w), 1 where a surface is that the texture shows.
         shape_normal: (B, 3, h, w) of the patch.
     """
-    total = (whole_texture * covered).sum(dim=(2, 3), keepdim=True)
-    mean = total / covered.sum(dim=(2, 3), keepdim=True).clamp_min(1.0)
+    total = (whole_texture.square() * covered).sum(dim=(2, 3), keepdim=True)
+    mean = (total / covered.sum(dim=(2, 3), keepdim=True).clamp_min(1.0)).sqrt()
     mean = mean.clamp_min(1e-4)
     return Reference(TEXTURE_HEADROOM * mean, ALBEDO_HEADROOM * mean, shape_normal)
+
+
+def local_contrast(texture: Tensor, covered: Tensor, white: Tensor, sigma_px: float) -> Tensor:
+    """The sRGB-encoded texture over its own blurred self; 1 where it is black or not there.
+
+    sRGB is nearly a power, so light that is even over the blur's width falls out of the ratio.
+
+    Args:
+        texture: (B, 3, h, w) linear.
+        covered: (B, 1, h, w), 1 where a surface is.
+        white: (B, 3, 1, 1) linear colour that is encoded as 1.
+        sigma_px: the blur's standard deviation; nothing comes in over borders.
+
+    Returns:
+        (B, 3, h, w) in 1 / DETAIL_MOST..DETAIL_MOST.
+    """
+    encoded = srgb_from_linear(texture / white)
+    # Black texels were never lit or never photographed: they say nothing of the skin.
+    known = covered * (encoded.amax(dim=1, keepdim=True) / DARK).clamp_max(1.0)
+    spread = blur(torch.cat([encoded * known, known], dim=1), sigma_px)
+    mean = spread[:, :3] / spread[:, 3:].clamp_min(1e-4)
+    contrast = (encoded + DETAIL_FLOOR) / (mean + DETAIL_FLOOR)
+    return contrast.clamp(1 / DETAIL_MOST, DETAIL_MOST) ** known
 
 
 def turn(vectors: Tensor, normal: Tensor, back: bool = False) -> Tensor:
@@ -127,7 +168,7 @@ def encode_maps(skin: SkinMaps, whole_albedo: Tensor, reference: Reference) -> T
     """The thirteen channels the generator should give for a skin; where no surface is, 0."""
     channels = torch.cat(
         [
-            encode_colour(skin.diffuse_albedo, reference.albedo),
+            _without(encode_colour(skin.diffuse_albedo, reference.albedo), reference.detail),
             (2 / SPECULAR_MOST) * skin.specular_albedo.clamp(0, SPECULAR_MOST) - 1,
             turn(unit(skin.diffuse_normal), reference.normal, back=True),
             turn(unit(skin.specular_normal), reference.normal, back=True),
@@ -136,6 +177,15 @@ def encode_maps(skin: SkinMaps, whole_albedo: Tensor, reference: Reference) -> T
         dim=1,
     )
     return channels * (skin.area > 0)
+
+
+def _without(channels: Tensor, detail: Tensor | None) -> Tensor:
+    """Colour channels over the detail; what lies beyond the network's range is cut off."""
+    return channels if detail is None else ((channels + 1) / detail - 1).clamp_max(1.0)
+
+
+def _with(channels: Tensor, detail: Tensor | None) -> Tensor:
+    return channels if detail is None else ((channels + 1) * detail - 1).clamp_max(1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,7 +222,7 @@ def decode_maps(channels: Tensor, reference: Reference) -> Reflectance:
     whose outputs are near zero, stays small.
     """
     return Reflectance(
-        decode_colour(channels[:, :3], reference.albedo),
+        decode_colour(_with(channels[:, :3], reference.detail), reference.albedo),
         (channels[:, 3:4] + 1) * (SPECULAR_MOST / 2),
         unit(turn(channels[:, 4:7], reference.normal), floor=0.1),
         unit(turn(channels[:, 7:10], reference.normal), floor=0.1),

@@ -18,6 +18,7 @@ from learning.data import DataConfig
 from learning.encoding import (
     absolute_reference,
     decode_maps,
+    local_contrast,
     network_input,
     relative_reference,
     shrink,
@@ -30,6 +31,8 @@ from learning.render.uv import rasterise, texel_surface
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh
 
+UNSEEN = 1e-4
+"""Linear value up to which a texel counts as not photographed."""
 DISAGREEMENT = 0.05
 """Standard deviation of the tiles' albedo (sRGB-encoded) at which the confidence is a half."""
 
@@ -86,12 +89,16 @@ def infer(
     seen = to_batch(covered)
     lit = to_batch(texture) * seen
     size = (patch_px, patch_px)
-    weight = shrink(seen, size)
+    # Black texels of a surface were not photographed: they are no shadow on it.
+    weight = shrink(seen * (lit.amax(dim=1, keepdim=True) > UNSEEN), size)
     whole = shrink(lit, size) / weight.clamp_min(1e-3) * (weight > 0.5)
     shape = to_batch(surface.normal @ head_from_mesh.T)
     reference = absolute_reference(shape)
     if data.relative:
         reference = relative_reference(whole, (weight > 0.5).to(whole), shape)
+    if data.detail_px > 0:
+        detail = local_contrast(lit, seen, reference.texture, data.detail_px)
+        reference = dataclasses.replace(reference, detail=detail)
     inputs = network_input(lit, shape, torch.zeros_like(lit), reference)[:, :6]
     context = network_input(whole, torch.zeros_like(whole), whole, reference)[:, 6:]
     channels, spread = run_tiles(generator, inputs, context, patch_px, progress)

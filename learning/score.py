@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from learning.data import Batch, PatchData
-from learning.encoding import decode_maps, srgb_from_linear
+from learning.encoding import decode_colour, decode_maps, encode_colour, srgb_from_linear
 from learning.networks.generator import Generator
 from learning.render.shading import unit
 
@@ -22,6 +22,11 @@ class Score:
         psnr_db: of the found diffuse albedo, sRGB-encoded.
         psnr_input_db: of the lit texture taken as albedo.
         psnr_mean_db: of the training people's mean albedo at the same place.
+        psnr_flat_db: of the constant output that suits the training people best: one tone, told
+            against the lit texture's where the network's colours are.
+        detail: correlation of the found albedo with the true one, each less its patch's mean;
+            0 of one tone.
+        detail_input: the same of the lit texture taken as albedo.
         specular_rmse: of the specular albedo.
         specular_constant_rmse: of the best constant.
         diffuse_normal_deg: mean angle.
@@ -31,6 +36,9 @@ class Score:
     psnr_db: float
     psnr_input_db: float
     psnr_mean_db: float
+    psnr_flat_db: float
+    detail: float
+    detail_input: float
     specular_rmse: float
     specular_constant_rmse: float
     diffuse_normal_deg: float
@@ -53,6 +61,7 @@ def score(
     chosen = np.linspace(0, len(held_out.places) - 1, count).round().astype(int)
     rng = np.random.default_rng([seed, 3])
     batches = [held_out.batch([held_out.places[i]], rng) for i in chosen]
+    tone = torch.stack([_tone(trained_on.draw(1, rng)) for _ in range(2 * count)]).mean(dim=0)
     found = []
     with torch.inference_mode():
         found = [decode_maps(generator(b.inputs), b.reference) for b in batches]
@@ -68,12 +77,31 @@ def score(
         pairs = zip(values, batches, strict=True)
         return torch.cat([v[b.covered > 0] for v, b in pairs])
 
+    def correlation(values: list[Tensor]) -> float:
+        pairs = []
+        for value, b in zip(values, batches, strict=True):
+            both = torch.cat([value, srgb_from_linear(b.skin.diffuse_albedo)])
+            both = both.flatten(2)[:, :, b.covered.flatten() > 0]
+            pairs.append((both - both.mean(dim=2, keepdim=True)).flatten(1))
+        found, true = torch.cat(pairs, dim=1)
+        return float((found * true).sum() / (found.norm() * true.norm()).clamp_min(1e-9))
+
+    albedo = [srgb_from_linear(f.diffuse_albedo) for f in found]
+    lit = [srgb_from_linear(b.texture) for b in batches]
+    mean = [srgb_from_linear(_mean_albedo(trained_on, b)) for b in batches]
+    flat = [
+        srgb_from_linear(decode_colour(tone, b.reference.albedo)).expand_as(b.texture)
+        for b in batches
+    ]
     specular_truth = texels([b.skin.specular_albedo for b in batches])
     specular_found = texels([f.specular_albedo for f in found])
     return Score(
-        _psnr(mean_square([srgb_from_linear(f.diffuse_albedo) for f in found])),
-        _psnr(mean_square([srgb_from_linear(b.texture) for b in batches])),
-        _psnr(mean_square([srgb_from_linear(_mean_albedo(trained_on, b)) for b in batches])),
+        _psnr(mean_square(albedo)),
+        _psnr(mean_square(lit)),
+        _psnr(mean_square(mean)),
+        _psnr(mean_square(flat)),
+        correlation(albedo),
+        correlation(lit),
         float((specular_found - specular_truth).square().mean().sqrt()),
         float(specular_truth.std(correction=0)),
         _mean_angle_deg([f.diffuse_normal for f in found], batches, "diffuse_normal"),
@@ -86,6 +114,13 @@ def _mean_albedo(trained_on: PatchData, batch: Batch) -> Tensor:
     places = [p for p in trained_on.places if p[1:] == (row, column)] or trained_on.places
     albedos = [trained_on.patch(place).maps["diffuse_albedo"] for place in places]
     return torch.cat(albedos).mean(dim=0, keepdim=True)
+
+
+def _tone(batch: Batch) -> Tensor:
+    """(1, 3, 1, 1) mean of a patch's albedo as the network would have to say it."""
+    encoded = encode_colour(batch.skin.diffuse_albedo, batch.reference.albedo)
+    total = (encoded * batch.covered).sum(dim=(2, 3), keepdim=True)
+    return total / batch.covered.sum().clamp_min(1)
 
 
 def _psnr(mean_square: float) -> float:

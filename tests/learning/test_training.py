@@ -11,11 +11,18 @@ import torch
 from learning import augment
 from learning.checkpoint import INDEX, load_generator, read_checkpoint
 from learning.data import DataConfig, PatchData
-from learning.encoding import decode_colour, decode_maps, encode_colour, encode_maps, turn
+from learning.encoding import (
+    decode_colour,
+    decode_maps,
+    encode_colour,
+    encode_maps,
+    local_contrast,
+    turn,
+)
 from learning.errors import CheckpointError, TrainingError
 from learning.losses import maps_loss, rendering_loss
 from learning.networks.discriminator import DiscriminatorConfig
-from learning.networks.generator import GeneratorConfig
+from learning.networks.generator import Generator, GeneratorConfig
 from learning.presets import PRESETS, TrainConfig, preset
 from learning.render.environments import (
     RandomLightConfig,
@@ -24,6 +31,7 @@ from learning.render.environments import (
     random_lights,
 )
 from learning.render.shading import unit
+from learning.score import score
 from learning.train import split, train
 from lightstage.errors import ConfigError
 from processing.dataset import open_store
@@ -145,10 +153,58 @@ def test_losses_vanish_at_the_truth_and_only_there(store_path: Path) -> None:
     darker = batch.target.clone()
     darker[:, :3] -= 0.1
     assert min(losses(darker)) > 0.005
-    # The whole albedo, channels 10 to 12, is not rendered.
+    # The whole albedo, channels 10 to 12, is neither rendered nor one of the patch's maps.
     other = batch.target.clone()
     other[:, 10:] = 0
-    assert losses(other)[0] == pytest.approx(truth[0])
+    assert losses(other) == pytest.approx(truth)
+
+
+def test_contrast_is_without_slow_light_and_without_what_was_not_photographed() -> None:
+    rng = np.random.default_rng(0)
+    skin = torch.tensor(rng.uniform(0.15, 0.25, (1, 3, 96, 96)), dtype=torch.float32)
+    slow = torch.linspace(0.4, 1.2, 96).view(1, 1, 1, 96)
+    there, white = torch.ones(1, 1, 96, 96), torch.ones(1, 3, 1, 1)
+    inner = (..., slice(20, -20), slice(20, -20))
+    even = local_contrast(skin, there, white, 4.0)
+    lit = local_contrast(skin * slow, there, white, 4.0)
+    assert float(even[inner].std()) > 0.05
+    assert float((lit - even)[inner].abs().max()) < 0.15 * float(even[inner].std())
+    # Black texels have no contrast, and give their neighbours none.
+    holes = skin.clone()
+    holes[..., 40:56, 40:56] = 0
+    contrast = local_contrast(holes, there, white, 4.0)
+    assert torch.equal(contrast[..., 40:56, 40:56], torch.ones(1, 3, 16, 16))
+    assert float(contrast[..., 56:60, 40:56].mean()) == pytest.approx(1.0, abs=0.03)
+    black = local_contrast(torch.zeros_like(skin), there, white, 4.0)
+    assert torch.equal(black, torch.ones_like(skin))
+
+
+def test_with_detail_one_tone_is_the_evenly_lit_texture(store_path: Path) -> None:
+    config = dataclasses.replace(TINY.data, detail_px=6.0)
+    batch = patches(store_path, config).draw(2, np.random.default_rng(2))
+    detail = batch.reference.detail
+    assert detail is not None
+    skin = batch.skin
+    found = decode_maps(encode_maps(skin, skin.diffuse_albedo, batch.reference), batch.reference)
+    torch.testing.assert_close(found.diffuse_albedo, skin.diffuse_albedo, atol=1e-5, rtol=1e-4)
+    flat = torch.zeros_like(batch.target)
+    encoded = encode_colour(
+        decode_maps(flat, batch.reference).diffuse_albedo, batch.reference.albedo
+    )
+    torch.testing.assert_close(encoded + 1, detail, atol=1e-4, rtol=1e-4)
+
+
+def test_a_flat_albedo_scores_as_its_baseline_and_shows_no_detail(store_path: Path) -> None:
+    class OneTone(Generator):
+        def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+            return inputs.new_full((len(inputs), 13, *inputs.shape[2:]), -0.2)
+
+    data = patches(store_path)
+    found = score(OneTone(TINY.generator), data, data, 6, 0)
+    assert found.detail == pytest.approx(0.0, abs=1e-3)
+    assert found.detail_input > 0.1
+    assert found.psnr_flat_db > found.psnr_input_db
+    assert found.psnr_db <= found.psnr_flat_db + 1.0
 
 
 def test_rendering_loss_of_a_known_difference(store_path: Path) -> None:
