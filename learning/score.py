@@ -10,6 +10,7 @@ from torch import Tensor
 
 from learning.data import Batch, PatchData
 from learning.encoding import decode_colour, decode_maps, encode_colour, srgb_from_linear
+from learning.errors import TrainingError
 from learning.networks.generator import Generator
 from learning.render.shading import unit
 
@@ -56,11 +57,21 @@ def score(
         trained_on: for the baseline of the mean person.
         patches: how many, at most.
         seed: of the lights; independent of the training's.
+
+    Raises:
+        TrainingError: nothing to score.
     """
     count = min(patches, len(held_out.places))
     chosen = np.linspace(0, len(held_out.places) - 1, count).round().astype(int)
     rng = np.random.default_rng([seed, 3])
     batches = [held_out.batch([held_out.places[i]], rng) for i in chosen]
+    if not any(bool(b.covered.any()) for b in batches):
+        raise TrainingError(
+            "score",
+            found="no covered texel in the patches of the people held out",
+            expected="maps as they were when the training began",
+            hint="Was the store written anew meanwhile?",
+        )
     tone = torch.stack([_tone(trained_on.draw(1, rng)) for _ in range(2 * count)]).mean(dim=0)
     found = []
     with torch.inference_mode():
