@@ -159,6 +159,9 @@ HELD_OUT_ROWS = (
     ("psnr_db", "diffuse albedo PSNR", "dB"),
     ("psnr_input_db", "the lit texture itself taken as albedo, PSNR", "dB"),
     ("psnr_mean_db", "the mean of the other people taken as albedo, PSNR", "dB"),
+    ("psnr_flat_db", "the best single tone, PSNR", "dB"),
+    ("detail", "correlation with the true detail, within patches", "1"),
+    ("detail_input", "the same of the lit texture", "1"),
 )
 
 

@@ -300,8 +300,9 @@ def learning_section(demo: Demo) -> Section:
                 side_by_side([labelled(resize(i, 420), t) for t, i in rows], 444),
                 "The captured head's texture under a light that no pattern used, and what the "
                 "network makes of it beside the truth: light and shadow should go, the skin's "
-                "colour should stay. The network never saw this person; after so short a training "
-                "its albedo may be hardly more than one tone.",
+                "colour should stay. The network never saw this person. After so short a training "
+                "it says little more than tone and broad shading: the finest contrast comes from "
+                "the texture itself, around the network, and with it the edges of hard shadows.",
                 "inference",
             ),
         ],
