@@ -26,9 +26,12 @@ ModeOption = Annotated[str, typer.Option(help="`default`, or `paper`: the formul
 @app.command()
 def render(
     maps: MapsOption,
-    mesh: MeshOption,
     environment: LightsOption,
     out: Annotated[Path, typer.Option(help="Picture to write: .png (sRGB) or .exr (linear).")],
+    mesh: Annotated[
+        Path | None,
+        typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
+    ] = None,
     rig: RigOption = None,
     camera: CameraOption = "cam0",
     template: TemplateOption = None,

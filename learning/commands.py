@@ -24,7 +24,7 @@ from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import read_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import read_mesh
-from lightstage.formats.processed import write_map
+from lightstage.formats.processed import ProcessedFolder, write_map
 from lightstage.formats.template import load_template
 from lightstage.rig import Camera, default_rig, load_rig
 from processing.dataset import open_store, read_head_pose
@@ -36,7 +36,7 @@ BACKGROUNDS = {"white": 1.0, "black": 0.0}
 
 def render_command(
     maps: Path,
-    mesh: Path,
+    mesh: Path | None,
     environment: Path,
     out: Path,
     rig: Path | None,
@@ -55,7 +55,9 @@ def render_command(
         raise MapsError(out, found=f"suffix {out.suffix!r}", expected=".png or .exr")
     options = make_config(ShadeOptions, {"mode": mode}, "--mode")
     view = _camera(rig, camera)
-    head, lights = _head(maps, mesh, template), read_lights(environment)
+    # An atlas lies in a processed folder, beside the mesh that it belongs to.
+    shape = ProcessedFolder(maps.parent).registered_mesh if mesh is None else mesh
+    head, lights = _head(maps, shape, template), read_lights(environment)
     rgb, alpha = render_head(
         head, lights, view, BACKGROUNDS[background], captured_only, options, progress
     )
@@ -102,7 +104,10 @@ def _camera(rig: Path | None, camera: str) -> Camera:
 
 
 def _head(maps: Path, mesh: Path, template: Path | None) -> TexturedHead:
-    return load_head(maps, read_mesh(mesh), load_template(template) if template else None)
+    shape = read_mesh(mesh)
+    if shape.uvs is None:
+        raise MapsError(mesh, field="uv", found="none", expected="the maps' texture coordinates")
+    return load_head(maps, shape, load_template(template) if template else None)
 
 
 def train_command(

@@ -32,6 +32,7 @@ from learning.networks.generator import IN_CHANNELS, OUT_CHANNELS, Generator, in
 from learning.presets import TrainConfig
 from learning.score import Score, score
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import ConfigError
 from lightstage.formats.config import as_dict
 from processing.dataset import Store
 
@@ -165,6 +166,10 @@ def train(
             `resume`, a run that is there already.
     """
     began = time.monotonic()
+    if config.seconds is not None and not config.seconds > 0:
+        raise ConfigError(
+            "training", field="seconds", found=str(config.seconds), expected="more than 0"
+        )
     held_out, trained_on = split(store, config.data.held_out_subjects)
     trainer, first = Trainer(config), 0
     if resume:

@@ -11,6 +11,7 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, one_error
 from lightstage.formats.exr import read_exr
+from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.session import (
     Frame,
     Session,
@@ -53,6 +54,11 @@ def check_session(root: Path, progress: ProgressCallback = quiet) -> CheckReport
     """
     session = _load(root)
     problems = missing_frames(session) + changed_frames(session) + _doubled(session)
+    if (root / "landmarks.json").exists():
+        try:
+            read_points_px(root / "landmarks.json")
+        except FormatError as error:
+            problems.append(error)
     broken = {problem.where for problem in problems}
     means: dict[tuple[str, str], float] = {}
     clipped: dict[tuple[str, str], float] = {}

@@ -9,6 +9,7 @@ import typer
 
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
 from lightstage.formats.template import default_template_path
+from processing.errors import ProcessingError
 
 app = make_app("Photographs of a light stage to reflectance maps, mesh, atlas and dataset.")
 dataset_app = make_app("The lab's store of many processed sessions, and its published form.")
@@ -16,7 +17,13 @@ app.add_typer(dataset_app, name="dataset")
 
 SessionPath = typer.Argument(..., help="Session folder.", show_default=False)
 OutPath = typer.Option(..., "--out", help="Processed folder, made or continued.")
-TemplatePath = typer.Option(default_template_path(), "--template", help="Template folder.")
+TemplatePath = typer.Option(
+    default_template_path(),
+    "--template",
+    help="Template folder; register and atlas read it.",
+    show_default="the project's own",
+)
+Overwrite = typer.Option(False, "--overwrite", help="Replace what is there.")
 ConfigPath = typer.Option(None, "--config", help="TOML file with one table for each stage.")
 AtlasRows = typer.Option(None, "--atlas-rows", min=6, help="Atlas height in texels [6144].")
 
@@ -39,33 +46,36 @@ def run(
 def separate(
     session: Path = SessionPath,
     out: Path = OutPath,
+    template: Path = TemplatePath,
     config: Path | None = ConfigPath,
     as_json: bool = JsonFlag,
 ) -> None:
     """Coarse far-field maps of every view (decodes the photographs first where needed)."""
-    _process(session, out, default_template_path(), config, None, as_json, only="separate")
+    _process(session, out, template, config, None, as_json, only="separate")
 
 
 @app.command()
 def reconstruct(
     session: Path = SessionPath,
     out: Path = OutPath,
+    template: Path = TemplatePath,
     config: Path | None = ConfigPath,
     as_json: bool = JsonFlag,
 ) -> None:
     """The base mesh from the decoded views."""
-    _process(session, out, default_template_path(), config, None, as_json, only="reconstruct")
+    _process(session, out, template, config, None, as_json, only="reconstruct")
 
 
 @app.command()
 def refine(
     session: Path = SessionPath,
     out: Path = OutPath,
+    template: Path = TemplatePath,
     config: Path | None = ConfigPath,
     as_json: bool = JsonFlag,
 ) -> None:
     """Exact maps of every view, with the mesh's positions and shadows."""
-    _process(session, out, default_template_path(), config, None, as_json, only="refine")
+    _process(session, out, template, config, None, as_json, only="refine")
 
 
 @app.command()
@@ -167,12 +177,14 @@ def evaluate(
 @dataset_app.command()
 def build(
     processed: list[Path] = typer.Argument(..., help="Processed folders.", show_default=False),
-    out: Path = typer.Option(..., "--out", help="Store, made anew."),
+    out: Path = typer.Option(..., "--out", help="Store to make."),
+    overwrite: bool = Overwrite,
     as_json: bool = JsonFlag,
 ) -> None:
     """The lab's store: whole maps of every scan."""
     from processing.dataset import build_store, open_store
 
+    _require_new(out, overwrite)
     with progress_bar("dataset build") as progress:
         build_store(processed, out, progress)
     scans = open_store(out).scans
@@ -184,7 +196,8 @@ def build(
 @dataset_app.command()
 def publish(
     store: Path = typer.Argument(..., help="The lab's store.", show_default=False),
-    out: Path = typer.Option(..., "--out", help="Published folder, made anew."),
+    out: Path = typer.Option(..., "--out", help="Published folder to make."),
+    overwrite: bool = Overwrite,
     patch: int = typer.Option(512, "--patch", min=8, help="Side of a patch in texels."),
     seed: int | None = typer.Option(
         None, "--seed", help="Of the shuffle, kept out of the result; by default a secret one."
@@ -196,11 +209,23 @@ def publish(
     from processing.dataset import PublishConfig, open_store
     from processing.dataset import publish as publish_store
 
+    _require_new(out, overwrite)
     with progress_bar("dataset publish") as progress:
         publish_store(open_store(store), out, seed, PublishConfig(patch_px=patch), progress)
     counts = read_json(out / "dataset.json")["counts"]
     said = f"{counts['patches']} patches of {counts['subjects']} subjects"
     finish(f"{out}: {said}", {"out": str(out), **counts}, as_json)
+
+
+def _require_new(out: Path, overwrite: bool) -> None:
+    """Refuse to replace a dataset that is there already, unless told to."""
+    if not overwrite and out.is_dir() and any(out.iterdir()):
+        raise ProcessingError(
+            out,
+            found="a folder that holds something",
+            expected="a new one",
+            hint="Name another, or pass --overwrite.",
+        )
 
 
 def _said(facts: dict[str, Any]) -> str:

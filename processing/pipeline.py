@@ -12,6 +12,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.files import sha256_file, write_json
+from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.session import Session, changed_frames, load_session, missing_frames
 from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import AtlasConfig, atlas
@@ -125,6 +126,8 @@ def run(
     template, template_hash = None, ""
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
         template, template_hash = load_template(template_path), hash_folder(template_path)
+        # Registration needs them an hour later at full size: said now.
+        read_points_px(session.root / "landmarks.json")
     job = Job(session, out, config, template, template_hash)
     records = read_records(out)
     keys = stage_keys(job, records if only else {})

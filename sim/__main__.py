@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
+from sim.errors import SimError
 
 app = make_app("A light stage without the hardware: sessions, data sets and the template.")
 
@@ -19,7 +20,9 @@ def session(
     seed: int = typer.Option(0, help="Of the person, the noise and the landmark clicks."),
     expression: str = typer.Option("neutral", help="Expression of a parametric person."),
     sequence: str = typer.Option("binary", help="Named sequence or comma-separated patterns."),
-    scale: float = typer.Option(0.1795, min=0.005, max=1.0, help="Pixels a side against the rig."),
+    scale: float = typer.Option(
+        0.1795, min=0.005, max=1.0, help="Share of the rig's pixels a side."
+    ),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     direct: bool = typer.Option(False, "--direct", help="Linear EXR frames without devices."),
     as_json: bool = JsonFlag,
@@ -27,6 +30,7 @@ def session(
     """Photograph a simulated person in the light stage."""
     from lightstage.patterns import pattern_levels, sequence_patterns
     from lightstage.rig import default_rig, load_rig
+    from lightstage.session import check_pseudonym
     from sim.capture import capture_session
     from sim.session import (
         SessionConfig,
@@ -40,6 +44,7 @@ def session(
     from sim.world import World
 
     begun = time.monotonic()
+    check_pseudonym(subject, "subject")
     require_new(out)
     config = SessionConfig(sequence=sequence)
     stage = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
@@ -81,6 +86,7 @@ def dataset(
     """Make many parametric people, as processed folders or as sessions."""
     from sim.dataset import write_people, write_sessions
 
+    _require_own(out, "person-")
     begun = time.monotonic()
     with progress_bar("people") as progress:
         write = write_people if maps_only else write_sessions
@@ -97,10 +103,24 @@ def template(
     """Write our own template: mesh, UV, landmarks, regions, modes, skin maps."""
     from sim.template import write_template
 
+    _require_own(out, "template.json", "mesh.obj", "modes.npz", "maps")
     begun = time.monotonic()
     path = write_template(out)
     seconds = time.monotonic() - begun
     finish(f"{path}: template, {seconds:.1f} s", {"template": str(path)}, as_json)
+
+
+def _require_own(out: Path, *names: str) -> None:
+    """Refuse to write into a folder that holds anything but what the same command made."""
+    there = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
+    foreign = [name for name in there if not name.startswith(names)]
+    if foreign:
+        raise SimError(
+            out,
+            found=f"a folder with {foreign[0]}",
+            expected="a new folder",
+            hint="Name another, or remove what is there.",
+        )
 
 
 def main() -> None:

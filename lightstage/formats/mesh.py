@@ -166,7 +166,13 @@ def _check(mesh: Mesh, path: Path) -> None:
 
 
 def write_obj(mesh: Mesh, path: Path) -> Path:
-    """Write an OBJ file atomically, topology and UV as they are; returns `path`."""
+    """Write an OBJ file atomically, topology and UV as they are; returns `path`.
+
+    Raises:
+        FormatError: a name that does not end in .obj.
+    """
+    if path.suffix.lower() != ".obj":
+        raise FormatError(path, found=f"suffix {path.suffix!r}", expected=".obj")
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices.tolist()]
     if mesh.uvs is not None:
         lines += [f"vt {u:.8f} {v:.8f}" for u, v in mesh.uvs.tolist()]

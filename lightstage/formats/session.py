@@ -113,12 +113,24 @@ def load_session(root: Path) -> Session:
         FormatError: every fault found, in one message.
     """
     path = root / "session.json"
+    if not path.is_file():
+        raise FormatError(
+            root,
+            found="no session.json" if root.is_dir() else "no such folder",
+            expected="a session folder",
+            hint="A session is what `lightstage capture` or `lightstage import` wrote.",
+        )
     value = read_json(path, SCHEMA)
     try:
         file = SessionFile.model_validate(value)
     except ValidationError as error:
         problems: list[LightstageError] = [
-            FormatError(path, field=".".join(str(p) for p in e["loc"]), found=e["msg"])
+            FormatError(
+                path,
+                field=".".join(str(p) for p in e["loc"]),
+                found="no such field" if e["type"] == "missing" else repr(e["input"]),
+                expected="it" if e["type"] == "missing" else e["msg"],
+            )
             for e in error.errors()
         ]
         raise one_error(problems) from None
@@ -224,15 +236,27 @@ def _faults(session: Session) -> list[LightstageError]:
             except PatternError as error:
                 problems.append(error)
             continue
-        levels = np.array(driven.levels)
-        wrong = len(levels) != len(session.rig.lights)
-        if wrong or not ((levels >= 0) & (levels <= 1)).all():
+        levels, count = np.array(driven.levels), len(session.rig.lights)
+        field = f"patterns.{pattern}.levels"
+        if len(levels) != count:
+            problems.append(
+                FormatError(path, field=field, found=f"{len(levels)} levels", expected=str(count))
+            )
+            continue
+        for index in np.flatnonzero(~((levels >= 0) & (levels <= 1)))[:3]:
+            problems.append(
+                FormatError(
+                    path, field=f"{field}[{index}]", found=str(levels[index]), expected="0..1"
+                )
+            )
+    for name, file in session.file.calibration:
+        if isinstance(file, str) and not (session.root / file).is_file():
             problems.append(
                 FormatError(
                     path,
-                    field=f"patterns.{pattern}.levels",
-                    found=f"{len(levels)} levels",
-                    expected=f"{len(session.rig.lights)} numbers in 0..1",
+                    field=f"calibration.{name}",
+                    found=f"no file {file}",
+                    expected="a calibration file in the session, or null",
                 )
             )
     return problems

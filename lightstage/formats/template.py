@@ -60,6 +60,12 @@ def load_template(path: Path) -> Template:
         FormatError: a missing file, no UV, UV outside the tile, landmarks that are not 68 vertices,
             or modes of another vertex count.
     """
+    if not (path / "template.json").is_file():
+        raise FormatError(
+            path,
+            found="no template.json" if path.is_dir() else "no such folder",
+            expected="a template folder",
+        )
     value = read_json(path / "template.json", SCHEMA)
     mesh = read_obj(path / "mesh.obj")
     if mesh.uvs is None or mesh.face_uvs is None:

@@ -45,6 +45,13 @@ class AtlasConfig:
     """Where the registered mesh is farther than this from the scan, views are not believed."""
     blend: BlendConfig = dataclasses.field(default_factory=BlendConfig)
 
+    def __post_init__(self) -> None:
+        """Refuse rows that no 3:2 atlas has, before any stage runs."""
+        if self.rows < 6 or self.rows % 3:
+            raise ConfigError(
+                "atlas", field="rows", found=str(self.rows), expected="a multiple of 3, 6 at least"
+            )
+
 
 @dataclasses.dataclass(frozen=True)
 class _Texels:
@@ -77,14 +84,9 @@ def atlas(
         Facts for the report, JSON-ready.
 
     Raises:
-        ConfigError: rows that no 3:2 atlas has.
         AtlasError: another topology than the template's, or no view that sees the mesh.
         FormatError: missing or damaged maps, all of them in one message.
     """
-    if config.rows < 6 or config.rows % 3:
-        raise ConfigError(
-            "atlas", field="rows", found=str(config.rows), expected="a multiple of 3, 6 at least"
-        )
     folder = ProcessedFolder(out)
     mesh = _registered(folder, template)
     cameras = _cameras(session, folder)

@@ -138,5 +138,5 @@ def test_an_interrupted_capture_is_told_from_no_session(session, tmp_path):
     (session / "session.json").unlink()
     with pytest.raises(FormatError, match="The capture was interrupted"):
         check_session(session)
-    with pytest.raises(FormatError, match="no such file"):
+    with pytest.raises(FormatError, match="found no such folder, expected a session folder"):
         check_session(tmp_path / "none")

@@ -138,3 +138,10 @@ def test_degenerate_triangles_have_no_normal_and_no_nan():
     points = np.array([[0, 0, 0], [1, 1, 1], [2, 2, 2], [5, 5, 5.0]])
     normals = vertex_normals(points, np.array([[0, 1, 2], [3, 3, 3]]))
     assert (normals == 0).all()
+
+
+def test_an_obj_is_not_written_under_another_suffix(tmp_path):
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]))
+    with pytest.raises(FormatError, match=r"found suffix '\.ply', expected \.obj"):
+        write_obj(mesh, tmp_path / "mesh.ply")
+    assert not list(tmp_path.iterdir())

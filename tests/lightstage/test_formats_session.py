@@ -82,11 +82,21 @@ def test_recorded_levels_are_believed_and_else_the_name(root, small_rig):
     ("fields", "said"),
     [
         ({"schema": "lightstage.session/2"}, "newer version"),
-        ({"subject": None}, "subject: found Input should be a valid string"),
-        ({"frames": [{"pattern": "full"}]}, r"(?s)4 problems:.*frames\.0\.sha256: found Field req"),
+        ({"subject": None}, "subject: found None, expected Input should be a valid string"),
+        (
+            {"frames": [{"pattern": "full"}]},
+            r"(?s)4 problems:.*frames\.0\.sha256: found no such field",
+        ),
         ({"sequence": ["full", "x+", "z*"]}, r"pattern 'z\*': found an unknown name"),
-        ({"patterns": {"x+": {"levels": [0.5] * 7}}}, "found 7 levels, expected 8 numbers"),
-        ({"patterns": {"x+": {"levels": [1.5] * 8}}}, r"patterns\.x\+\.levels"),
+        ({"patterns": {"x+": {"levels": [0.5] * 7}}}, "found 7 levels, expected 8"),
+        (
+            {"patterns": {"x+": {"levels": [0.5] * 7 + [1.5]}}},
+            r"patterns\.x\+\.levels\[7\]: found 1\.5, expected 0\.\.1",
+        ),
+        (
+            {"calibration": {"colour": "calibration/gone.json"}},
+            r"calibration\.colour: found no file calibration/gone\.json",
+        ),
     ],
 )
 def test_a_malformed_session_is_refused(root, fields, said):
@@ -139,7 +149,7 @@ def test_a_folder_without_session_or_rig_is_refused(root):
     with pytest.raises(FormatError, match=r"rig\.json: found no such file"):
         load_session(root)
     shutil.rmtree(root)
-    with pytest.raises(FormatError, match=r"session\.json: found no such file"):
+    with pytest.raises(FormatError, match="found no such folder, expected a session folder"):
         load_session(root)
 
 

@@ -90,7 +90,10 @@ DAMAGE = {
     "modes": (other_modes, r"modes.npz, identity: found shape \(2, 5, 3\), expected \(k, 81, 3\)"),
     "not npz": (lambda p, _: (p / "modes.npz").write_bytes(b"x"), "modes.npz"),
     "no mesh": (lambda p, _: (p / "mesh.obj").unlink(), "mesh.obj: found no such file"),
-    "no json": (lambda p, _: (p / "template.json").unlink(), "template.json: found no such file"),
+    "no json": (
+        lambda p, _: (p / "template.json").unlink(),
+        "found no template.json, expected a template",
+    ),
 }
 
 

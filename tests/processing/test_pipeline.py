@@ -182,3 +182,30 @@ def test_separate_alone_decodes_first_and_prints_facts(session: Path, tmp_path: 
     assert report["subject"] == "ball"
     assert report["stages"]["separate"]["seconds"] >= 0
     assert report["stages"]["separate"]["peak_rss_mb"] > 10
+
+
+@pytest.mark.parametrize("rows", [7, 100])
+def test_atlas_rows_are_refused_before_any_stage_runs(
+    session: Path, tmp_path: Path, rows: int
+) -> None:
+    done = command("run", session, "--out", tmp_path / "out", "--atlas-rows", rows)
+    assert done.returncode == 2
+    assert f"rows: found {rows}, expected a multiple of 3" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_landmarks_are_told_before_any_stage_runs(session: Path, tmp_path: Path) -> None:
+    (session / "landmarks.json").unlink(missing_ok=True)
+    with pytest.raises(FormatError, match=r"landmarks\.json: found no such file"):
+        run(session, tmp_path / "out", TEMPLATE, PipelineConfig())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_store_is_replaced_only_when_told(tmp_path: Path) -> None:
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store" / "dataset.json").write_text("{}")
+    for name in ("build", "publish"):
+        done = command("dataset", name, tmp_path / "scan", "--out", tmp_path / "store")
+        assert done.returncode == 2
+        assert "pass --overwrite" in done.stderr
+    assert (tmp_path / "store" / "dataset.json").read_text() == "{}"

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -106,3 +108,13 @@ def test_skin_mask_is_the_face_without_the_eyes():
     assert np.mean([value(int(v)) == 0 for v in hair]) > 0.95
     assert value(int(template.landmarks[30])) == 255
     assert value(int(template.landmarks[57])) == 255
+
+
+@pytest.mark.parametrize("words", [["template"], ["dataset", "--subjects", "1", "--maps-only"]])
+def test_a_folder_of_others_is_left_alone(tmp_path, words):
+    (tmp_path / "photo.exr").write_bytes(b"mine")
+    asked = [sys.executable, "-m", "sim", *words, "--out", str(tmp_path)]
+    done = subprocess.run(asked, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "found a folder with photo.exr, expected a new folder" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["photo.exr"]
