@@ -1,4 +1,4 @@
-"""68 iBUG landmarks: in pictures (a session's landmarks.json) and on meshes (register-mesh)."""
+"""68 iBUG landmarks [Sagonas2016]: in pictures (landmarks.json) and on meshes (register-mesh)."""
 
 from __future__ import annotations
 
