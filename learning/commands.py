@@ -53,7 +53,7 @@ def render_command(
         raise ConfigError("--background", found=repr(background), expected="white or black")
     if out.suffix.lower() not in (".png", ".exr"):
         raise MapsError(out, found=f"suffix {out.suffix!r}", expected=".png or .exr")
-    options = make_config(ShadeOptions, {"mode": mode}, "--mode")
+    options = make_config(ShadeOptions, {"mode": mode}, "shading")
     view = _camera(rig, camera)
     # An atlas lies in a processed folder, beside the mesh that it belongs to.
     shape = ProcessedFolder(maps.parent).registered_mesh if mesh is None else mesh
@@ -84,7 +84,7 @@ def bake_command(
 ) -> dict[str, Any]:
     """Bake light into a texture; returns the facts."""
     began = time.monotonic()
-    options = make_config(ShadeOptions, {"mode": mode}, "--mode")
+    options = make_config(ShadeOptions, {"mode": mode}, "shading")
     view = _camera(rig, camera)
     head, lights = _head(maps, mesh, template), read_lights(environment)
     texture = lit_texture(head, lights, view.centre_mm, options, progress)

@@ -218,7 +218,7 @@ def _take(
             pool.submit(_take_one, pattern, camera, at_s, writer): camera for camera in cameras
         }
         photographs: list[Photograph] = []
-        problems: list[LightstageError] = []
+        failed: dict[str, LightstageError] = {}
         heard_s = time.monotonic()
         while pending:
             ready, _ = wait(pending, timeout=KEEP_AWAKE_S, return_when="FIRST_COMPLETED")
@@ -231,13 +231,14 @@ def _take(
                     photographs.append(future.result())
                 except LightstageError as error:
                     writer.note("failed", pattern=pattern, camera=camera.id, said=str(error))
-                    problems.append(error)
+                    failed[camera.id] = error
         lights.confirm()
     finally:
         # Not waited for: on a failure the lights come first; closing the cameras ends the rest.
         pool.shutdown(wait=False)
-    if problems:
-        first = one_error(problems)
+    if failed:
+        # In the rig's order, not in that of their failing.
+        first = one_error([failed[camera.id] for camera in cameras if camera.id in failed])
         raise CaptureError(
             f"pattern {pattern}: {len(photographs)} of {len(cameras)} photographs kept in "
             f"{writer.root}; {first}"

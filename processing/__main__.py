@@ -155,7 +155,7 @@ def register_mesh(
     with progress_bar("register-mesh") as progress:
         vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
     write_obj(shape.mesh.with_vertices(vertices), out)
-    finish(f"{out}: {len(vertices)} vertices, {_said(facts)}", {"out": str(out), **facts}, as_json)
+    finish(f"{out}: {_said(facts)}", {"out": str(out), **facts}, as_json)
 
 
 @app.command()
@@ -231,7 +231,10 @@ def _require_new(out: Path, overwrite: bool) -> None:
 def _said(facts: dict[str, Any]) -> str:
     """The plain numbers among facts, on one line."""
     plain = {k: v for k, v in facts.items() if isinstance(v, (int, float, str))}
-    return ", ".join(f"{key} {value}" for key, value in plain.items())
+    return ", ".join(
+        f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+        for key, value in plain.items()
+    )
 
 
 def main() -> None:

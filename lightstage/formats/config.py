@@ -64,7 +64,10 @@ def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:
     if origin is typing.Literal:
         if value not in typing.get_args(hint):
             raise ConfigError(
-                where, field=key, found=repr(value), expected=f"one of {typing.get_args(hint)}"
+                where,
+                field=key,
+                found=repr(value),
+                expected=f"one of {', '.join(map(str, typing.get_args(hint)))}",
             )
         return value
     if origin is tuple and isinstance(value, (list, tuple)):

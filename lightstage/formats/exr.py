@@ -10,6 +10,8 @@ import OpenEXR
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path
 
+MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
+
 
 def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
     """Write a picture atomically.
@@ -55,6 +57,10 @@ def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:
     """
     if not path.is_file():
         raise FormatError(path, found="no such file", expected="an OpenEXR picture")
+    with path.open("rb") as handle:
+        begins = handle.read(len(MAGIC))
+    if begins != MAGIC:
+        raise FormatError(path, found="something else", expected="an OpenEXR picture")
     try:
         with OpenEXR.File(str(path)) as file:
             channels = file.channels()

@@ -171,7 +171,7 @@ def open_store(path: Path) -> Store:
             field="kind",
             found=repr(value.get("kind")),
             expected="'store'",
-            hint="Train on the store that `dataset build` makes, not on published patches.",
+            hint="Name the store that `dataset build` made; published patches hold no maps.",
         )
     try:
         scans = tuple(

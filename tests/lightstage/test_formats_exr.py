@@ -71,7 +71,7 @@ def test_a_missing_empty_or_foreign_file_is_refused(tmp_path):
         read_exr(tmp_path / "none.exr")
     for data in (b"", b"\x89PNG\r\n\x1a\n" * 9):
         (tmp_path / "a.exr").write_bytes(data)
-        with pytest.raises(FormatError, match="a whole OpenEXR file"):
+        with pytest.raises(FormatError, match="found something else, expected an OpenEXR picture"):
             read_exr(tmp_path / "a.exr")
 
 
