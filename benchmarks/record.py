@@ -24,10 +24,16 @@ def machine() -> str:
 
 
 def commit() -> str:
-    """The commit that ran, with + when the tree differs from it."""
-    asked = ["git", "describe", "--always", "--dirty=+", "--exclude", "*"]
-    said = subprocess.run(asked, capture_output=True, text=True, check=False)
-    return said.stdout.strip() or "no commit"
+    """The commit that ran; "+ changes" when the tree differs from it elsewhere than in RESULTS.md."""
+    said = _git("rev-parse", "--short", "HEAD")
+    changed = _git("status", "--porcelain", "--untracked-files=no")
+    changed = "\n".join(line for line in changed.splitlines() if RESULTS.name not in line)
+    return (said or "no commit") + (" + changes" if changed else "")
+
+
+def _git(*words: str) -> str:
+    asked = ["git", *words]
+    return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def record(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], note: str) -> None:
