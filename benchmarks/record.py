@@ -24,7 +24,7 @@ def machine() -> str:
 
 
 def commit() -> str:
-    """The commit that ran; "+ changes" when the tree differs from it elsewhere than in RESULTS.md."""
+    """The commit that ran; "+ changes" when a file other than RESULTS.md differs from it."""
     said = _git("rev-parse", "--short", "HEAD")
     changed = _git("status", "--porcelain", "--untracked-files=no")
     changed = "\n".join(line for line in changed.splitlines() if RESULTS.name not in line)
