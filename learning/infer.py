@@ -9,6 +9,7 @@ tiles are blended.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -183,7 +184,7 @@ class DenseNorm:
         self.second_pass = False
         self.tile = (0, 0)
 
-    def hook(self, layer: int):  # type: ignore[no-untyped-def]
+    def hook(self, layer: int) -> Callable[..., Tensor | None]:
         """A forward hook that replaces an instance norm's result."""
 
         def replace(module: nn.Module, args: tuple[Tensor, ...], _: Tensor) -> Tensor | None:

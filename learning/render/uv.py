@@ -63,9 +63,7 @@ def rasterise(mesh: Mesh, rows: int, columns: int) -> UvRaster:
 
 
 @numba.njit(cache=True)
-def _rasterise(
-    corners: np.ndarray, rows: int, columns: int
-) -> tuple[np.ndarray, np.ndarray]:  # pragma: no cover - compiled
+def _rasterise(corners: np.ndarray, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
     face = np.full((rows, columns), -1, np.int32)
     barycentric = np.zeros((rows, columns, 3), np.float32)
     for index in range(len(corners)):

@@ -130,7 +130,6 @@ def test_a_template_without_uv_makes_a_command_exit_2_and_leave_nothing(tmp_path
     assert os.listdir(tmp_path) == ["T"]
 
 
-@pytest.mark.skipif(not default_template_path().exists(), reason="no template committed")
 def test_the_committed_template_loads():
     template = load_template(default_template_path())
     assert len(template.landmarks) == 68
