@@ -42,52 +42,24 @@ def run(
     _process(session, out, template, config, atlas_rows, as_json, until=until)
 
 
-@app.command()
-def separate(
-    session: Path = SessionPath,
-    out: Path = OutPath,
-    template: Path = TemplatePath,
-    config: Path | None = ConfigPath,
-    as_json: bool = JsonFlag,
-) -> None:
-    """Coarse far-field maps of every view (decodes the photographs first where needed)."""
-    _process(session, out, template, config, None, as_json, only="separate")
+def _add_stage(stage: str, said: str) -> None:
+    """Add the command that runs one stage on what the earlier ones left in OUT."""
+
+    @app.command(stage, help=said)
+    def command(
+        session: Path = SessionPath,
+        out: Path = OutPath,
+        template: Path = TemplatePath,
+        config: Path | None = ConfigPath,
+        as_json: bool = JsonFlag,
+    ) -> None:
+        _process(session, out, template, config, None, as_json, only=stage)
 
 
-@app.command()
-def reconstruct(
-    session: Path = SessionPath,
-    out: Path = OutPath,
-    template: Path = TemplatePath,
-    config: Path | None = ConfigPath,
-    as_json: bool = JsonFlag,
-) -> None:
-    """The base mesh from the decoded views."""
-    _process(session, out, template, config, None, as_json, only="reconstruct")
-
-
-@app.command()
-def refine(
-    session: Path = SessionPath,
-    out: Path = OutPath,
-    template: Path = TemplatePath,
-    config: Path | None = ConfigPath,
-    as_json: bool = JsonFlag,
-) -> None:
-    """Exact maps of every view, with the mesh's positions and shadows."""
-    _process(session, out, template, config, None, as_json, only="refine")
-
-
-@app.command()
-def register(
-    session: Path = SessionPath,
-    out: Path = OutPath,
-    template: Path = TemplatePath,
-    config: Path | None = ConfigPath,
-    as_json: bool = JsonFlag,
-) -> None:
-    """The template brought onto the base mesh."""
-    _process(session, out, template, config, None, as_json, only="register")
+_add_stage("separate", "Coarse far-field maps of every view (decodes first where needed).")
+_add_stage("reconstruct", "The base mesh from the decoded views.")
+_add_stage("refine", "Exact maps of every view, with the mesh's positions and shadows.")
+_add_stage("register", "The template brought onto the base mesh.")
 
 
 @app.command()

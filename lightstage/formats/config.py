@@ -37,7 +37,7 @@ def make_config(cls: type[T], values: Mapping[str, Any], where: str | Path) -> T
         ConfigError: an unknown key, or a value of another type.
     """
     hints = typing.get_type_hints(cls)
-    known = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    known = {f.name: f for f in dataclasses.fields(typing.cast(Any, cls))}
     resolved: dict[str, Any] = {}
     for key, value in values.items():
         if key not in known:
