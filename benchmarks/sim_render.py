@@ -11,11 +11,11 @@ import numpy as np
 from benchmarks.record import record
 from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import default_rig
+from sim.lamps import light_weights
 from sim.render import shade
 from sim.scan import scan_folder
 from sim.scene import Scene, Surface
 from sim.subjects import load_subject
-from sim.world import light_weights
 
 T = TypeVar("T")
 SCALE = 1080 / 6016

@@ -19,7 +19,7 @@ class Subject:
         mesh: with UV.
         diffuse_albedo: (rows, columns, 3) float32 linear, 1 = perfect white, in the mesh's UV.
         specular_albedo: (rows, columns) float32, reflectance at normal incidence (skin about .028).
-        roughness: (rows, columns) float32, Beckmann m.
+        roughness: (rows, columns) float32, m of the facets' distribution.
         normal: (rows, columns, 3) float32 unit, world axes: the surface's own, with its finest
             relief. Zero where no surface is.
         translucency: (rows, columns) float32, 0..1.
@@ -27,6 +27,9 @@ class Subject:
         skin: (rows, columns) bool, texels that are face skin or lips: what is scored.
         head_from_world: (3, 4) rigid, to the template's axes.
         source: who made it; a scan's author is named wherever a picture of it is shown.
+        distribution: of the facets that mirror: ``beckmann`` or ``ggx``.
+        anisotropy: (rows, columns) float32 in 0..0.9, or None where the lobe is round. The lobe's
+            m is m / a along the UV's u tangent and m a across it, a = sqrt(1 - 0.9 anisotropy).
     """
 
     name: str
@@ -41,3 +44,5 @@ class Subject:
     skin: np.ndarray
     head_from_world: np.ndarray
     source: str
+    distribution: str = "beckmann"
+    anisotropy: np.ndarray | None = None

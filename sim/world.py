@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.formats.environment import stage_lights
 from lightstage.rig import Rig
 from sim.errors import SimError
+from sim.lamps import light_weights
 from sim.render import shade
 from sim.scene import Scene, Surface
 from sim.subject import Subject
@@ -103,11 +103,3 @@ class World:
         """(h, w, 3) float32 under coloured lights; `weights` (m, 3) as in `pixels`."""
         light = self.pixels(camera_id, np.asarray(weights)[None])
         return self.surfaces[camera_id].picture(light[0])
-
-
-def light_weights(rig: Rig) -> np.ndarray:
-    """(m, 3) what a white diffuser at the origin facing each light reads at level 1."""
-    shown = stage_lights(rig, np.ones(len(rig.lights)), "full")
-    weights = np.zeros((len(rig.lights), 3))
-    weights[rig.rgb_gains.max(axis=1) > 0] = shown.rgb
-    return weights

@@ -11,8 +11,8 @@ from scipy.special import erf
 
 from lightstage.patterns import pattern_levels
 from lightstage.rig import default_rig
+from sim.lamps import light_weights
 from sim.render import fresnel_dielectric, shade, smith_lambda
-from sim.world import light_weights
 
 
 def twin(
