@@ -25,9 +25,14 @@ def to_tile(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
     Returns:
         (rows, columns) or (rows, columns, c) float32.
     """
+    return to_window(values, rows, columns, 0, rows)
+
+
+def to_window(values: np.ndarray, rows: int, columns: int, first: int, last: int) -> np.ndarray:
+    """Rows `first` to `last` of `to_tile`; rows beyond the tile repeat its edge."""
     grid = np.asarray(values)[grid_vertices()].astype(np.float32)
-    u, v = texel_uv(rows, columns)
-    x, y = np.meshgrid((u * COLUMNS).astype(np.float32), ((1 - v) * ROWS).astype(np.float32))
+    row, column = (np.arange(first, last) + 0.5) / rows, (np.arange(columns) + 0.5) / columns
+    x, y = np.meshgrid((column * COLUMNS).astype(np.float32), (row * ROWS).astype(np.float32))
     return cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 

@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 
 from sim.head_grid import smoothstep
-from sim.skin_parts import Face, add_eyes, brow_share, face_of, hair_share, lash_share
+from sim.skin_masks import Face, add_eyes, brow_share, face_of, hair_share, lash_share
 
 # Linear albedo of the lightest skin, and optical density (natural log) of one unit of pigment.
 LIGHT_ALBEDO = np.array([0.58, 0.40, 0.30])
