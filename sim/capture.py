@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from lightstage.errors import PatternError
 from lightstage.formats.files import write_json, write_text
+from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import Camera, save_rig
 from sim.camera_device import CameraFolders
-from sim.dng import dng_bytes
+from sim.chart import calibrate_colour
+from sim.dng import Exif, dng_bytes
 from sim.errors import SimError
+from sim.flaws import CaptureFlaws
 from sim.led_device import LedDevice
-from sim.sensor import Sensor, SensorConfig, calibrate_colour, make_sensor
+from sim.optics import own_rng
+from sim.sensor import Sensor, make_sensor
+from sim.session import flaws_path
+from sim.shooting import LitSubject, Shooting
 from sim.world import World
 
 SETTLE_TIMEOUT_S = 110.0
@@ -33,26 +40,43 @@ class Photographer:
     """Turns the lamps' state into each camera's next photograph.
 
     A photograph is a function of the levels, the camera and the seed alone: taken twice under one
-    light it is the same to the byte.
+    light it is the same to the byte. Where the subject sways, its pose goes with the state's place
+    in `sequence`.
 
     Args:
         world: the person in the rig.
-        seed: of sensors and noise.
-        config: of the sensors.
+        seed: of lenses, sensors, sway and noise.
+        flaws: what the apparatus does to the light; the default adds the sensor's noise alone.
+        sequence: patterns that will be shot, in order; other states are taken as the first of them.
+        lit: photographs the person in place of `world`, such as the path-traced reference.
     """
 
-    def __init__(self, world: World, seed: int, config: SensorConfig | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        seed: int,
+        flaws: CaptureFlaws | None = None,
+        sequence: Sequence[str] = (),
+        lit: LitSubject | None = None,
+    ) -> None:
         self.world = world
         self.seed = seed
+        flaws = flaws or CaptureFlaws()
+        self.shooting = Shooting(lit or world, flaws, seed)
+        self._shots: dict[bytes, int] = {}
+        for shot, name in enumerate(sequence):
+            # An unknown name is refused by `lightstage capture`, in its own words.
+            with contextlib.suppress(PatternError):
+                self._shots.setdefault(_state(pattern_levels(name, world.rig)), shot)
         peak = world.skin_peak()
         self.sensors: dict[str, Sensor] = {
-            camera.id: make_sensor(config or SensorConfig(), peak, self._rng(camera.id, b"sensor"))
+            camera.id: make_sensor(flaws.sensor, peak, own_rng(seed, camera.id, b"sensor"))
             for camera in world.rig.cameras
         }
 
     def photograph(self, camera: Camera, levels: np.ndarray) -> bytes:
         """One camera's DNG under (m,) levels."""
-        return self._develop(camera, levels, self.world.photograph(camera.id, levels[None])[0])
+        return self._develop(camera, levels, self._light(camera, levels))
 
     def photographs(self, levels: np.ndarray, folders: CameraFolders) -> None:
         """Put what every camera sees under (m,) levels into its folder."""
@@ -60,7 +84,7 @@ class Photographer:
             pending = []
             for camera in self.world.rig.cameras:
                 # The next camera is shaded while this one's counts are drawn.
-                light = self.world.photograph(camera.id, levels[None])[0]
+                light = self._light(camera, levels)
                 pending.append(pool.submit(self._put, camera, levels, light, folders))
             for job in pending:
                 job.result()
@@ -69,11 +93,39 @@ class Photographer:
         """FORMATS' colour calibration of all cameras, from simulated chart photographs."""
         cameras = {
             camera_id: {
-                "linear_from_raw": calibrate_colour(sensor, self._rng(camera_id, b"chart")).tolist()
+                "linear_from_raw": calibrate_colour(
+                    sensor, own_rng(self.seed, camera_id, b"chart")
+                ).tolist()
             }
             for camera_id, sensor in self.sensors.items()
         }
         return {"schema": "lightstage.colour/1", "cameras": cameras}
+
+    def record(self, sequence: Sequence[str]) -> dict[str, Any]:
+        """What was done to the light of a sequence's photographs, for the truth."""
+        shots = {
+            name: self._shots.get(_state(pattern_levels(name, self.world.rig)), 0)
+            for name in sequence
+        }
+        sensors = {
+            camera_id: {
+                "raw_from_linear": sensor.raw_from_linear.tolist(),
+                "exposure_s": sensor.exposure_s,
+                "iso": sensor.config.iso,
+                "electrons_per_dn": sensor.config.gain_e_per_dn,
+                "read_noise_e": sensor.config.noise_e,
+            }
+            for camera_id, sensor in self.sensors.items()
+        }
+        return self.shooting.record(shots, self._exposure_s) | {"sensors": sensors}
+
+    @property
+    def _exposure_s(self) -> float:
+        return next(iter(self.sensors.values())).exposure_s
+
+    def _light(self, camera: Camera, levels: np.ndarray) -> np.ndarray:
+        shot = self._shots.get(_state(levels), 0)
+        return self.shooting.light(camera.id, levels[None], [shot], self._exposure_s)[0]
 
     def _put(
         self, camera: Camera, levels: np.ndarray, light: np.ndarray, folders: CameraFolders
@@ -81,16 +133,25 @@ class Photographer:
         folders.put(camera.id, self._develop(camera, levels, light))
 
     def _develop(self, camera: Camera, levels: np.ndarray, light: np.ndarray) -> bytes:
-        sensor = self.sensors[camera.id]
-        state = np.round(np.asarray(levels) * 65535).astype("<u2").tobytes()
-        return dng_bytes(sensor.expose(light, self._rng(camera.id, state)), sensor, camera.model)
-
-    def _rng(self, camera_id: str, what: bytes) -> np.random.Generator:
-        digest = hashlib.sha256(camera_id.encode() + b"\0" + what).digest()
-        return np.random.default_rng([self.seed, *np.frombuffer(digest, "<u4").tolist()])
+        sensor, lens = self.sensors[camera.id], self.shooting.lenses[camera.id]
+        counts = sensor.expose(light, own_rng(self.seed, camera.id, _state(levels)))
+        exif = Exif(camera.model, camera.serial, lens.config.f_number, lens.focal_mm)
+        return dng_bytes(counts, sensor, exif)
 
 
-def capture_session(world: World, out: Path, seed: int, sequence: str) -> Path:
+def _state(levels: np.ndarray) -> bytes:
+    """Lamps' levels as the wire carries them."""
+    return np.round(np.asarray(levels) * 65535).astype("<u2").tobytes()
+
+
+def capture_session(
+    world: World,
+    out: Path,
+    seed: int,
+    sequence: str,
+    flaws: CaptureFlaws | None = None,
+    lit: LitSubject | None = None,
+) -> Path:
     """Let `lightstage capture` photograph a simulated person.
 
     The LED device stands behind a real pseudo-terminal; nine folders serve libgphoto2's virtual
@@ -102,11 +163,14 @@ def capture_session(world: World, out: Path, seed: int, sequence: str) -> Path:
         out: session folder, written by `lightstage capture`.
         seed: of sensors and noise.
         sequence: as `lightstage capture` takes it; that command draws its own bar.
+        flaws: as in `Photographer`. What was done is written into the truth's folder.
+        lit: as in `Photographer`.
 
     Raises:
         SimError: the capture failed (it has said why on stderr).
     """
-    photographer = Photographer(world, seed)
+    patterns = sequence_patterns(sequence)
+    photographer = Photographer(world, seed, flaws, patterns, lit)
     with tempfile.TemporaryDirectory(prefix="lightstage-sim-") as name:
         desk = Path(name)
         folders = CameraFolders(desk / "cameras", [camera.id for camera in world.rig.cameras])
@@ -140,6 +204,7 @@ def capture_session(world: World, out: Path, seed: int, sequence: str) -> Path:
             expected="0",
             hint="Its own message is above.",
         )
+    write_json(flaws_path(out), photographer.record(patterns))
     return out
 
 

@@ -11,12 +11,14 @@ import numpy as np
 
 from lightstage.commands import ProgressCallback
 from lightstage.formats.exr import write_exr
-from lightstage.formats.files import sha256_file
+from lightstage.formats.files import sha256_file, write_json
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.session import Driven, Frame, SessionFile, save_session, session_id
 from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import save_rig
 from sim.errors import SimError
+from sim.flaws import CaptureFlaws
+from sim.shooting import LitSubject, Shooting
 from sim.truth import landmarks_px
 from sim.world import World
 
@@ -41,6 +43,11 @@ def truth_path(session: Path) -> Path:
     return session.with_name(session.name + ".truth")
 
 
+def flaws_path(session: Path) -> Path:
+    """Where the record of what was done to the light lies, in the session's truth."""
+    return truth_path(session) / "flaws.json"
+
+
 def require_new(out: Path) -> None:
     """SimError when a session is there already: photographs are never overwritten."""
     if (out / "session.json").exists() or (out / "journal.jsonl").exists():
@@ -50,16 +57,27 @@ def require_new(out: Path) -> None:
 
 
 def write_direct(
-    world: World, out: Path, config: SessionConfig, seed: int, progress: ProgressCallback
+    world: World,
+    out: Path,
+    config: SessionConfig,
+    seed: int,
+    progress: ProgressCallback,
+    flaws: CaptureFlaws | None = None,
+    lit: LitSubject | None = None,
 ) -> Path:
     """Write a session of linear EXR frames without any device.
+
+    Lens, room and sway are in the frames; shutter and sensor, and so bands, mosaic and noise, are
+    not. What was done is written into the truth's folder.
 
     Args:
         world: the person in the rig.
         out: session folder.
         config: see there.
-        seed: of the landmark clicks.
+        seed: of the landmark clicks, lenses and sway.
         progress: of frames.
+        flaws: what the apparatus does to the light; the default does nothing.
+        lit: photographs the person in place of `world`, such as the path-traced reference.
 
     Returns:
         `out`. session.json is written last, so a folder without it is unfinished.
@@ -68,24 +86,32 @@ def write_direct(
     levels = {name: pattern_levels(name, world.rig) for name in patterns}
     created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     save_rig(world.rig, out / "rig.json")
-    frames = []
+    shooting = Shooting(lit or world, flaws or CaptureFlaws(), seed)
+    frames: list[Frame] = []
     total = len(patterns) * len(world.rig.cameras)
+    # Rays are cast anew for each pose of a swaying subject, so its photographs go pose by pose.
+    together = 1 if shooting.sways else len(patterns)
+    order = list(range(len(patterns)))
+    batches = [order[k : k + together] for k in range(0, len(order), together)]
     with ThreadPoolExecutor(2) as pool:
-        for camera in world.rig.cameras:
-            pictures = world.photograph(camera.id, np.stack(list(levels.values())))
-            paths = [f"frames/{name}/{camera.id}.exr" for name in patterns]
-            list(pool.map(lambda p, image: write_exr(out / p, image), paths, pictures))
-            for name, path in zip(patterns, paths, strict=True):
-                frames.append(
+        for batch in batches:
+            states = np.stack([levels[patterns[k]] for k in batch])
+            for camera in world.rig.cameras:
+                pictures = shooting.light(camera.id, states, batch)
+                paths = [f"frames/{patterns[k]}/{camera.id}.exr" for k in batch]
+                list(pool.map(lambda p, image: write_exr(out / p, image), paths, pictures))
+                frames += [
                     Frame(
-                        pattern=name,
+                        pattern=patterns[k],
                         camera=camera.id,
                         path=path,
                         sha256=sha256_file(out / path),
                         encoding="linear",
                     )
-                )
-            progress(len(frames), total)
+                    for k, path in zip(batch, paths, strict=True)
+                ]
+                progress(len(frames), total)
+    write_json(flaws_path(out), shooting.record({name: k for k, name in enumerate(patterns)}))
     write_landmarks(world, out, seed, config.click_noise_px)
     subject = world.subject
     file = SessionFile(

@@ -42,6 +42,10 @@ class World:
         """Who sits in the stage."""
         return self.scene.subject
 
+    def with_subject(self, subject: Subject) -> World:
+        """The same stage with another subject, or the same one elsewhere."""
+        return World(subject, self.rig)
+
     def pixels(
         self, camera_id: str, weights: np.ndarray, chosen: np.ndarray | slice = EVERY
     ) -> np.ndarray:

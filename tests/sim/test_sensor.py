@@ -10,11 +10,12 @@ import rawpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.dng import dng_bytes
-from sim.sensor import CHART_SRGB, Sensor, SensorConfig, calibrate_colour, make_sensor
+from sim.chart import CHART_SRGB, calibrate_colour
+from sim.dng import Exif, dng_bytes
+from sim.sensor import Sensor, SensorConfig, make_sensor
 
 PEAK = np.array([0.9, 0.7, 0.6])
-MODEL = "Nikon DSC D750"
+EXIF = Exif("Nikon DSC D750", "6012345", 16.0, 105.0)
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def flat(colour: object, side: int = 200) -> np.ndarray:
 
 def test_libraw_reads_exactly_the_counts_written(sensor):
     mosaic = np.random.default_rng(2).integers(0, 16384, (54, 36)).astype(np.uint16)
-    with rawpy.imread(io.BytesIO(dng_bytes(mosaic, sensor, MODEL))) as raw:
+    with rawpy.imread(io.BytesIO(dng_bytes(mosaic, sensor, EXIF))) as raw:
         np.testing.assert_array_equal(raw.raw_image_visible, mosaic)
         assert raw.black_level_per_channel == [600] * 4
         assert raw.white_level == 16383
@@ -47,7 +48,7 @@ def test_darkness_reads_the_black_level_with_its_noise(sensor):
     config = sensor.config
     assert counts.mean() == pytest.approx(config.black_dn, abs=0.05)
     # Rounding to whole counts adds 1/12.
-    known = np.sqrt((config.read_noise_e / config.electrons_per_dn) ** 2 + 1 / 12)
+    known = np.sqrt((config.noise_e / config.gain_e_per_dn) ** 2 + 1 / 12)
     assert counts.std() == pytest.approx(known, rel=0.02)
 
 
@@ -66,8 +67,8 @@ def test_noise_is_that_of_counted_photons(sensor):
     counts = sensor.expose(flat([0.4, 0.4, 0.4], 400), np.random.default_rng(5)).astype(float)
     config = sensor.config
     for plane in planes(counts):
-        electrons = (plane.mean() - config.black_dn) * config.electrons_per_dn
-        known = np.sqrt(electrons + config.read_noise_e**2) / config.electrons_per_dn
+        electrons = (plane.mean() - config.black_dn) * config.gain_e_per_dn
+        known = np.sqrt(electrons + config.noise_e**2) / config.gain_e_per_dn
         assert plane.std() == pytest.approx(known, rel=0.02)
 
 
