@@ -9,6 +9,9 @@ from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.formats.processed import texel_uv
 from sim.head_grid import COLUMNS, ROWS
 from sim.head_mesh import grid_vertices, regions
+from sim.normals import bend_normals
+
+NORMAL_STRIP_TEXELS = 1 << 20
 
 
 def to_tile(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
@@ -51,31 +54,25 @@ def tile_rows_columns(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def surface_normals(mesh: Mesh, height_mm: np.ndarray) -> np.ndarray:
-    """Normals of the mesh with a relief on it.
+    """Normals of the mesh with a relief on it, strip by strip.
 
     Args:
-        mesh: of the head's topology.
+        mesh: of the head's topology, posed.
         height_mm: (rows, columns), along the mesh's smooth normals.
 
     Returns:
         (rows, columns, 3) float32, unit, in the mesh's axes.
     """
     rows, columns = height_mm.shape
-    normal = to_tile(vertex_normals(mesh.vertices, mesh.triangles()), rows, columns)
-    position = to_tile(mesh.vertices, rows, columns)
-    along_row, along_column = _slopes(position)
-    height_row, height_column = _slopes(height_mm)
-    # Surface gradient of the height from its slopes along two tangents.
-    area = np.cross(along_column, along_row)
-    size = np.einsum("ijk,ijk->ij", area, normal)
-    safe = np.where(np.abs(size) > 1e-9, size, np.inf)
-    slope = height_column[..., None] * np.cross(along_row, normal) * -1
-    slope += height_row[..., None] * np.cross(along_column, normal)
-    bent = normal + slope / safe[..., None]
-    length = np.linalg.norm(bent, axis=-1, keepdims=True)
-    return (bent / np.maximum(length, 1e-12)).astype(np.float32)
-
-
-def _slopes(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Central differences a texel, down the rows and along the columns."""
-    return np.gradient(values, axis=0), np.gradient(values, axis=1)
+    smooth = vertex_normals(mesh.vertices, mesh.triangles())
+    out = np.empty((rows, columns, 3), np.float32)
+    step = max(8, NORMAL_STRIP_TEXELS // columns)
+    for first in range(0, rows, step):
+        last = min(first + step, rows)
+        # One more row on each side, for the slopes.
+        low, high = max(first - 1, 0), min(last + 1, rows)
+        position = to_window(mesh.vertices, rows, columns, low, high)
+        normal = to_window(smooth, rows, columns, low, high)
+        bent = bend_normals(position, normal, height_mm[low:high])
+        out[first:last] = bent[first - low : last - low]
+    return out

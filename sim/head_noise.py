@@ -112,3 +112,70 @@ def octaves(points: np.ndarray, cell_mm: float, count: int, seed: int) -> np.nda
         total += 0.5**k * gradient_noise(flat, cell_mm / 2.0**k, seed + 101 * k)
         power += 0.25**k
     return (total / np.float32(0.28 * np.sqrt(power))).reshape(points.shape[:-1])
+
+
+@numba.njit(cache=True, parallel=True)
+def cell_edges(points: np.ndarray, cell_mm: float, seed: int) -> np.ndarray:
+    """How much farther the second nearest of scattered points is than the nearest [Worley1996].
+
+    It is zero on the borders of a net of polygons.
+
+    Args:
+        points: (n, 3) mm.
+        cell_mm: size of the cells.
+        seed: another seed, another net.
+
+    Returns:
+        (n,) float32 mm; NaN where the point is NaN.
+    """
+    out = np.empty(len(points), np.float32)
+    for i in numba.prange(len(points)):
+        px, py, pz = points[i, 0] / cell_mm, points[i, 1] / cell_mm, points[i, 2] / cell_mm
+        x0, y0, z0 = int(np.floor(px)), int(np.floor(py)), int(np.floor(pz))
+        best, second = np.inf, np.inf
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                for dz in range(-1, 2):
+                    h = _hash(x0 + dx, y0 + dy, z0 + dz, seed)
+                    ex = x0 + dx + 0.1 + 0.8 * (h & 1023) / 1023 - px
+                    ey = y0 + dy + 0.1 + 0.8 * ((h >> 10) & 1023) / 1023 - py
+                    ez = z0 + dz + 0.1 + 0.8 * ((h >> 20) & 1023) / 1023 - pz
+                    d = ex * ex + ey * ey + ez * ez
+                    if d < best:
+                        best, second = d, best
+                    elif d < second:
+                        second = d
+        out[i] = (np.sqrt(second) - np.sqrt(best)) * cell_mm if second < np.inf else np.nan
+    return out
+
+
+@numba.njit(cache=True, parallel=True)
+def spots(
+    points: np.ndarray, centres: np.ndarray, radii: np.ndarray, strengths: np.ndarray
+) -> np.ndarray:
+    """Sum of soft round spots.
+
+    Args:
+        points: (n, 3) mm.
+        centres: (k, 3) mm.
+        radii: (k,) mm, above zero: a spot is full within .6 and gone beyond 1.25 of it.
+        strengths: (k,).
+
+    Returns:
+        (n,) float32; zero where the point is NaN.
+    """
+    out = np.zeros(len(points), np.float32)
+    for i in numba.prange(len(points)):
+        total = 0.0
+        for k in range(len(centres)):
+            reach = 1.25 * radii[k]
+            dy = points[i, 1] - centres[k, 1]
+            if not abs(dy) < reach:
+                continue
+            dx, dz = points[i, 0] - centres[k, 0], points[i, 2] - centres[k, 2]
+            d2 = dx * dx + dy * dy + dz * dz
+            if d2 < reach * reach:
+                t = min((reach - np.sqrt(d2)) / (0.65 * radii[k]), 1.0)
+                total += strengths[k] * t * t * (3 - 2 * t)
+        out[i] = total
+    return out

@@ -140,6 +140,15 @@ class Patch:
 
         return self._enlarged(values, step)
 
+    def on_fewer(self, values: Callable[[np.ndarray], np.ndarray], sample_mm: float) -> np.ndarray:
+        """(h, columns) a smooth function of places (k, l, 3) mm to (k, l), then enlarged.
+
+        Args:
+            values: the function.
+            sample_mm: how far apart it may be evaluated.
+        """
+        return self._enlarged(values, self._step(sample_mm))
+
     def cells(self, cell_mm: float, salt: int) -> tuple[np.ndarray, np.ndarray]:
         """(h, columns) distance in mm to scattered points, and a number 0..1 of each point."""
         flat = np.ascontiguousarray(self.position.reshape(-1, 3))
@@ -160,7 +169,7 @@ class Patch:
             distance, label = (part.reshape(place.shape[:2]) for part in found)
             return shape(distance, label).astype(np.float32)
 
-        return self._enlarged(values, self._step(cell_mm / 11))
+        return self.on_fewer(values, cell_mm / 11)
 
     def _step(self, sample_mm: float) -> int:
         ratio = sample_mm / self.face.texel_mm
