@@ -17,7 +17,9 @@ def _bend(
 ) -> None:
     """Fill `out` (h, w, 3) with bent normals; arguments as `bend_normals`."""
     rows, columns = height.shape
-    for r in numba.prange(rows):
+    for line in numba.prange(rows):
+        # The loop's own index is unsigned: less one it would be a float.
+        r = np.int64(line)
         slope = np.zeros(2)
         tangent = np.zeros((2, 3))
         for c in range(columns):
