@@ -1,32 +1,26 @@
-"""The far end of the LED wire: a device behind a pseudo-terminal (docs/led_wire.md).
-
-It decodes the bytes by itself; nothing here is shared with the driver that it answers.
-"""
+"""The far end of the LED wire: a device behind a pseudo-terminal (docs/led_wire.md)."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import hashlib
 import os
 import select
-import struct
 import threading
 import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 
 import numpy as np
-from cobs import cobs
-from crc import Calculator, Crc16
 
-VERSION = 1
-HELLO_ASKED, HELLO, SET, DARK, STATE_ASKED, LIT, REFUSED = 0x01, 0x02, 0x10, 0x11, 0x12, 0x20, 0x2F
-UNKNOWN_TYPE, WRONG_COUNT, BAD_LENGTH = 1, 2, 3
-FULL_COUNT = 65535
-MAX_PACKET = 1 << 18
-"""A stream without a zero byte for so long is noise, and is forgotten."""
-FIRMWARE = "lightstage-sim 1"
+from sim.faults import FaultLog, Story
+from sim.led_faults import FaultyLeds, Step, Wait
+from sim.led_protocol import FULL_COUNT
+
+OPEN_POLL_MS = 5
+"""While nobody has the port open, the kernel tells of an opening only to those who ask."""
+READ_BYTES = 65536
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,130 +29,68 @@ class LitState:
 
     Attributes:
         at_s: monotonic clock, when the lamps had settled and before it was acknowledged.
-        counts: (n,) uint16 level of each light.
+        counts: (n,) uint16 level of each light, as it really shone.
     """
 
     at_s: float
     counts: np.ndarray
 
 
-class LedProtocol:
-    """The device's side of the conversation: bytes in, bytes out. No port, no clock.
-
-    Args:
-        light_count: lights that it drives.
-        boot_id: changes with each reset.
-        show: called with (n,) levels in 0..1 whenever the state changes, before it is acknowledged.
-    """
-
-    def __init__(self, light_count: int, boot_id: int, show: Callable[[np.ndarray], None]) -> None:
-        self.counts = np.zeros(light_count, "<u2")
-        self.boot_id = boot_id
-        self._show = show
-        self._crc = Calculator(Crc16.IBM_3740.value, optimized=True)
-        self._pending = b""
-        self._last: tuple[int, bytes] | None = None
-
-    def hello(self, sequence: int = 0) -> bytes:
-        """A HELLO packet; sequence 0 is the one sent unasked after a reset."""
-        payload = struct.pack("<IH", self.boot_id, len(self.counts)) + FIRMWARE.encode()
-        return self._packet(HELLO, sequence, payload)
-
-    def feed(self, data: bytes) -> bytes:
-        """Take bytes from the host; returns the answers to the packets that are complete."""
-        *frames, rest = (self._pending + data).split(b"\0")
-        self._pending = rest if len(rest) < MAX_PACKET else b""
-        return b"".join(self._answer(frame) for frame in frames)
-
-    def _answer(self, frame: bytes) -> bytes:
-        """The answer to one COBS frame; nothing to a damaged one."""
-        try:
-            body = cobs.decode(frame)
-        except cobs.DecodeError:
-            return b""
-        if len(body) < 6 or body[0] != VERSION:
-            return b""
-        (checksum,) = struct.unpack("<H", body[-2:])
-        if self._crc.checksum(body[:-2]) != checksum:
-            return b""
-        _, kind, sequence = struct.unpack("<BBH", body[:4])
-        if self._last is not None and self._last[0] == sequence:
-            return self._last[1]
-        answer = self._handle(kind, sequence, body[4:-2])
-        self._last = (sequence, answer)
-        return answer
-
-    def _handle(self, kind: int, sequence: int, payload: bytes) -> bytes:
-        if kind == SET:
-            return self._set(sequence, payload)
-        if kind not in (HELLO_ASKED, DARK, STATE_ASKED):
-            return self._refuse(sequence, UNKNOWN_TYPE, f"type {kind:#04x}")
-        if payload:
-            return self._refuse(sequence, BAD_LENGTH, f"{len(payload)} bytes, expected none")
-        if kind == HELLO_ASKED:
-            return self.hello(sequence)
-        if kind == DARK:
-            self._light(np.zeros_like(self.counts))
-        return self._lit(sequence)
-
-    def _set(self, sequence: int, payload: bytes) -> bytes:
-        if len(payload) < 2:
-            return self._refuse(sequence, BAD_LENGTH, f"{len(payload)} bytes")
-        (count,) = struct.unpack("<H", payload[:2])
-        if count != len(self.counts):
-            return self._refuse(sequence, WRONG_COUNT, f"{count} of {len(self.counts)} lights")
-        if len(payload) != 2 + 2 * count:
-            return self._refuse(sequence, BAD_LENGTH, f"{len(payload)} bytes for {count} lights")
-        self._light(np.frombuffer(payload[2:], "<u2").copy())
-        return self._lit(sequence)
-
-    def _light(self, counts: np.ndarray) -> None:
-        if np.array_equal(counts, self.counts):
-            return
-        self._show(counts.astype(float) / FULL_COUNT)
-        self.counts = counts
-
-    def _lit(self, sequence: int) -> bytes:
-        return self._packet(LIT, sequence, hashlib.sha256(self.counts.tobytes()).digest())
-
-    def _refuse(self, sequence: int, code: int, reason: str) -> bytes:
-        return self._packet(REFUSED, sequence, bytes([code]) + reason.encode())
-
-    def _packet(self, kind: int, sequence: int, payload: bytes) -> bytes:
-        body = struct.pack("<BBH", VERSION, kind, sequence) + payload
-        return bytes(cobs.encode(body + struct.pack("<H", self._crc.checksum(body)))) + b"\0"
-
-
 class LedDevice:
-    """A LedProtocol at the master end of a pseudo-terminal, in a thread of its own.
+    """An LED device at the master end of a pseudo-terminal, in a thread of its own.
 
     Use as a context manager. A new device is dark. What `show` raises is kept in `failure`, and
     the device falls silent: a lamp that did not settle is not acknowledged.
 
+    Args:
+        light_count: lights that it drives.
+        show: called with (n,) levels in 0..1 whenever what shines changes.
+        boot_id: changes with each reset.
+        story: what goes wrong; nothing by default.
+        log: where that is noted.
+        banks: polarisation bank of each light, for a story that swaps them.
+
     Attributes:
         path: of the end that the host opens.
         states: what was lit, in order, the dark start included.
+        log: what went wrong.
         failure: what `show` raised.
+        connected: set while a host has the port open, as far as the device has seen.
     """
 
     def __init__(
-        self, light_count: int, show: Callable[[np.ndarray], None], boot_id: int = 1
+        self,
+        light_count: int,
+        show: Callable[[np.ndarray], None],
+        boot_id: int = 1,
+        story: Story | None = None,
+        log: FaultLog | None = None,
+        banks: Sequence[str] = (),
     ) -> None:
         self._show = show
-        self._protocol = LedProtocol(light_count, boot_id, self._settle)
-        self.states = [LitState(time.monotonic(), self._protocol.counts)]
+        self.log = FaultLog() if log is None else log
+        self._leds = FaultyLeds(
+            light_count, boot_id, self._settle, story or Story(), self.log, banks
+        )
+        self.states = [LitState(time.monotonic(), self._leds.protocol.counts)]
         self.failure: BaseException | None = None
-        self._master, self._slave = os.openpty()
-        # The host's end stays open here too: else the master reads an error until it is opened.
-        tty.setraw(self._master)
-        tty.setraw(self._slave)
-        self.path = os.ttyname(self._slave)
+        self.connected = threading.Event()
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        # Not kept open here: only so does the master learn when a host opens it.
+        os.close(slave)
         self._stop_read, self._stop_write = os.pipe()
         self._thread = threading.Thread(target=self._serve, name="led-device", daemon=True)
 
     def url(self, timeout_s: float, attempts: int = 1) -> str:
         """The device's address for `lightstage capture --leds`."""
         return f"pty://{self.path}?timeout_s={timeout_s:g}&attempts={attempts}"
+
+    @property
+    def dark(self) -> bool:
+        """Whether no light shines."""
+        return not self.states[-1].counts.any()
 
     def __enter__(self) -> LedDevice:
         self._thread.start()
@@ -172,7 +104,7 @@ class LedDevice:
     ) -> None:
         os.write(self._stop_write, b"x")
         self._thread.join()
-        for handle in (self._master, self._slave, self._stop_read, self._stop_write):
+        for handle in (self._master, self._stop_read, self._stop_write):
             os.close(handle)
 
     def _settle(self, levels: np.ndarray) -> None:
@@ -181,15 +113,51 @@ class LedDevice:
         self.states.append(LitState(time.monotonic(), counts))
 
     def _serve(self) -> None:
-        os.write(self._master, self._protocol.hello())
-        while True:
-            ready, _, _ = select.select([self._master, self._stop_read], [], [])
-            if self._stop_read in ready:
-                return
-            try:
-                answer = self._protocol.feed(os.read(self._master, 65536))
-            except BaseException as failure:  # whatever it is, the owner must learn of it
-                self.failure = failure
-                return
-            while answer:
-                answer = answer[os.write(self._master, answer) :]
+        try:
+            self._take([self._leds.protocol.hello()])
+            while (ready := self._poll()) is not None:
+                if ready & select.POLLIN and self.connected.is_set():
+                    self._take(self._leds.feed(os.read(self._master, READ_BYTES)))
+                elif ready & select.POLLHUP and not ready & select.POLLIN:
+                    self.connected.clear()
+                    if self._stopped(OPEN_POLL_MS / 1e3):
+                        return
+                elif not self.connected.is_set():
+                    self.connected.set()
+                    self._take(self._leds.opened())
+        except BaseException as failure:  # whatever it is, the owner must learn of it
+            self.failure = failure
+
+    def _poll(self) -> int | None:
+        """Events of the master: POLLHUP while nobody has the port open; None at the end."""
+        poll = select.poll()
+        poll.register(self._stop_read, select.POLLIN)
+        poll.register(self._master, select.POLLIN)
+        # Unconnected, that the port is open shows only as the absence of POLLHUP.
+        found = dict(poll.poll(None if self.connected.is_set() else 0))
+        return None if self._stop_read in found else found.get(self._master, 0)
+
+    def _take(self, steps: Iterable[Step]) -> None:
+        for step in steps:
+            if isinstance(step, Wait):
+                if self._stopped(step.seconds):
+                    return
+                if step.deaf:
+                    self._forget()
+            else:
+                self._send(step)
+
+    def _stopped(self, seconds: float) -> bool:
+        """Wait, unless the device is taken down."""
+        return bool(select.select([self._stop_read], [], [], seconds)[0])
+
+    def _send(self, data: bytes) -> None:
+        with contextlib.suppress(OSError):  # nobody has the port open: said into the void
+            while data:
+                data = data[os.write(self._master, data) :]
+
+    def _forget(self) -> None:
+        poll = select.poll()
+        poll.register(self._master, select.POLLIN)
+        while any(event & select.POLLIN for _, event in poll.poll(0)):
+            os.read(self._master, READ_BYTES)

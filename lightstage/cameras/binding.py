@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -14,18 +15,25 @@ from lightstage.errors import ConfigError, DeviceError, LightstageError, one_err
 from lightstage.formats.config import make_config, read_toml
 from lightstage.rig import Camera, Rig
 
+DRIVER = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
+"""A driver's place: a module's dotted name, a colon, a name in it."""
+
 
 @dataclasses.dataclass(frozen=True)
 class CameraEntry:
     """Where one camera is; without a port it is found by the serial number in rig.json.
 
     Attributes:
-        port: libgphoto2's name, such as ``usb:001,004``.
+        port: libgphoto2's name, such as ``usb:001,004``; what the driver calls it where one is
+            named.
         virtual_folder: folder of libgphoto2's virtual camera.
+        driver: ``package.module:name``, called with the port, of a camera that is not
+            libgphoto2's.
     """
 
     port: str | None = None
     virtual_folder: Path | None = None
+    driver: str | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,6 +70,10 @@ def read_cameras_file(path: Path) -> CamerasFile:
         if entry.virtual_folder is not None:
             folder = path.parent / entry.virtual_folder.expanduser()
             entry = dataclasses.replace(entry, virtual_folder=folder.absolute())
+        if entry.driver is not None and not DRIVER.fullmatch(entry.driver):
+            raise ConfigError(
+                where, field="driver", found=repr(entry.driver), expected="package.module:name"
+            )
         entries[camera_id] = entry
     return dataclasses.replace(file, cameras=entries)
 
@@ -79,7 +91,16 @@ def binding_problems(rig: Rig, file: CamerasFile) -> list[LightstageError]:
                     expected=f"one of {', '.join(known)}",
                 )
             )
-        if entry.virtual_folder is not None and entry.port is None:
+        if entry.driver is not None and (entry.port is None or entry.virtual_folder is not None):
+            problems.append(
+                DeviceError(
+                    f"camera {camera_id}",
+                    field="driver",
+                    found="no port" if entry.port is None else "a virtual_folder too",
+                    expected="driver and port, and nothing else",
+                )
+            )
+        elif entry.virtual_folder is not None and entry.port is None:
             problems.append(
                 DeviceError(
                     f"camera {camera_id}",
@@ -91,8 +112,8 @@ def binding_problems(rig: Rig, file: CamerasFile) -> list[LightstageError]:
     places = collections.defaultdict(list)
     for camera_id, entry in file.cameras.items():
         if entry.port is not None:
-            places[entry.port, entry.virtual_folder].append(camera_id)
-    for (port, folder), ids in places.items():
+            places[entry.port, entry.virtual_folder, entry.driver].append(camera_id)
+    for (port, folder, _), ids in places.items():
         if len(ids) > 1:
             problems.append(
                 DeviceError(
@@ -203,7 +224,7 @@ def find_cameras(
     file: CamerasFile,
     deadline_s: float,
     detect: Callable[[float], list[tuple[str, str]]],
-    make: Callable[[str, str, Path | None, float], CameraProcess] = CameraProcess,
+    make: Callable[[str, str, Path | None, float, str | None], CameraProcess] = CameraProcess,
 ) -> list[CameraProcess]:
     """One process for each camera of the rig, in the rig's order, not yet open.
 
@@ -212,7 +233,7 @@ def find_cameras(
         file: what is known of where they are.
         deadline_s: of every camera command.
         detect: lists model and port of connected cameras; asked only where a port is missing.
-        make: builds a camera from id, port, virtual folder, deadline.
+        make: builds a camera from id, port, virtual folder, deadline, driver.
 
     Raises:
         DeviceError: every missing, unknown or doubled camera, in one message.
@@ -225,7 +246,7 @@ def find_cameras(
     if searched:
         taken = {entry.port for entry in entries.values()}
         free = [port for _, port in detect(deadline_s) if port not in taken]
-        probes = [make(f"at {port}", port, None, deadline_s) for port in free]
+        probes = [make(f"at {port}", port, None, deadline_s, None) for port in free]
         told, problems = open_cameras(probes)
         close_cameras(probes)
         if not problems:
@@ -234,7 +255,7 @@ def find_cameras(
             raise one_error(problems)
         entries |= {camera_id: CameraEntry(port) for camera_id, port in bound.items()}
     return [
-        make(camera_id, entry.port or "", entry.virtual_folder, deadline_s)
+        make(camera_id, entry.port or "", entry.virtual_folder, deadline_s, entry.driver)
         for camera_id, entry in entries.items()
     ]
 

@@ -45,6 +45,19 @@ class Photograph:
     downloaded_s: float
 
 
+class CameraDriver(Protocol):
+    """What a driver does inside a camera's own process, one call at a time."""
+
+    def open(self) -> Summary:
+        """Connect, and say what the camera tells about itself; DeviceError when it cannot."""
+
+    def capture(self, at_s: float) -> Photograph:
+        """Trigger at a time of time.monotonic() and download; DeviceError when it fails."""
+
+    def close(self) -> None:
+        """Let go of the camera."""
+
+
 class CameraDevice(Protocol):
     """One camera. Every method raises DeviceError, at the latest when its deadline is over."""
 

@@ -157,18 +157,25 @@ class CameraProcess:
 
     Args:
         camera_id: the rig's name for it.
-        port: libgphoto2's name of the port.
+        port: libgphoto2's name of the port, or what the driver calls it.
         virtual_folder: folder of libgphoto2's virtual camera, None for a real one.
         deadline_s: of every command.
+        driver: ``package.module:name`` of a driver that is not libgphoto2's.
     """
 
     def __init__(
-        self, camera_id: str, port: str, virtual_folder: Path | None, deadline_s: float
+        self,
+        camera_id: str,
+        port: str,
+        virtual_folder: Path | None,
+        deadline_s: float,
+        driver: str | None = None,
     ) -> None:
         self.id = camera_id
         self.port = port
         self.virtual_folder = virtual_folder
         self.deadline_s = deadline_s
+        self.driver = driver
         self._worker: Worker | None = None
 
     @property
@@ -181,7 +188,12 @@ class CameraProcess:
         self.close()
         self._worker = Worker(f"camera {self.id}")
         folder = None if self.virtual_folder is None else str(self.virtual_folder)
-        command = {"command": "open", "port": self.port, "virtual_folder": folder}
+        command = {
+            "command": "open",
+            "port": self.port,
+            "virtual_folder": folder,
+            "driver": self.driver,
+        }
         reply, _ = self._worker.ask(command, self.deadline_s)
         return Summary(**reply)
 

@@ -6,19 +6,21 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import os
 import sys
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from lightstage.cameras import messages
+from lightstage.cameras.camera import CameraDriver
 from lightstage.cameras.gphoto import GphotoCamera, detect
-from lightstage.errors import LightstageError
+from lightstage.errors import DeviceError, LightstageError
 
 
 def serve(commands: BinaryIO, replies: BinaryIO) -> None:
     """Answer commands until their stream ends; errors are answers too."""
-    camera: GphotoCamera | None = None
+    camera: CameraDriver | None = None
     while (message := messages.read(commands.read)) is not None:
         asked, _ = message
         data = b""
@@ -27,8 +29,7 @@ def serve(commands: BinaryIO, replies: BinaryIO) -> None:
             if asked["command"] == "detect":
                 reply = {"found": detect()}
             elif asked["command"] == "open":
-                folder = asked["virtual_folder"]
-                camera = GphotoCamera(asked["port"], Path(folder) if folder else None)
+                camera = _driver(asked)
                 reply = dataclasses.asdict(camera.open())
             elif asked["command"] == "capture" and camera is not None:
                 photograph = camera.capture(asked["at_s"])
@@ -41,6 +42,24 @@ def serve(commands: BinaryIO, replies: BinaryIO) -> None:
         replies.flush()
     if camera is not None:
         camera.close()
+
+
+def _driver(asked: dict[str, Any]) -> CameraDriver:
+    """libgphoto2's driver, or the one that is named; DeviceError where there is none such."""
+    named, folder = asked["driver"], asked["virtual_folder"]
+    if named is None:
+        return GphotoCamera(asked["port"], Path(folder) if folder else None)
+    module, _, name = named.partition(":")
+    try:
+        camera: CameraDriver = getattr(importlib.import_module(module), name)(asked["port"])
+    except (ImportError, AttributeError) as error:
+        raise DeviceError(
+            asked["port"],
+            field="driver",
+            found=str(error),
+            expected=f"an installed module {module} with {name}",
+        ) from None
+    return camera
 
 
 @dataclasses.dataclass(frozen=True)

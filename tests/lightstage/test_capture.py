@@ -249,6 +249,6 @@ def test_the_files_in_the_documentation_are_taken_as_they_stand(tmp_path):
     (tmp_path / "cameras.toml").write_text(cameras)
     (tmp_path / "limits.toml").write_text(limits)
     file = read_cameras_file(tmp_path / "cameras.toml")
-    assert list(file.cameras) == ["cam0", "cam1"]
+    assert list(file.cameras) == ["cam0", "cam1", "cam2"]
     values = read_toml(tmp_path / "limits.toml")
     assert make_config(CaptureConfig, values, "limits") == CaptureConfig()

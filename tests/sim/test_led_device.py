@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from lightstage.errors import DeviceError
 from lightstage.leds.serial_controller import SerialLeds, parse_url
-from sim.led_device import LedDevice, LedProtocol
+from sim.led_device import LedDevice
+from sim.led_protocol import LedProtocol
 
 BOOT = 0xA1B2C3D4
 

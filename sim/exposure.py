@@ -1,0 +1,110 @@
+"""What other settings of the camera make of a photograph, in the DNG's own bytes."""
+
+from __future__ import annotations
+
+import struct
+from fractions import Fraction
+
+import numpy as np
+
+from sim.errors import SimError
+
+WIDTH, HEIGHT, COMPRESSION, EXIF, ISO = 256, 257, 259, 34665, 34855
+STRIP_OFFSETS, STRIP_BYTES, BLACK, WHITE = 273, 279, 50714, 50717
+_LETTERS = {1: "B", 3: "H", 4: "I"}
+
+
+def exposure_gain(iso: str, shutter: str, aperture: str) -> float:
+    """Counts for one unit of light, up to a constant of the sensor: ISO t / N^2.
+
+    Args:
+        iso: such as ``100``.
+        shutter: seconds, such as ``1/60`` or ``0.5``.
+        aperture: such as ``f/8``.
+
+    Raises:
+        SimError: a text that is none of these, or not positive.
+    """
+    try:
+        number = Fraction(aperture.removeprefix("f/"))
+        gain = float(Fraction(iso) * Fraction(shutter) / number**2)
+    except (ValueError, ZeroDivisionError):
+        gain = 0.0
+    if not gain > 0:
+        raise SimError(
+            "camera settings",
+            field="iso, shutter, aperture",
+            found=f"{iso}, {shutter}, {aperture}",
+            expected='numbers such as "100", "1/60", "f/8"',
+        )
+    return gain
+
+
+def expose_again(dng: bytes, gain: float, iso: str) -> bytes:
+    """The same photograph under other settings: counts above black times `gain`, clipped.
+
+    Noise is scaled with the light: what a wrong setting shows is its level, not its grain.
+
+    Args:
+        dng: a little-endian DNG of uncompressed 16-bit counts.
+        gain: of counts above the black level.
+        iso: for the EXIF tag, where there is one.
+
+    Raises:
+        SimError: another kind of file.
+    """
+    data = bytearray(dng)
+    tags = _entries(data, 4)
+    if not {STRIP_OFFSETS, STRIP_BYTES, BLACK, WHITE} <= set(tags) or tags.get(COMPRESSION) != [1]:
+        raise SimError("photograph", found="another kind of file", expected="an uncompressed DNG")
+    black, white = float(np.mean(tags[BLACK])), tags[WHITE][0]
+    for offset, size in zip(tags[STRIP_OFFSETS], tags[STRIP_BYTES], strict=True):
+        counts = np.frombuffer(data, "<u2", size // 2, offset)
+        exposed = np.clip(np.round(black + (counts - black) * gain), 0, white).astype("<u2")
+        data[offset : offset + size] = exposed.tobytes()
+    if EXIF in tags:
+        place = _places(data, tags[EXIF][0]).get(ISO)
+        if place is not None:
+            struct.pack_into("<H", data, place[2], min(int(Fraction(iso)), 65535))
+    return bytes(data)
+
+
+def preview_jpeg(dng: bytes) -> bytes:
+    """The small grey picture that a camera puts beside its RAW; SimError on another file."""
+    import cv2
+
+    tags = _entries(bytearray(dng), 4)
+    if not {WIDTH, HEIGHT, STRIP_OFFSETS} <= set(tags) or tags.get(COMPRESSION) != [1]:
+        raise SimError("photograph", found="another kind of file", expected="an uncompressed DNG")
+    width, height = tags[WIDTH][0], tags[HEIGHT][0]
+    strips = zip(tags[STRIP_OFFSETS], tags[STRIP_BYTES], strict=True)
+    counts = np.concatenate([np.frombuffer(dng, "<u2", size // 2, at) for at, size in strips])
+    small = counts.reshape(height, width)[::4, ::4] >> 6
+    _, data = cv2.imencode(".jpg", np.minimum(small, 255).astype(np.uint8))
+    return data.tobytes()
+
+
+def _entries(data: bytearray, pointer: int) -> dict[int, list[int]]:
+    """Values of the whole-number tags of the directory to which bytes 4 to 8 point."""
+    if data[:4] != b"II*\0":
+        return {}
+    (directory,) = struct.unpack_from("<I", data, pointer)
+    return {
+        tag: list(struct.unpack_from(f"<{count}{_LETTERS[kind]}", data, place))
+        for tag, (kind, count, place) in _places(data, directory).items()
+        if kind in _LETTERS
+    }
+
+
+def _places(data: bytearray, directory: int) -> dict[int, tuple[int, int, int]]:
+    """Type, count and place of the values of each tag of the directory at this byte."""
+    (length,) = struct.unpack_from("<H", data, directory)
+    places = {}
+    for index in range(length):
+        entry = directory + 2 + 12 * index
+        tag, kind, count = struct.unpack_from("<HHI", data, entry)
+        place = entry + 8
+        if kind in _LETTERS and count * struct.calcsize(f"<{_LETTERS[kind]}") > 4:
+            (place,) = struct.unpack_from("<I", data, place)
+        places[tag] = kind, count, place
+    return places

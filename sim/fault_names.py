@@ -1,0 +1,133 @@
+"""The names of the faults that simulated devices can have, and the fields of each."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Literal
+
+LEDS = "leds"
+"""The LED device's name in a story; cameras go by the rig's names."""
+
+Device = Literal["leds", "camera"]
+Counted = Literal["packet", "open", "shot"]
+
+
+@dataclasses.dataclass(frozen=True)
+class FaultName:
+    """What one name of the language means.
+
+    Attributes:
+        device: who can have it.
+        counted: what its `at` counts, from 1: packets that reach the LED device, openings of its
+            port, or a camera's shots.
+        lasts: whether it goes on after `at`, or happens there only.
+        says: what happens.
+        fields: what else can be told of it, with defaults.
+    """
+
+    device: Device
+    counted: Counted
+    lasts: bool
+    says: str
+    fields: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def _line(says: str, **fields: Any) -> FaultName:
+    return FaultName("leds", "packet", False, says, {"way": "request", **fields})
+
+
+def _lamps(says: str) -> FaultName:
+    return FaultName("leds", "packet", True, says, {"lights": (0,)})
+
+
+def _camera(says: str, lasts: bool = False, **fields: Any) -> FaultName:
+    return FaultName("camera", "shot", lasts, says, fields)
+
+
+NAMES: dict[str, FaultName] = {
+    # The LED device's line: `way` is "request" (toward the device) or "answer".
+    "drop": _line("the packet never arrives"),
+    "corrupt": _line("bits of the packet are flipped", bits=1),
+    "delay": _line("the line stands still before the packet, and all behind it waits", seconds=0.1),
+    "duplicate": _line("the packet arrives twice"),
+    "reorder": _line("the packet arrives after the next one"),
+    # The LED device itself.
+    "die": FaultName(
+        "leds", "packet", False, "silent, lights as they are, until its port is opened again"
+    ),
+    "reset": FaultName(
+        "leds",
+        "packet",
+        False,
+        "restarts: dark, another boot id; what comes while it starts is lost",
+        {"seconds": 0.05},
+    ),
+    "reset-on-open": FaultName(
+        "leds",
+        "open",
+        True,
+        "restarts whenever its port is opened",
+        {"seconds": 0.05},
+    ),
+    "wrong-acknowledgement": FaultName(
+        "leds", "packet", False, "acknowledges levels that nobody asked for"
+    ),
+    "stuck-on": _lamps("these lights stay fully on; the device tells so"),
+    "stuck-on-hidden": _lamps("these lights stay fully on; the device says what it was told"),
+    "dead-light": _lamps("these lights stay dark; the device tells so"),
+    "dead-light-hidden": _lamps("these lights stay dark; the device says what it was told"),
+    "swapped-bank": FaultName(
+        "leds", "packet", True, "the two polarisation banks are plugged in the other way round"
+    ),
+    # Cameras.
+    "fail": _camera("no picture is taken; the next shot works"),
+    "hang": _camera("the camera never answers"),
+    "fill-up": _camera("the card is full", lasts=True),
+    "disconnect": _camera("gone from the bus, back after a time", seconds=1.0),
+    "battery-empty": _camera("switches itself off", lasts=True),
+    "stale": _camera("the picture of the shot before is delivered again"),
+    "truncated": _camera("only the file's first part is delivered", share=0.5),
+    "wrong-iso": _camera("the ISO setting has drifted", lasts=True, value="400"),
+    "drift": _camera(
+        "another setting has drifted", lasts=True, setting="white_balance", value="Auto"
+    ),
+    "slow": _camera("the picture comes late", seconds=0.3),
+    "late-file": _camera("no picture comes; it comes with the next shot's, before it"),
+    "other-order": _camera("of a RAW and JPEG pair the JPEG comes first"),
+    "duplicate-serial": _camera("tells another camera's serial number", lasts=True, value="0000"),
+    "event-storm": _camera("many events of no meaning come before the picture", count=200),
+}
+
+
+def _is_number(value: Any, low: float, high: float) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
+
+
+def _is_count(value: Any, low: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= low
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and bool(value)
+
+
+def _is_lights(value: Any) -> bool:
+    return isinstance(value, (list, tuple)) and bool(value) and all(_is_count(v, 0) for v in value)
+
+
+FIELDS = {
+    "at": ("a whole number from 1", lambda value: _is_count(value, 1)),
+    "until": ("a whole number from 1, at least `at`", lambda value: _is_count(value, 1)),
+    "probability": ("a number over 0, up to 1", lambda value: _is_number(value, 1e-12, 1.0)),
+    "camera": ("a camera's name", _is_text),
+    "way": ('"request" or "answer"', lambda value: value in ("request", "answer")),
+    "bits": ("a whole number from 1", lambda value: _is_count(value, 1)),
+    "seconds": ("seconds from 0 to 3600", lambda value: _is_number(value, 0.0, 3600.0)),
+    "lights": ("a list of places in the rig's order, from 0", _is_lights),
+    "share": ("a share of the file, 0 to 1", lambda value: _is_number(value, 0.0, 1.0)),
+    "value": ("a text", _is_text),
+    "setting": ("a camera setting's name", _is_text),
+    "count": ("a whole number from 1", lambda value: _is_count(value, 1)),
+}
+"""What each field may hold: in words, and as a test."""
