@@ -7,6 +7,10 @@ import numpy as np
 from sim.flaws import PulseConfig
 
 
+INSTANT = 1e-6
+"""An exposure shorter than this share of a period sees the lamp either on or off."""
+
+
 def band_gain(
     level: float, rows: int, exposure_s: float, phase: float, config: PulseConfig
 ) -> np.ndarray:
@@ -29,8 +33,10 @@ def band_gain(
         return np.ones(rows)
     delay_s = np.arange(rows) / rows * config.readout_ms / 1000
     opened = phase + delay_s * config.frequency_hz
-    closed = opened + exposure_s * config.frequency_hz
-    return (_on(closed, level) - _on(opened, level)) / (level * (closed - opened))
+    span = exposure_s * config.frequency_hz
+    if span < INSTANT:
+        return (opened % 1.0 < level) / level
+    return (_on(opened + span, level) - _on(opened, level)) / (level * span)
 
 
 def _on(periods: np.ndarray, level: float) -> np.ndarray:
