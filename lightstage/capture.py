@@ -126,13 +126,14 @@ def capture(
     busy_s, max_skew_s, done = 0.0, 0.0, 0
     progress(0, total)
     changed_s = started
+    kept: dict[str, str] = {}
     with lights_dark_at_end(lights):
         for shot in shots:
             busy_s += _pause(changed_s, config)
             begun_s = time.monotonic()
             driven = lights.light(shot.levels)
             changed_s = time.monotonic()
-            photographs = _take(shot.pattern, lights, cameras, writer, config)
+            photographs = _take(shot.pattern, lights, cameras, writer, config, kept)
             done += len(photographs)
             progress(done, total)
             triggers = [photograph.triggered_s for photograph in photographs]
@@ -205,8 +206,11 @@ def _take(
     cameras: Sequence[CameraDevice],
     writer: SessionWriter,
     config: CaptureConfig,
+    kept: dict[str, str],
 ) -> list[Photograph]:
     """Trigger all cameras at one time and keep every photograph as it comes.
+
+    `kept` has the hashes of the photographs so far, and whose they are.
 
     The lights are asked for their state while cameras work, and once more when all are done: only
     then did the acknowledged light last through every exposure.
@@ -215,7 +219,8 @@ def _take(
     try:
         at_s = time.monotonic() + config.trigger_lead_s
         pending: dict[Future[Photograph], CameraDevice] = {
-            pool.submit(_take_one, pattern, camera, at_s, writer): camera for camera in cameras
+            pool.submit(_take_one, pattern, camera, at_s, writer, kept): camera
+            for camera in cameras
         }
         photographs: list[Photograph] = []
         failed: dict[str, LightstageError] = {}
@@ -246,9 +251,20 @@ def _take(
     return photographs
 
 
-def _take_one(pattern: str, camera: CameraDevice, at_s: float, writer: SessionWriter) -> Photograph:
+def _take_one(
+    pattern: str, camera: CameraDevice, at_s: float, writer: SessionWriter, kept: dict[str, str]
+) -> Photograph:
     """Take and keep one camera's photograph; what comes back no longer holds its bytes."""
     photograph = camera.capture(at_s)
+    own = f"{pattern} by {camera.id}"
+    first = kept.setdefault(photograph.sha256, own)
+    if first != own:
+        raise CaptureError(
+            own,
+            found=f"the bytes of {first}",
+            expected="a new photograph: a sensor's noise never repeats",
+            hint="The camera gave an old picture; switch it off and on, then capture again.",
+        )
     writer.keep(
         pattern,
         camera.id,

@@ -85,16 +85,16 @@ NAMES: dict[str, FaultName] = {
     "hang": _camera("the camera never answers"),
     "fill-up": _camera("the card is full", lasts=True),
     "disconnect": _camera("gone from the bus, back after a time", seconds=1.0),
-    "battery-empty": _camera("switches itself off", lasts=True),
+    "battery-empty": _camera("switches itself off, for good"),
     "stale": _camera("the picture of the shot before is delivered again"),
     "truncated": _camera("only the file's first part is delivered", share=0.5),
-    "wrong-iso": _camera("the ISO setting has drifted", lasts=True, value="400"),
-    "drift": _camera(
-        "another setting has drifted", lasts=True, setting="white_balance", value="Auto"
-    ),
+    "wrong-iso": _camera("the ISO setting drifts, and stays so", value="400"),
+    "drift": _camera("another setting drifts, and stays so", setting="white_balance", value="Auto"),
     "slow": _camera("the picture comes late", seconds=0.3),
     "late-file": _camera("no picture comes; it comes with the next shot's, before it"),
-    "other-order": _camera("of a RAW and JPEG pair the JPEG comes first"),
+    "other-order": _camera(
+        "events come in another order: done before the file, of a pair the JPEG first"
+    ),
     "duplicate-serial": _camera("tells another camera's serial number", lasts=True, value="0000"),
     "event-storm": _camera("many events of no meaning come before the picture", count=200),
 }

@@ -73,7 +73,8 @@ class FakeCamera:
         self.shots += 1
         if self.shots == self.fail_at:
             raise self.error
-        data = self.make_dng(512 + int(1000 * self.lights.levels.mean()))
+        noise = 10 * self.shots + int(self.id[-1])
+        data = self.make_dng(512 + int(1000 * self.lights.levels.mean()), seed=noise)
         now = time.monotonic()
         sha256 = hashlib.sha256(data).hexdigest()
         return Photograph(data, sha256, f"{self.shots}.NEF", now, now, now)
