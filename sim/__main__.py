@@ -25,6 +25,9 @@ def session(
     ),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     direct: bool = typer.Option(False, "--direct", help="Linear EXR frames without devices."),
+    flaws: str = typer.Option(
+        "ideal", help="What lens, lamps, room and subject do: ideal, lab, bad, or a TOML file."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Photograph a simulated person in the light stage."""
@@ -32,6 +35,8 @@ def session(
     from lightstage.rig import default_rig, load_rig
     from lightstage.session import check_pseudonym
     from sim.capture import capture_session
+    from sim.flaws import load_flaws
+    from sim.optics import distorted
     from sim.session import (
         SessionConfig,
         require_new,
@@ -47,7 +52,9 @@ def session(
     check_pseudonym(subject, "subject")
     require_new(out)
     config = SessionConfig(sequence=sequence)
+    done_to_light = load_flaws(flaws)
     stage = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
+    stage = distorted(stage, done_to_light.lens)
     for name in sequence_patterns(sequence):
         pattern_levels(name, stage)
     person = load_subject(subject, seed, expression, config.texture_rows)
@@ -57,9 +64,9 @@ def session(
         truth = write_truth(world, truth_path(out), progress)
     if direct:
         with progress_bar("photographs") as progress:
-            write_direct(world, out, config, seed, progress)
+            write_direct(world, out, config, seed, progress, done_to_light)
     else:
-        capture_session(world, out, seed, sequence)
+        capture_session(world, out, seed, sequence, done_to_light)
         write_landmarks(world, out, seed, config.click_noise_px)
     count = len(sequence_patterns(sequence)) * len(stage.cameras)
     seconds = time.monotonic() - begun
@@ -75,25 +82,46 @@ def session(
 
 @app.command()
 def dataset(
-    subjects: int = typer.Option(..., min=1, help="How many people."),
     out: Path = typer.Option(..., help="Folder for all of them."),
-    expressions: int = typer.Option(1, min=1, max=7, help="Of each; the first one is neutral."),
+    subjects: int | None = typer.Option(
+        None, min=1, help="How many people; as many as the table says where absent."
+    ),
+    expressions: int = typer.Option(7, min=1, max=7, help="Of each; the first one is neutral."),
     seed: int = typer.Option(0, help="The same seed gives the same files to the byte."),
+    people: str = typer.Option(
+        "balanced", help="Shares by sex, age, tone and look: a table's name or a TOML file."
+    ),
     maps_only: bool = typer.Option(False, "--maps-only", help="Maps and meshes, no photographs."),
-    rows: int = typer.Option(1536, min=96, help="Rows of the maps, a multiple of 3."),
+    rows: int = typer.Option(1536, min=96, max=6144, help="Rows of the maps, a multiple of 3."),
+    jobs: int = typer.Option(
+        0, min=0, help="Processes for --maps-only; 0 for as many as cores and memory allow."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Make many parametric people, as processed folders or as sessions."""
-    from sim.dataset import write_people, write_sessions
+    """Make many parametric people, as processed folders or as sessions; goes on where it stopped."""
+    from sim.dataset import make_plan, write_people, write_sessions
+    from sim.people import load_table
 
-    _require_own(out, "person-")
+    table = load_table(people)
+    _require_own(out, "person-", ".person-", "people.")
     begun = time.monotonic()
-    with progress_bar("people") as progress:
-        write = write_people if maps_only else write_sessions
-        folders = write(out, subjects, expressions, seed, rows, progress)
+    plan = make_plan(out, table, subjects or table.subjects, expressions, seed, rows)
+    with progress_bar("scans") as progress:
+        made = write_people(plan, jobs, progress) if maps_only else write_sessions(plan, progress)
     seconds = time.monotonic() - begun
-    facts = {"out": str(out), "scans": len(folders), "rows": rows, "seconds": round(seconds, 1)}
-    finish(f"{out}: {len(folders)} scans of {subjects} people, {seconds:.1f} s", facts, as_json)
+    facts = {
+        "out": str(out),
+        "people": len(plan.persons),
+        "scans": plan.scans,
+        "made": made,
+        "rows": rows,
+        "seconds": round(seconds, 1),
+    }
+    finish(
+        f"{out}: {plan.scans} scans of {len(plan.persons)} people, {made} made now, {seconds:.1f} s",
+        facts,
+        as_json,
+    )
 
 
 @app.command()
