@@ -43,9 +43,11 @@ def pattern_levels(name: str, rig: Rig) -> np.ndarray:
     if "@" in name:
         if polarisation not in ("parallel", "cross"):
             raise _unknown(name)
-        # Parallel is lit by the horizontal bank, cross by the vertical one; cameras' polarisers
-        # stand horizontal.
-        bank = "horizontal" if polarisation == "parallel" else "vertical"
+        # Cameras' polarisers stand upright, so parallel is lit by the vertical bank and cross by
+        # the horizontal one. The other way round cross would keep ten times as much of the mirror
+        # reflection: a lamp at the side whose field follows its meridian is reflected best
+        # (across the plane of incidence), one whose field follows its latitude hardly at all.
+        bank = "vertical" if polarisation == "parallel" else "horizontal"
         levels = levels * np.array([light.bank == bank for light in rig.lights])
     return levels
 

@@ -64,7 +64,7 @@ def test_a_polarised_pattern_lights_one_bank():
     rig = default_rig()
     parallel, cross = pattern_levels("x+@parallel", rig), pattern_levels("x+@cross", rig)
     assert np.array_equal(parallel + cross, pattern_levels("x+", rig))
-    for levels, bank in ((parallel, "horizontal"), (cross, "vertical")):
+    for levels, bank in ((parallel, "vertical"), (cross, "horizontal")):
         assert {light.bank for light, on in zip(rig.lights, levels, strict=True) if on} == {bank}
 
 
