@@ -114,7 +114,6 @@ class LedDevice:
 
     def _serve(self) -> None:
         try:
-            self._take([self._leds.protocol.hello()])
             while (ready := self._poll()) is not None:
                 if ready & select.POLLIN and self.connected.is_set():
                     self._take(self._leds.feed(os.read(self._master, READ_BYTES)))

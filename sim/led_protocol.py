@@ -73,6 +73,7 @@ class LedProtocol:
         self._shining = Shining(self.counts, self.counts)
         self._crc = Calculator(Crc16.IBM_3740.value, optimized=True)
         self._pending = b""
+        # The last number and its answer; nothing stands for LIT, told anew each time.
         self._last: tuple[int, bytes] | None = None
 
     def hello(self, sequence: int = 0) -> bytes:
@@ -118,14 +119,16 @@ class LedProtocol:
         _, kind, sequence = struct.unpack("<BBH", body[:4])
         if self._last is not None:
             if self._last[0] == sequence:
-                return self._last[1]
+                # Lamps may have changed by themselves since: what is lit is told as it is now.
+                return self._last[1] or self._lit(sequence)
             if kind != HELLO_ASKED and (sequence - self._last[0]) % 65536 >= BEHIND:
                 return b""
         answer = self._handle(kind, sequence, body[4:-2])
         self._last = (sequence, answer)
-        return answer
+        return answer or self._lit(sequence)
 
     def _handle(self, kind: int, sequence: int, payload: bytes) -> bytes:
+        """Do what is asked; the answer, or nothing where it is LIT."""
         if kind == SET:
             return self._set(sequence, payload)
         if kind not in (HELLO_ASKED, DARK, STATE_ASKED):
@@ -136,7 +139,7 @@ class LedProtocol:
             return self.hello(sequence)
         if kind == DARK:
             self._light(np.zeros_like(self.counts))
-        return self._lit(sequence)
+        return b""
 
     def _set(self, sequence: int, payload: bytes) -> bytes:
         if len(payload) < 2:
@@ -147,7 +150,7 @@ class LedProtocol:
         if len(payload) != 2 + 2 * count:
             return self._refuse(sequence, BAD_LENGTH, f"{len(payload)} bytes for {count} lights")
         self._light(np.frombuffer(payload[2:], "<u2").copy())
-        return self._lit(sequence)
+        return b""
 
     def _light(self, counts: np.ndarray) -> None:
         self.counts = counts

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from lightstage.errors import DeviceError
 from lightstage.leds.serial_controller import SerialLeds, parse_url
 from sim.led_device import LedDevice
-from sim.led_protocol import LedProtocol
+from sim.led_protocol import LedProtocol, Shining
 
 BOOT = 0xA1B2C3D4
 
@@ -77,6 +77,34 @@ def test_a_repeated_packet_is_answered_again_and_changes_nothing():
     # The same number again is a repetition even if its bytes differ.
     assert lamps.answer(packet(0x11, 5)) == lit(5, 65535, 0, 0)
     assert len(lamps.shown) == 1
+
+
+def test_a_repeated_packet_is_answered_with_what_is_lit_by_then():
+    broken: list[int] = []
+
+    def lamps(commanded: np.ndarray) -> Shining:
+        counts = commanded.copy()
+        counts[broken] = 65535
+        return Shining(counts, counts)
+
+    device = LedProtocol(3, BOOT, lambda levels: None, lamps)
+    assert device.feed(packet(0x11, 5)) == lit(5, 0, 0, 0)
+    broken.append(1)
+    device.refresh()
+    assert device.feed(packet(0x11, 5)) == lit(5, 0, 65535, 0)
+
+
+def test_a_packet_that_is_behind_the_last_one_came_too_late():
+    lamps = Lamps()
+    first = packet(0x10, 65534, level_payload(65535, 0, 0))
+    assert lamps.answer(packet(0x01, 65533)) != b""
+    # The numbers go round: 1 is ahead of 65534.
+    assert lamps.answer(packet(0x11, 1)) == lit(1, 0, 0, 0)
+    assert lamps.answer(first) == b""
+    assert lamps.shown == []
+    # A new host begins with HELLO?, whatever its number.
+    assert lamps.answer(packet(0x01, 40000)) != b""
+    assert lamps.answer(packet(0x10, 40001, level_payload(1, 1, 1))) == lit(40001, 1, 1, 1)
 
 
 def test_the_state_lit_already_is_acknowledged_without_a_change():
