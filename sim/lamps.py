@@ -81,6 +81,12 @@ def lamps_of(rig: Rig, config: LampConfig | None = None, seed: int = 0) -> Lamps
     return Lamps(positions, weights, axes, float(config.exponent), float(config.radius_mm))
 
 
+def point_lamps(positions_mm: np.ndarray) -> Lamps:
+    """(m, 3) points that shine alike in all directions, each of weight 1."""
+    positions = np.asarray(positions_mm, float).reshape(-1, 3)
+    return Lamps(positions, np.ones_like(positions), np.zeros_like(positions), 0.0, 0.0)
+
+
 def light_weights(rig: Rig) -> np.ndarray:
     """(m, 3) what a white diffuser at the origin facing each light reads at level 1."""
     shown = stage_lights(rig, np.ones(len(rig.lights)), "full")

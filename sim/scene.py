@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
 
 import numpy as np
 import open3d
+from scipy import ndimage
 
 from lightstage.formats.mesh import vertex_normals
 from lightstage.rig import Camera
+from sim.render import ROUND, Lobe
 from sim.shadows import fill_between, mark_coarse, set_bits
 from sim.subject import Subject
-from sim.texture import sample
+from sim.texture import sample, tangent_frames
 
 CHUNK_RAYS = 2_000_000
+TILE_POINTS = 65_536
+"""Points whose pairs with all lights are held at a time."""
 START_MM = 0.05
 """A shadow ray starts this far along the face's normal, so that it does not meet its own face."""
+EDGE_MM = 4.0
+"""Neighbouring pixels whose depths differ by more have an edge between them."""
 COARSE_PX = 4
 """Shadow rays are cast on every fourth pixel of every fourth row first; see `visible_lights`."""
 
@@ -34,10 +42,11 @@ class Surface:
         view: (n, 3) float32 unit directions to the camera.
         albedo: (n, 3) float32 diffuse albedo.
         specular: (n,) float32 reflectance at normal incidence.
-        roughness: (n,) float32 Beckmann m.
+        roughness: (n,) float32 m.
         skin: (n,) bool, scored.
         face: (n,) int32 triangle.
         barycentric: (n, 3) float32.
+        lobe: shape of the lobes beyond m.
     """
 
     camera: Camera
@@ -53,6 +62,7 @@ class Surface:
     skin: np.ndarray
     face: np.ndarray
     barycentric: np.ndarray
+    lobe: Lobe = ROUND
 
     def picture(self, values: np.ndarray) -> np.ndarray:
         """Per-pixel values (n,) or (n, k) as a picture (h, w) or (h, w, k), zero elsewhere."""
@@ -109,12 +119,44 @@ class Scene:
         """What a camera sees."""
         origin, directions = camera.pixel_rays()
         flat = directions.reshape(-1, 3)
+        return self._seen(camera, np.arange(len(flat)), origin, flat)
+
+    def edge_samples(self, surface: Surface, samples: int) -> tuple[np.ndarray, Surface]:
+        """More rays where one ray a pixel would draw steps: at silhouettes and depth edges.
+
+        Args:
+            surface: what one ray a pixel sees.
+            samples: a side: samples x samples rays, on a regular grid in each pixel.
+
+        Returns:
+            (k,) the pixels that are sampled again, and what their rays see: `pixel` then holds a
+            pixel once for each of its rays that meets the subject.
+        """
+        camera = surface.camera
+        depth = np.linalg.norm(surface.position - camera.centre_mm, axis=1)
+        picture = surface.picture(depth.astype(np.float32))
+        step = ndimage.maximum_filter(picture, 3) - ndimage.minimum_filter(picture, 3)
+        edge = np.flatnonzero(step > EDGE_MM)
+        offsets = (np.arange(samples) + 0.5) / samples - 0.5
+        directions = []
+        for dy, dx in itertools.product(offsets, offsets):
+            moved = dataclasses.replace(camera, cx_px=camera.cx_px - dx, cy_px=camera.cy_px - dy)
+            directions.append(moved.pixel_rays()[1].reshape(-1, 3)[edge])
+        rays = np.concatenate(directions)
+        pixel = np.tile(edge, samples * samples)
+        return edge, self._seen(camera, pixel, camera.centre_mm, rays)
+
+    def _seen(
+        self, camera: Camera, pixel: np.ndarray, origin: np.ndarray, directions: np.ndarray
+    ) -> Surface:
+        """What rays (n, 3) of pixels (n,) see."""
+        flat = directions
         face, weights, _ = self.hit(origin, flat)
         # The inside of an open mesh (a neck's end) is no skin: it is seen as background.
         points = self.vertices[self.triangles[np.maximum(face, 0)]]
         outward = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
-        pixel = np.nonzero((face >= 0) & (np.sum(outward * flat, axis=1) < 0))[0]
-        face, weights = face[pixel], weights[pixel]
+        met = np.nonzero((face >= 0) & (np.sum(outward * flat, axis=1) < 0))[0]
+        pixel, face, weights, flat = pixel[met], face[met], weights[met], flat[met]
         mesh, subject = self.subject.mesh, self.subject
         assert mesh.uvs is not None
         corners = self.triangles[face]
@@ -132,14 +174,28 @@ class Scene:
             start=self._start(position, face, weights).astype(np.float32),
             geometric=smooth.astype(np.float32),
             normal=normal.astype(np.float32),
-            view=(-flat[pixel]).astype(np.float32),
+            view=(-flat).astype(np.float32),
             albedo=sample(subject.diffuse_albedo, uvs),
             specular=sample(subject.specular_albedo, uvs),
             roughness=sample(subject.roughness, uvs),
             skin=sample(subject.skin.astype(np.float32), uvs) > 0.5,
             face=face,
             barycentric=weights.astype(np.float32),
+            lobe=self._lobe(face, weights, uvs),
         )
+
+    def _lobe(self, face: np.ndarray, weights: np.ndarray, uvs: np.ndarray) -> Lobe:
+        """The lobes' shape at points: stretched along the UV's u tangent where the map says so."""
+        subject = self.subject
+        if subject.anisotropy is None:
+            return Lobe(subject.distribution)
+        tangent = np.einsum("nck,nc->nk", self._tangents[face], weights).astype(np.float32)
+        return Lobe(subject.distribution, tangent, sample(subject.anisotropy, uvs))
+
+    @functools.cached_property
+    def _tangents(self) -> np.ndarray:
+        """(t, 3, 3) u tangent of each corner of each triangle."""
+        return tangent_frames(self.subject.mesh)[0]
 
     def _start(self, position: np.ndarray, face: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Shadow rays start on the smooth surface that the vertex normals describe [Hanika2021].
@@ -172,18 +228,23 @@ class Scene:
             below the horizon of the smooth normal are not seen and cost no ray.
         """
         lights = np.ascontiguousarray(lights_mm, np.float32)
-        camera = surface.camera
-        bits = np.zeros((len(surface.pixel), (len(lights) + 7) // 8), np.uint8)
+        camera, count = surface.camera, len(surface.pixel)
+        bits = np.zeros((count, (len(lights) + 7) // 8), np.uint8)
         row, column = np.divmod(surface.pixel, camera.width_px)
         coarse = (row % coarse_px == 0) & (column % coarse_px == 0)
-        todo = np.zeros((len(surface.pixel), len(lights)), bool)
-        mark_coarse(surface.position, surface.geometric, lights, coarse, todo)
-        self._cast(surface, lights, todo, bits)
-        if coarse_px > 1:
-            index = np.full(camera.height_px * camera.width_px, -1, np.int64)
-            index[surface.pixel] = np.arange(len(surface.pixel))
-            depth = np.linalg.norm(surface.position - camera.centre_mm, axis=1)
-            todo[:] = False
+        todo = np.zeros((min(count, TILE_POINTS), len(lights)), bool)
+        tiles = [slice(a, min(a + TILE_POINTS, count)) for a in range(0, count, TILE_POINTS)]
+        for tile in tiles:
+            part = todo[: tile.stop - tile.start]
+            mark_coarse(surface.position[tile], surface.geometric[tile], lights, coarse[tile], part)
+            self._cast(surface, lights, part, tile.start, bits)
+        if coarse_px == 1:
+            return bits
+        index = np.full(camera.height_px * camera.width_px, -1, np.int64)
+        index[surface.pixel] = np.arange(count)
+        depth = np.linalg.norm(surface.position - camera.centre_mm, axis=1)
+        for tile in tiles:
+            part = todo[: tile.stop - tile.start]
             fill_between(
                 surface.position,
                 surface.geometric,
@@ -192,17 +253,24 @@ class Scene:
                 surface.pixel,
                 depth.astype(np.float32),
                 coarse_px,
+                tile.start,
                 bits,
-                todo,
+                part,
             )
-            self._cast(surface, lights, todo, bits)
+            self._cast(surface, lights, part, tile.start, bits)
         return bits
 
     def _cast(
-        self, surface: Surface, lights: np.ndarray, todo: np.ndarray, bits: np.ndarray
+        self,
+        surface: Surface,
+        lights: np.ndarray,
+        todo: np.ndarray,
+        start: int,
+        bits: np.ndarray,
     ) -> None:
-        """Cast a ray for each pair of point and light that `todo` marks and set its bit."""
+        """Cast a ray for each pair of point, from `start`, and light in `todo`; set its bit."""
         points, targets = np.nonzero(todo)
+        points += start
         for first in range(0, len(points), CHUNK_RAYS):
             part = slice(first, first + CHUNK_RAYS)
             free = ~self.blocked(surface.start[points[part]], lights[targets[part]])

@@ -24,11 +24,10 @@ def mark_coarse(
     coarse: np.ndarray,
     todo: np.ndarray,
 ) -> None:
-    """Mark in `todo` (n, m) the lights above the horizon of each chosen point."""
+    """Set in `todo` (n, m) the lights above the horizon of each chosen point."""
     for i in numba.prange(len(position)):
-        if coarse[i]:
-            for k in range(len(lights)):
-                todo[i, k] = _faces(position[i], normal[i], lights[k])
+        for k in range(len(lights)):
+            todo[i, k] = coarse[i] and _faces(position[i], normal[i], lights[k])
 
 
 @numba.njit(cache=True)
@@ -47,10 +46,13 @@ def fill_between(
     pixel: np.ndarray,
     depth: np.ndarray,
     step: int,
+    first: int,
     bits: np.ndarray,
     todo: np.ndarray,
 ) -> None:
     """Take the coarse neighbours' answer where they agree, mark the other pairs in `todo`.
+
+    Works on a tile of t entries at a time; all coarse pixels must have their answer.
 
     Args:
         position: (n, 3) float32.
@@ -60,18 +62,22 @@ def fill_between(
         pixel: (n,) each entry's pixel, in row order.
         depth: (n,) float32 mm from the camera.
         step: of the coarse grid, px.
+        first: entry of the tile.
         bits: (n, ceil(m / 8)) uint8, set for the coarse pixels; filled in.
-        todo: (n, m) bool, false; filled in.
+        todo: (t, m) bool, filled in.
     """
     height, width = index.shape
-    for i in numba.prange(len(pixel)):
+    for j in numba.prange(len(todo)):
+        i = np.int64(first + j)
+        for k in range(len(lights)):
+            todo[j, k] = False
         row, column = pixel[i] // width, pixel[i] % width
         top, left = row - row % step, column - column % step
         if row == top and column == left:
             continue
         bottom, right = top + step, left + step
         whole = bottom < height and right < width
-        a = b = c = d = np.int64(i)  # prange counts unsigned; mixing would make floats
+        a = b = c = d = i
         if whole:
             a, b = index[top, left], index[top, right]
             c, d = index[bottom, left], index[bottom, right]
@@ -103,4 +109,4 @@ def fill_between(
                     and _faces(position[d], normal[d], lights[k])
                 ):
                     continue
-            todo[i, k] = True
+            todo[j, k] = True

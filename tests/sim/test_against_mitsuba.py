@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from sim.render import shade
+from sim.facets import SKIN_F0
+from sim.lamps import point_lamps
+from sim.olat import shade
+from sim.render import Lobe
 
 RADIUS_MM = 80.0
 LIGHTS_MM = np.array([[300.0, 500.0, 1100.0], [-900.0, 80.0, 860.0], [100.0, -1240.0, 120.0]])
@@ -23,7 +28,9 @@ def sphere_rays(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.nd
     return direction, (CAMERA_MM + distance[:, None] * direction) / RADIUS_MM
 
 
-def mitsuba_radiance(bsdf: dict, light_mm: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def mitsuba_radiance(
+    bsdf: dict[str, Any], light_mm: np.ndarray, directions: np.ndarray
+) -> np.ndarray:
     """(n,) radiance of the sphere, on our scale for a light of weight 1."""
     mi = pytest.importorskip("mitsuba", reason="needs the extra `reference`")
     mi.set_variant("scalar_rgb")
@@ -51,9 +58,13 @@ def mitsuba_radiance(bsdf: dict, light_mm: np.ndarray, directions: np.ndarray) -
 
 
 def our_radiance(
-    light_mm: np.ndarray, directions: np.ndarray, normals: np.ndarray, roughness: float, f0: float
+    light_mm: np.ndarray,
+    directions: np.ndarray,
+    normals: np.ndarray,
+    roughness: float,
+    distribution: str = "beckmann",
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) diffuse part of albedo 0.5 and (n,) specular part."""
+    """(n,) diffuse part of albedo 0.5 and (n,) specular part of F0."""
     count = len(normals)
     diffuse, specular = shade(
         RADIUS_MM * normals,
@@ -61,43 +72,98 @@ def our_radiance(
         normals,
         -directions,
         np.full((count, 3), 0.5),
-        np.full(count, f0),
+        np.full(count, SKIN_F0),
         np.full(count, roughness),
         np.ones((count, 1), np.uint8),
-        light_mm[None],
+        point_lamps(light_mm[None]),
         np.ones((1, 1, 3)),
+        Lobe(distribution),
     )
     return diffuse[0, :, 1], specular[0, :, 1]
 
 
+def facing(light_mm: np.ndarray, directions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(n,) bool: the light and the camera both stand within 66 degrees of the normal."""
+    to_light = light_mm - RADIUS_MM * normals
+    to_light /= np.linalg.norm(to_light, axis=1, keepdims=True)
+    above = np.einsum("nk,nk->n", normals, to_light) > 0.4
+    return above & (np.einsum("nk,nk->n", normals, -directions) > 0.4)
+
+
+def kept_share(bsdf: dict[str, Any]) -> float:
+    """What Mitsuba's diffuse layer of albedo 1 leaves of the light that entered.
+
+    Its internal reflectance and its external transmittance are not each other's adjoint for rough
+    facets, so that some light is lost.
+    """
+    mi = pytest.importorskip("mitsuba", reason="needs the extra `reference`")
+    made = mi.load_dict(bsdf)
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    cosines, context, seen = (nodes + 1) / 2, mi.BSDFContext(), mi.SurfaceInteraction3f()
+    left = 0.0
+    for cosine, weight in zip(cosines, weights / 2, strict=True):
+        seen.wi = mi.Vector3f(np.sqrt(1 - cosine**2), 0, cosine)
+        # `eval` holds the cosine to the light, which comes along the normal.
+        value = made.eval(context, seen, mi.Vector3f(0, 0, 1))[1] / 0.5
+        left += weight * 2 * np.pi * cosine * value
+    return left / (1 - SKIN_F0)
+
+
 @pytest.mark.parametrize("light_mm", LIGHTS_MM)
-def test_diffuse_light_is_that_of_mitsuba(light_mm: np.ndarray) -> None:
+@pytest.mark.parametrize("distribution", ["beckmann", "ggx"])
+@pytest.mark.parametrize("roughness", [0.2, 0.3])
+def test_diffuse_light_is_near_that_of_roughplastic_made_lossless(
+    light_mm: np.ndarray, distribution: str, roughness: float
+) -> None:
+    """The same product of two transmittances.
+
+    Mitsuba takes for lost what one facet throws upon another; ours lets it into the skin, which
+    is what keeps the energy (test_energy). GGX has more such light.
+    """
     directions, normals = sphere_rays(np.random.default_rng(1), 300)
-    truth = mitsuba_radiance({"type": "diffuse", "reflectance": 0.5}, light_mm, directions)
-    found, _ = our_radiance(light_mm, directions, normals, 0.3, 0.028)
+    bsdf = roughplastic(distribution, roughness, 0.0)
+    truth = mitsuba_radiance(bsdf, light_mm, directions) / kept_share(bsdf)
+    found, _ = our_radiance(light_mm, directions, normals, roughness, distribution)
+    front = facing(light_mm, directions, normals)
+    error = found[front] / truth[front] - 1
+    wide = distribution == "ggx"
     assert truth.max() > 0.1
-    np.testing.assert_allclose(found, truth, atol=2e-4 * truth.max())
+    assert np.median(np.abs(error)) < (0.05 if wide else 0.02)
+    assert np.abs(error).max() < (0.12 if wide else 0.06)
+    assert (found[truth == 0] < 1e-3).all()
 
 
 @pytest.mark.parametrize("light_mm", LIGHTS_MM)
+@pytest.mark.parametrize("distribution", ["beckmann", "ggx"])
 @pytest.mark.parametrize("roughness", [0.2, 0.35])
-def test_specular_light_is_that_of_mitsuba(light_mm: np.ndarray, roughness: float) -> None:
-    """A conductor of k = 0 reflects as a dielectric does: exact Fresnel, Beckmann, Smith."""
+def test_specular_light_is_that_of_mitsuba(
+    light_mm: np.ndarray, distribution: str, roughness: float
+) -> None:
+    """A conductor of k = 0 reflects as a dielectric does: exact Fresnel, the same facets."""
     directions, normals = sphere_rays(np.random.default_rng(2), 300)
     bsdf = {
         "type": "roughconductor",
-        "distribution": "beckmann",
+        "distribution": distribution,
         "alpha": roughness,
         "eta": {"type": "rgb", "value": 1.4},
         "k": {"type": "rgb", "value": 0.0},
     }
     truth = mitsuba_radiance(bsdf, light_mm, directions)
-    _, found = our_radiance(light_mm, directions, normals, roughness, (0.4 / 2.4) ** 2)
-    # Ours masks by the height-correlated Smith term, Mitsuba by the separable one, which is darker
-    # at grazing angles only.
-    facing = (normals @ light_mm / np.linalg.norm(light_mm) > 0.4) & (
-        np.einsum("nk,nk->n", normals, -directions) > 0.4
-    )
-    assert truth[facing].max() > 0.001
-    np.testing.assert_allclose(found[facing], truth[facing], rtol=0.02, atol=1e-5)
+    _, found = our_radiance(light_mm, directions, normals, roughness, distribution)
+    front = facing(light_mm, directions, normals)
+    assert truth[front].max() > 0.001
+    np.testing.assert_allclose(found[front], truth[front], rtol=0.03, atol=1e-5)
     assert (found >= truth * 0.98 - 1e-5).all()
+
+
+def roughplastic(distribution: str, roughness: float, specular: float) -> dict[str, Any]:
+    return {
+        "type": "roughplastic",
+        "distribution": distribution,
+        "alpha": roughness,
+        "int_ior": 1.4,
+        "ext_ior": 1.0,
+        "nonlinear": False,
+        "diffuse_reflectance": {"type": "rgb", "value": 0.5},
+        "specular_reflectance": {"type": "rgb", "value": specular},
+    }
