@@ -8,7 +8,7 @@ import numpy as np
 _MASK = 0xFFFFFFFF
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _hash(x: int, y: int, z: int, seed: int) -> int:
     """32 mixed bits of a lattice point."""
     h = (x * 374761393 + y * 668265263 + z * 2147483647 + seed * 1274126177) & _MASK
@@ -17,7 +17,7 @@ def _hash(x: int, y: int, z: int, seed: int) -> int:
     return h ^ (h >> 16)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _gradient(h: int, x: float, y: float, z: float) -> float:
     """Dot product with one of the twelve edge directions of a cube."""
     k = h % 12

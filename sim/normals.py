@@ -19,7 +19,7 @@ def _bend(
     rows, columns = height.shape
     for line in numba.prange(rows):
         # The loop's own index is unsigned: less one it would be a float.
-        r = np.int64(line)
+        r = np.intp(line)
         slope = np.zeros(2)
         tangent = np.zeros((2, 3))
         for c in range(columns):
@@ -30,10 +30,12 @@ def _bend(
                 continue
             nx, ny, nz = nx / length, ny / length, nz / length
             for axis in range(2):
-                back_r, back_c = (r, max(c - 1, 0)) if axis == 0 else (max(r - 1, 0), c)
-                next_r, next_c = (
-                    (r, min(c + 1, columns - 1)) if axis == 0 else (min(r + 1, rows - 1), c)
-                )
+                back_r, back_c, next_r, next_c = r, c, r, c
+                if axis == 0:
+                    back_c, next_c = max(c - 1, 0), min(c + 1, columns - 1)
+                else:
+                    back_r = r - 1 if r > 0 else r
+                    next_r = r + 1 if r + 1 < rows else r
                 if not _joined(position, covered, r, c, back_r, back_c, reach2):
                     back_r, back_c = r, c
                 if not _joined(position, covered, r, c, next_r, next_c, reach2):

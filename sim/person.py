@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -9,8 +11,9 @@ from sim.errors import SimError
 from sim.head import random_head
 from sim.head_maps import surface_normals
 from sim.head_mesh import landmarks
-from sim.skin import make_skin, random_complexion
+from sim.skin import Skin, face_of, make_skin, random_complexion
 from sim.subject import Subject
+from sim.traits import Traits, random_traits
 
 FACE_MIDDLE_MM = np.array([0.0, -40.0, 72.0])
 """The place of the head that is put near the stage's centre."""
@@ -19,21 +22,43 @@ SOURCE = "parametric person of lightstage-sim"
 
 
 def parametric_subject(
-    name: str, seed: int, expression: str = "neutral", texture_rows: int = 1536
+    name: str,
+    seed: int,
+    expression: str = "neutral",
+    texture_rows: int = 1536,
+    traits: Traits | None = None,
 ) -> Subject:
     """A made-up person, sitting in the stage a few mm and degrees off.
 
-    The same seed gives the same person to the byte, whatever the expression: head, skin and pose
-    each have their own stream of random numbers.
+    The same seed and traits give the same person to the byte, whatever the expression: head, skin,
+    pose and who it is each have their own stream of random numbers.
 
     Args:
         name: pseudonym.
         seed: chooses the person.
         expression: ``neutral`` or one of `sim.head_modes.EXPRESSIONS`.
         texture_rows: rows of the maps, a multiple of 3 of at least 96; columns are two thirds.
+        traits: who the person is; None draws it from the seed.
 
     Raises:
         SimError: an unknown expression or a size that the tile cannot have.
+    """
+    return next(person_expressions(name, seed, [expression], texture_rows, traits))
+
+
+def person_expressions(
+    name: str,
+    seed: int,
+    expressions: Sequence[str],
+    texture_rows: int = 1536,
+    traits: Traits | None = None,
+) -> Iterator[Subject]:
+    """One person in several expressions: the skin is painted once, each expression is cheap.
+
+    The subjects share all maps but the normals; arguments and errors as `parametric_subject`.
+
+    Returns:
+        The subjects in the order asked for, each equal to what `parametric_subject` gives.
     """
     if texture_rows < 96 or texture_rows % 3:
         raise SimError(
@@ -42,25 +67,42 @@ def parametric_subject(
             found=str(texture_rows),
             expected="a multiple of 3, at least 96",
         )
-    head_rng, skin_rng, pose_rng = (np.random.default_rng([seed, part]) for part in range(3))
-    head = random_head(head_rng, expression)
-    skin = make_skin(random_complexion(skin_rng), texture_rows, skin_rng)
+    who = random_traits(_stream(seed, 3)) if traits is None else traits
+    heads = [random_head(_stream(seed, 0), expression) for expression in expressions]
+    pose_rng = _stream(seed, 2)
     turn = Rotation.from_rotvec(np.radians(np.clip(pose_rng.normal(0, 2.0, 3), -4, 4))).as_matrix()
     place = np.clip(pose_rng.normal(0, 3.0, 3), -6, 6) + np.array([0.0, 0.0, 6.0])
     # world = turn (head - middle) + place
     shift = place - turn @ FACE_MIDDLE_MM
-    mesh = head.with_vertices(head.vertices @ turn.T + shift)
-    return Subject(
-        name=name,
-        expression=expression,
-        mesh=mesh,
-        diffuse_albedo=skin.diffuse_albedo,
-        specular_albedo=skin.specular_albedo,
-        roughness=skin.roughness,
-        normal=surface_normals(mesh, skin.height_mm),
-        translucency=skin.translucency,
-        landmarks_mm=mesh.vertices[landmarks()],
-        skin=skin.skin,
-        head_from_world=np.concatenate([turn.T, -(turn.T @ shift)[:, None]], axis=1),
-        source=SOURCE,
-    )
+    skin = person_skin(seed, who, texture_rows)
+    for head, expression in zip(heads, expressions, strict=True):
+        mesh = head.with_vertices(head.vertices @ turn.T + shift)
+        yield Subject(
+            name=name,
+            expression=expression,
+            mesh=mesh,
+            diffuse_albedo=skin.diffuse_albedo,
+            specular_albedo=skin.specular_albedo,
+            roughness=skin.roughness,
+            normal=surface_normals(mesh, skin.height_mm(expression)),
+            translucency=skin.translucency,
+            landmarks_mm=mesh.vertices[landmarks()],
+            skin=skin.skin,
+            head_from_world=np.concatenate([turn.T, -(turn.T @ shift)[:, None]], axis=1),
+            source=SOURCE,
+            distribution=skin.distribution,
+            anisotropy=skin.anisotropy,
+        )
+
+
+def person_skin(seed: int, traits: Traits, texture_rows: int) -> Skin:
+    """The skin of a person on our own tile: what all expressions share."""
+    rng = _stream(seed, 1)
+    complexion = random_complexion(rng, traits)
+    face = face_of(texture_rows, texture_rows * 2 // 3, int(rng.integers(2**20)))
+    return make_skin(complexion, face, rng)
+
+
+def _stream(seed: int, part: int) -> np.random.Generator:
+    """Head, skin, pose and traits draw from streams 0 to 3 of the seed."""
+    return np.random.default_rng([seed, part])

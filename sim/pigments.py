@@ -171,27 +171,33 @@ def skin_rgb(
 
 
 @functools.lru_cache(maxsize=8)
-def _table(eumelanin: float) -> np.ndarray:
+def _table(eumelanin: float, config: PigmentConfig) -> np.ndarray:
     """(melanin, blood, 3) float32 colours at places even in the logarithm of both."""
     melanin = np.geomspace(*MELANIN_RANGE, _TABLE_MELANIN)
     blood = np.geomspace(*BLOOD_RANGE, _TABLE_BLOOD)
-    return skin_rgb(melanin[:, None], blood[None], eumelanin).astype(np.float32)
+    return skin_rgb(melanin[:, None], blood[None], eumelanin, config).astype(np.float32)
 
 
-def paint_pigments(melanin: np.ndarray, blood: np.ndarray, eumelanin: float) -> np.ndarray:
+def paint_pigments(
+    melanin: np.ndarray,
+    blood: np.ndarray,
+    eumelanin: float,
+    config: PigmentConfig | None = None,
+) -> np.ndarray:
     """Colour of many texels, looked up in a table of `skin_rgb` (to .2 % of the albedo).
 
     Args:
         melanin: (rows, columns) float32 C_m, clamped to `MELANIN_RANGE`; NaN gives its lower end.
         blood: (rows, columns) float32 C_h, clamped to `BLOOD_RANGE`.
         eumelanin: B_m of the person, 0..1.
+        config: the model's constants.
 
     Returns:
         (rows, columns, 3) float32 linear.
     """
     y = _steps(melanin, MELANIN_RANGE, _TABLE_MELANIN)
     x = _steps(blood, BLOOD_RANGE, _TABLE_BLOOD)
-    table = _table(round(float(eumelanin), 3))
+    table = _table(round(float(eumelanin), 3), config or PigmentConfig())
     return cv2.remap(table, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 

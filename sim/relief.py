@@ -39,7 +39,7 @@ def skin_relief(patch: Patch, strength: float, age: float) -> np.ndarray:
     net = -(0.011 + 0.006 * age) * net_lines(patch, 21)
     grain = 0.0045 * patch.noise(0.8, 2, 22) + 0.008 * patch.noise(2.4, 2, 29)
     skin = pits + 0.016 * fine + net + grain
-    waves = 0.03 * (1 + 0.5 * age) * patch.noise(6.0, 2, 27)
+    waves = 0.016 * (1 + 0.6 * age) * patch.noise(6.0, 2, 27)
     grooves = patch.noise_of(lambda p: p * np.array([1.0, 0.16, 0.16], np.float32), 1.5, 2, 26)
     lip = -0.055 * np.maximum(grooves, -0.4) + 0.008 * patch.noise(0.7, 2, 25)
     out = (1 - lips) * (strength * skin + waves) + lips * lip

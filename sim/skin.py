@@ -1,8 +1,8 @@
-"""Procedural skin in the head's UV tile: colour, gloss, pores and wrinkles of one person.
+"""Procedural skin: colour, gloss, pores and wrinkles of one person, on our tile or any texture.
 
 All patterns live on the surface of the neutral head in mm, so they stay on the face when it moves
-and are round where the UV is stretched. Colour is mixed in optical density: melanin and blood
-absorb, each with its own colour, as in the two-layer pictures of skin ([Donner2006]).
+and are round where the UV is stretched. Colour follows from melanin and blood (`sim.pigments`).
+What does not depend on the expression is painted once; an expression only deepens creases.
 """
 
 from __future__ import annotations
@@ -11,185 +11,184 @@ import dataclasses
 
 import numpy as np
 
-from sim.head_grid import smoothstep
-from sim.skin_masks import Face, add_eyes, brow_share, face_of, hair_share, lash_share
+from sim.relief import skin_relief
+from sim.skin_colour import Marks, person_marks, skin_colour
+from sim.skin_complexion import Complexion, random_complexion
+from sim.skin_creases import (
+    Line,
+    add_creases,
+    crease_chart,
+    crease_depths,
+    crease_height,
+    person_lines,
+)
+from sim.skin_eyes import paint_eyes
+from sim.skin_gloss import (
+    EYE_ROUGHNESS,
+    ROUGHNESS_RANGE,
+    SPECULAR_RANGE,
+    apply_look,
+    facet_stretch,
+    skin_roughness,
+    skin_specular,
+    skin_translucency,
+)
+from sim.skin_hair import (
+    HairCharts,
+    brow_share,
+    draw_hair,
+    lash_share,
+    scalp_share,
+    stubble_share,
+)
+from sim.skin_makeup import MakeUp, put_on, random_make_up
+from sim.skin_parts import Face, Patch, face_from, face_of
 
-# Linear albedo of the lightest skin, and optical density (natural log) of one unit of pigment.
-LIGHT_ALBEDO = np.array([0.58, 0.40, 0.30])
-MELANIN_DENSITY = np.array([1.50, 1.80, 2.02])
-BLOOD_DENSITY = np.array([0.13, 0.62, 0.50])
 MOUTH_ALBEDO = np.array([0.05, 0.02, 0.018], np.float32)
 
 
 @dataclasses.dataclass(frozen=True)
-class Complexion:
-    """What makes one person's skin.
-
-    Attributes:
-        melanin: 0 the lightest to 1 the darkest.
-        yellowness: shift of hue, about -1 to 1.
-        blood: strength of cheeks, nose and lips, about 1.
-        stubble: 0 none to 1 a shadow of a beard.
-        freckles: 0 none to 1 many.
-        pores: strength of the relief, about 1.
-        age: 0 smooth to 1 lined.
-        hair: linear albedo of brows and hair.
-        iris: linear albedo.
-        moles: how many.
-    """
-
-    melanin: float
-    yellowness: float
-    blood: float
-    stubble: float
-    freckles: float
-    pores: float
-    age: float
-    hair: tuple[float, float, float]
-    iris: tuple[float, float, float]
-    moles: int
-
-
-@dataclasses.dataclass(frozen=True)
 class Skin:
-    """Maps in UV, (rows, columns) float32 each.
+    """Maps over a texture, (rows, columns) float32 each.
 
     Attributes:
         diffuse_albedo: (rows, columns, 3) linear.
         specular_albedo: reflectance at normal incidence.
-        roughness: Beckmann m.
+        roughness: Beckmann m (or that of GGX).
         translucency: 0..1.
-        height_mm: relief over the mesh.
-        skin: bool, face skin or lips, no brows.
+        relief_mm: pores, net and hair over the mesh, without creases.
+        skin: bool, face skin or lips, no hair.
+        anisotropy: 0..0.9, None where facets are round.
+        distribution: of the facets, ``beckmann`` or ``ggx``.
+        lines: the person's creases.
+        age: 0 smooth to 1 lined.
+        face: what was painted.
     """
 
     diffuse_albedo: np.ndarray
     specular_albedo: np.ndarray
     roughness: np.ndarray
     translucency: np.ndarray
-    height_mm: np.ndarray
+    relief_mm: np.ndarray
     skin: np.ndarray
+    anisotropy: np.ndarray | None
+    distribution: str
+    lines: tuple[Line, ...]
+    age: float
+    face: Face
+
+    def height_mm(self, expression: str | None = None) -> np.ndarray:
+        """(rows, columns) float32 mm: the relief with the creases of an expression."""
+        chart = crease_chart(self.lines, crease_depths(self.age, expression), self.face.texel_mm)
+        return add_creases(self.relief_mm, self.face, chart)
 
 
-def random_complexion(rng: np.random.Generator) -> Complexion:
-    """Draw a person's colours: all tones from light to dark, hair and eyes that go with them."""
-    melanin = float(rng.beta(1.1, 1.3))
-    fair = max(0.0, 1.0 - 2.2 * melanin)
-    hair_light = fair * rng.uniform() ** 1.5
-    hair = np.array([0.022, 0.016, 0.013]) * (1 - hair_light) + hair_light * np.array(
-        [0.20, 0.13, 0.07]
-    )
-    blue = fair * rng.uniform()
-    iris = np.array([0.09, 0.045, 0.022]) * (1 - blue) + blue * np.array([0.14, 0.20, 0.24])
-    bearded = rng.uniform() < 0.5
-    return Complexion(
-        melanin=melanin,
-        yellowness=float(rng.normal(0, 0.5)),
-        blood=float(rng.uniform(0.7, 1.3)),
-        stubble=float(bearded * rng.uniform(0.3, 1.0)),
-        freckles=float((rng.uniform() < 0.35) * fair * rng.uniform(0.3, 1.0)),
-        pores=float(rng.uniform(0.7, 1.3)),
-        age=float(rng.uniform() ** 1.3),
-        hair=(float(hair[0]), float(hair[1]), float(hair[2])),
-        iris=(float(iris[0]), float(iris[1]), float(iris[2])),
-        moles=int(rng.integers(2, 9)),
-    )
+@dataclasses.dataclass(frozen=True)
+class _Plan:
+    """All that chance decides, drawn before the first strip."""
+
+    complexion: Complexion
+    marks: Marks
+    hair: HairCharts
+    make_up: MakeUp | None
+    lines: tuple[Line, ...]
 
 
-def make_skin(complexion: Complexion, rows: int, rng: np.random.Generator) -> Skin:
-    """Paint one person's skin.
+def make_skin(complexion: Complexion, face: Face, rng: np.random.Generator) -> Skin:
+    """Paint one person's skin, strip by strip.
 
     Args:
         complexion: its colours and strengths.
-        rows: of the tile; columns are two thirds of it.
-        rng: where spots and noise lie.
+        face: our own tile (`face_of`) or any head's texture (`face_from`); its seed is the noise.
+        rng: where spots, hairs and lines lie. The same draws whatever the texture's size.
 
     Returns:
-        The maps. Albedos lie in 0..1, normal skin between the lightest and the darkest tone.
+        The maps.
     """
-    face = face_of(rows, rows * 2 // 3, int(rng.integers(2**20)))
-    brow = brow_share(face)
-    hair = hair_share(face)
-    pore, crease = _pores(face, complexion), _creases(face, complexion)
-    height = (pore + crease) * (1 - face.eyes)
-    albedo = _pigments(face, complexion, rng) * (1 + 1.2 * np.minimum(height, 0))[..., None]
-    dark = np.array(complexion.hair, np.float32)
-    albedo += (brow + hair - brow * hair)[..., None] * (dark - albedo)
-    lash = lash_share(face)
-    albedo += 0.85 * lash[..., None] * (np.float32(0.6) * dark - albedo)
-    albedo += 0.9 * face.mouth_inside[..., None] * (MOUTH_ALBEDO - albedo)
-    add_eyes(albedo, face, complexion.iris)
-    gloss = _gloss(face, height)
-    specular = gloss * (1 - 0.35 * np.maximum(brow, hair))
-    specular += face.eyes * (0.026 - specular)
-    roughness = 0.31 - 0.055 * face.oily - 0.05 * face.lips + 0.012 * face.noise(3.0, 2, 40)
-    roughness = np.clip(roughness, 0.2, 0.35)
-    roughness += face.eyes * (0.2 - roughness)
-    through = 0.6 + 0.35 * face.ears + 0.2 * face.lips + 0.2 * face.nose
-    through = through * (1 - 0.9 * face.eyes) * (1 - 0.5 * hair)
-    bare = (face.skin + face.lips > 0.5) & (brow < 0.25) & (hair < 0.25) & (lash < 0.3)
-    bare &= face.mouth_inside < 0.3
+    c = complexion
+    plan = _Plan(
+        c,
+        person_marks(c, rng),
+        draw_hair(rng, c.brow, face.texel_mm, c.lashes),
+        random_make_up(c, rng) if c.look == "make-up" else None,
+        person_lines(rng),
+    )
+    shape = (face.rows, face.columns)
+    albedo = np.empty((*shape, 3), np.float32)
+    specular, roughness, through, relief = (np.empty(shape, np.float32) for _ in range(4))
+    bare = np.empty(shape, bool)
+    stretch = np.empty(shape, np.float32) if c.look == "anisotropic" else None
+    resting = crease_chart(plan.lines, crease_depths(c.age, None), face.texel_mm)
+    for patch in face.strips():
+        part = patch.rows
+        creases = crease_height(patch, resting)
+        albedo[part], specular[part], roughness[part], relief[part], bare[part] = _paint(
+            patch, plan, creases
+        )
+        through[part] = skin_translucency(patch) * (1 - 0.9 * patch.mask("eyes"))
+        if stretch is not None:
+            stretch[part] = facet_stretch(patch)
+    if face.covered is not None:
+        bare &= face.covered
     return Skin(
-        np.clip(albedo, 0.004, 0.95).astype(np.float32),
-        np.clip(specular, 0.012, 0.05).astype(np.float32),
-        roughness.astype(np.float32),
-        np.clip(through, 0, 1).astype(np.float32),
-        height.astype(np.float32),
+        albedo,
+        specular,
+        roughness,
+        through,
+        relief,
         bare,
+        stretch,
+        "ggx" if c.look == "ggx" else "beckmann",
+        plan.lines,
+        c.age,
+        face,
     )
 
 
-def _pigments(face: Face, c: Complexion, rng: np.random.Generator) -> np.ndarray:
-    """(rows, columns, 3) albedo of bare skin and lips."""
-    melanin = c.melanin + (0.02 + 0.05 * c.melanin) * face.noise(45.0, 2, 1)
-    melanin += 0.014 * face.noise(7.0, 3, 2) + 0.008 * face.noise(1.6, 2, 3)
-    melanin += 0.05 * face.below_eyes - 0.02 * face.cheeks + 0.03 * face.forehead
-    spots, label = face.cells(3.2, 4)
-    freckle = smoothstep(1.5, 0.5, spots / (0.35 + 0.9 * label)) * (label < 0.55)
-    melanin += 0.22 * c.freckles * freckle * face.freckled
-    for _ in range(c.moles):
-        melanin += face.spot(rng, 0.7, 1.9) * rng.uniform(0.25, 0.7)
-    blood = 0.10 + 0.30 * face.cheeks + 0.30 * face.nose + 0.28 * face.ears + 0.14 * face.chin
-    blood += 0.2 * face.lid_rims + 0.12 * face.below_eyes
-    blood *= 1 + 0.18 * face.noise(9.0, 3, 5)
-    blood += 0.03 * face.noise(2.2, 2, 6) + 0.05 * face.noise(30.0, 2, 7)
-    for _ in range(c.moles):
-        blood += face.spot(rng, 1.0, 2.6) * rng.uniform(0.1, 0.5)
-    blood = np.maximum(blood, 0) * (1 - face.lips) + face.lips * (0.66 + 0.08 * face.noise(3, 2, 8))
-    melanin += 0.10 * face.lips * (0.4 + c.melanin)
-    density = melanin[..., None] * MELANIN_DENSITY.astype(np.float32)
-    density += (c.blood * blood)[..., None] * BLOOD_DENSITY.astype(np.float32)
-    density += c.yellowness * np.array([-0.02, 0.0, 0.09], np.float32)
-    hairs, _ = face.cells(1.1, 9)
-    beard = c.stubble * face.beard * (0.35 + 0.65 * smoothstep(0.55, 0.2, hairs))
-    density += beard[..., None] * np.array([0.42, 0.40, 0.33], np.float32)
-    return np.asarray(LIGHT_ALBEDO.astype(np.float32) * np.exp(-density))
+def _paint(
+    patch: Patch, plan: _Plan, creases_mm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Albedo, specular, roughness, relief and bare skin of one strip."""
+    c = plan.complexion
+    eyes = patch.mask("eyes")
+    relief = skin_relief(patch, c.pores, c.age)
+    hollow = relief + 0.35 * creases_mm
+    albedo = skin_colour(patch, c, plan.marks, hollow)
+    specular, roughness = skin_specular(patch, c, hollow), skin_roughness(patch, c)
+    apply_look(c.look, patch, albedo, specular, roughness)
+    if plan.make_up is not None:
+        put_on(plan.make_up, patch, albedo, specular, roughness)
+    brow, lash = brow_share(patch, plan.hair), lash_share(patch, plan.hair)
+    beard = stubble_share(patch, c.stubble)
+    scalp, strands = scalp_share(patch, c.recession_mm, c.hair_cover)
+    tone = np.array(c.brow_hair, np.float32)
+    for share, colour in ((beard, tone), (brow, tone), (lash, 0.55 * tone)):
+        albedo += share[..., None] * (colour - albedo)
+    shaded = np.array(c.hair, np.float32) * (1 + 0.6 * strands)[..., None]
+    albedo += scalp[..., None] * (shaded - albedo)
+    hair = np.maximum(np.maximum(brow, scalp), lash)
+    paint_eyes(albedo, patch, c.iris, c.age)
+    specular *= 1 - 0.45 * np.maximum(hair, 0.5 * beard)
+    specular += eyes * (0.026 - specular)
+    roughness += 0.05 * np.maximum(scalp, brow)
+    roughness = np.clip(roughness, *ROUGHNESS_RANGE)
+    roughness += eyes * (EYE_ROUGHNESS - roughness)
+    relief = relief + scalp * (0.09 * strands) + 0.05 * brow + 0.03 * beard
+    free = (patch.mask("skin") + patch.mask("lips") > 0.5) & (np.maximum(hair, beard) < 0.3)
+    return (
+        np.clip(albedo, 0.004, 0.95),
+        np.clip(specular, *SPECULAR_RANGE),
+        roughness,
+        relief.astype(np.float32),
+        free,
+    )
 
 
-def _pores(face: Face, c: Complexion) -> np.ndarray:
-    """Relief of pores and the fine net between them, mm."""
-    distance, label = face.cells(1.15, 20)
-    width = 0.22 + 0.12 * label
-    pit = -np.exp(-0.5 * (distance / width) ** 2) * (0.35 + 0.65 * label)
-    coarse = 0.030 + 0.035 * face.nose + 0.022 * face.cheeks + 0.01 * face.forehead
-    net = 0.010 * face.noise(0.9, 2, 21) + 0.008 * face.noise(2.4, 2, 22)
-    return np.asarray(c.pores * (coarse * pit + net) * (1 - 0.75 * face.lips))
-
-
-def _creases(face: Face, c: Complexion) -> np.ndarray:
-    """Relief of lines: forehead, corners of the eyes, lips; mm."""
-    wavy = face.position[..., 1] + 2.2 * face.noise(28.0, 2, 23)
-    lines = -np.exp(-0.5 * ((np.mod(wavy, 9.5) - 4.75) / 0.8) ** 2)
-    forehead = 0.22 * c.age * lines * face.forehead * (0.6 + 0.4 * face.noise(20.0, 1, 24))
-    fan = np.sin(face.eye_angle * 17 + 1.5 * face.noise(9.0, 1, 25))
-    crow = -0.10 * c.age * face.crow * smoothstep(0.2, 1.0, fan)
-    grain = face.noise_of(face.position * np.array([1.0, 0.18, 0.18], np.float32), 1.5, 2, 26)
-    lips = -0.05 * face.lips * np.maximum(grain, 0)
-    return np.asarray(forehead + crow + lips + 0.03 * face.noise(5.0, 2, 27) * (1 - face.lips))
-
-
-def _gloss(face: Face, height: np.ndarray) -> np.ndarray:
-    """Specular albedo of skin: more on nose and forehead, less in pores and below the eyes."""
-    region = 0.024 + 0.008 * face.oily + 0.006 * face.lips - 0.004 * face.below_eyes
-    variation = 1 + 0.07 * face.noise(10.0, 3, 30) + 0.05 * face.noise(1.8, 2, 31)
-    return np.asarray(region * variation * (1 + 4.5 * np.clip(height, -0.1, 0.03)))
+__all__ = [
+    "Complexion",
+    "Skin",
+    "face_from",
+    "face_of",
+    "make_skin",
+    "random_complexion",
+]

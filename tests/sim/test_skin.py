@@ -1,11 +1,10 @@
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import vertex_normals
@@ -13,15 +12,17 @@ from sim.errors import SimError
 from sim.head_maps import surface_normals, to_tile
 from sim.head_mesh import landmarks, neutral_mesh
 from sim.head_noise import cell_noise, gradient_noise, octaves
-from sim.person import parametric_subject
-from sim.skin import make_skin, random_complexion
+from sim.person import parametric_subject, person_skin
+from sim.skin import face_of, make_skin, random_complexion
+from sim.traits import Traits
 
 ROWS = 192
 
 
 def skin_of(seed: int, rows: int = ROWS):
     rng = np.random.default_rng(seed)
-    return make_skin(random_complexion(rng), rows, rng)
+    face = face_of(rows, rows * 2 // 3, int(rng.integers(2**20)))
+    return make_skin(random_complexion(rng), face, rng)
 
 
 def plain_hash(x: int, y: int, z: int, seed: int) -> int:
@@ -116,42 +117,36 @@ def test_noise_is_the_same_on_any_number_of_threads():
     assert np.array_equal(one, many)
 
 
-@settings(max_examples=12, deadline=None)
+MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "translucency", "relief_mm")
+
+
+@settings(max_examples=8, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(st.integers(0, 2**32 - 1))
 def test_skin_is_physical_for_any_seed(seed):
-    skin = skin_of(seed)
-    for image in dataclasses.astuple(skin):
-        assert np.isfinite(image).all()
+    skin = skin_of(seed, 96)
+    for name in MAPS:
+        assert np.isfinite(getattr(skin, name)).all()
     assert skin.diffuse_albedo.min() > 0
     assert skin.diffuse_albedo.max() < 1
-    bare = skin.diffuse_albedo[skin.skin]
-    red, green, blue = bare.mean(axis=0)
-    assert 0.08 < red < 0.65
-    assert red > green > blue > 0.02
-    assert 0.2 <= skin.roughness.min() <= skin.roughness.max() <= 0.3501
-    face = skin.specular_albedo[skin.skin]
-    assert 0.023 < face.mean() < 0.033
-    assert 1.4 < np.percentile(face, 99) / np.percentile(face, 1) < 2.6
-    assert np.abs(skin.height_mm).max() < 0.8
+    red, green, blue = skin.diffuse_albedo[skin.skin].mean(axis=0)
+    assert 0.04 < red < 0.65
+    assert red > green > blue > 0.01
+    assert 0.02 < skin.specular_albedo[skin.skin].mean() < 0.035
+    rough = skin.roughness[skin.skin]
+    assert 0.12 <= rough.min() <= rough.max() <= 0.42
+    assert np.abs(skin.relief_mm).max() < 0.6
     assert 0 <= skin.translucency.min() <= skin.translucency.max() <= 1
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not():
-    one, same, other = skin_of(5), skin_of(5), skin_of(6)
-    for name in ("diffuse_albedo", "specular_albedo", "roughness", "height_mm", "skin"):
+    one, same, other = skin_of(5, 96), skin_of(5, 96), skin_of(6, 96)
+    for name in (*MAPS, "skin"):
         assert getattr(one, name).tobytes() == getattr(same, name).tobytes()
         assert getattr(one, name).tobytes() != getattr(other, name).tobytes()
 
 
-def test_skin_tones_range_from_dark_to_light():
-    people = [skin_of(seed, 96) for seed in range(16)]
-    red = [skin.diffuse_albedo[skin.skin].mean(axis=0)[0] for skin in people]
-    assert min(red) < 0.19
-    assert max(red) > 0.42
-
-
 def test_lips_are_redder_and_brows_darker_than_the_cheek():
-    skin = skin_of(8)
+    skin = person_skin(8, Traits("female", 25.0, 2), ROWS)
     mesh = neutral_mesh()
     grid = to_tile(mesh.vertices, *skin.skin.shape)
 
@@ -161,7 +156,7 @@ def test_lips_are_redder_and_brows_darker_than_the_cheek():
 
     cheek, brow = colour(mesh.vertices[landmarks()[14]]), colour(mesh.vertices[landmarks()[24]])
     lip = colour(mesh.vertices[landmarks()[57]] + (0, 3, 0))
-    assert lip[0] / lip[1] > 1.1 * cheek[0] / cheek[1]
+    assert lip[0] / lip[1] > 1.15 * cheek[0] / cheek[1]
     assert brow.mean() < 0.7 * cheek.mean()
 
 
@@ -169,7 +164,7 @@ def test_maps_of_another_size_show_the_same_person():
     small, large = skin_of(3, 192), skin_of(3, 384)
     halved = large.diffuse_albedo.reshape(192, 2, 128, 2, 3).mean(axis=(1, 3))
     both = small.skin & large.skin.reshape(192, 2, 128, 2).all(axis=(1, 3))
-    assert np.abs(halved - small.diffuse_albedo)[both].mean() < 0.04
+    assert np.abs(halved - small.diffuse_albedo)[both].mean() < 0.02
 
 
 def test_normals_of_a_flat_relief_are_the_meshs_own():
