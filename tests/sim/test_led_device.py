@@ -87,7 +87,7 @@ def test_a_repeated_packet_is_answered_with_what_is_lit_by_then():
         counts[broken] = 65535
         return Shining(counts, counts)
 
-    device = LedProtocol(3, BOOT, lambda levels: None, lamps)
+    device = LedProtocol(3, BOOT, lambda _: None, lamps)
     assert device.feed(packet(0x11, 5)) == lit(5, 0, 0, 0)
     broken.append(1)
     device.refresh()
