@@ -22,13 +22,15 @@ from sim.camera_device import CameraFolders
 from sim.chart import calibrate_colour
 from sim.dng import Exif, dng_bytes
 from sim.errors import SimError
+from sim.faults import FaultLog, Story
 from sim.flaws import CaptureFlaws
 from sim.led_device import LedDevice
 from sim.optics import own_rng
+from sim.polarised import seen_through
 from sim.sensor import Sensor, make_sensor
-from sim.session import flaws_path
+from sim.session import faults_path, flaws_path
 from sim.shooting import LitSubject, Shooting
-from sim.world import World
+from sim.story_cameras import ATTEMPTS, TIMEOUT_S, Lens, StoryCameras
 
 SETTLE_TIMEOUT_S = 110.0
 """Lamps of the simulator settle when nine pictures are rendered; the driver waits that long."""
@@ -48,21 +50,19 @@ class Photographer:
         seed: of lenses, sensors, sway and noise.
         flaws: what the apparatus does to the light; the default adds the sensor's noise alone.
         sequence: patterns that will be shot, in order; other states are taken as the first of them.
-        lit: photographs the person in place of `world`, such as the path-traced reference.
     """
 
     def __init__(
         self,
-        world: World,
+        world: LitSubject,
         seed: int,
         flaws: CaptureFlaws | None = None,
         sequence: Sequence[str] = (),
-        lit: LitSubject | None = None,
     ) -> None:
         self.world = world
         self.seed = seed
         flaws = flaws or CaptureFlaws()
-        self.shooting = Shooting(lit or world, flaws, seed)
+        self.shooting = Shooting(world, flaws, seed)
         self._shots: dict[bytes, int] = {}
         for shot, name in enumerate(sequence):
             # An unknown name is refused by `lightstage capture`, in its own words.
@@ -78,7 +78,7 @@ class Photographer:
         """One camera's DNG under (m,) levels."""
         return self._develop(camera, levels, self._light(camera, levels))
 
-    def photographs(self, levels: np.ndarray, folders: CameraFolders) -> None:
+    def photographs(self, levels: np.ndarray, folders: Lens) -> None:
         """Put what every camera sees under (m,) levels into its folder."""
         with ThreadPoolExecutor(1) as pool:
             pending = []
@@ -127,9 +127,7 @@ class Photographer:
         shot = self._shots.get(_state(levels), 0)
         return self.shooting.light(camera.id, levels[None], [shot], self._exposure_s)[0]
 
-    def _put(
-        self, camera: Camera, levels: np.ndarray, light: np.ndarray, folders: CameraFolders
-    ) -> None:
+    def _put(self, camera: Camera, levels: np.ndarray, light: np.ndarray, folders: Lens) -> None:
         folders.put(camera.id, self._develop(camera, levels, light))
 
     def _develop(self, camera: Camera, levels: np.ndarray, light: np.ndarray) -> bytes:
@@ -145,12 +143,12 @@ def _state(levels: np.ndarray) -> bytes:
 
 
 def capture_session(
-    world: World,
+    world: LitSubject,
     out: Path,
     seed: int,
     sequence: str,
     flaws: CaptureFlaws | None = None,
-    lit: LitSubject | None = None,
+    story: Story | None = None,
 ) -> Path:
     """Let `lightstage capture` photograph a simulated person.
 
@@ -164,29 +162,45 @@ def capture_session(
         seed: of sensors and noise.
         sequence: as `lightstage capture` takes it; that command draws its own bar.
         flaws: as in `Photographer`. What was done is written into the truth's folder.
-        lit: as in `Photographer`.
+        story: what goes wrong with the devices; what happened is written beside that. The cameras
+            are simulated ones then, which can have every fault.
 
     Raises:
         SimError: the capture failed (it has said why on stderr).
     """
     patterns = sequence_patterns(sequence)
-    photographer = Photographer(world, seed, flaws, patterns, lit)
+    world = seen_through(world, patterns)
+    photographer = Photographer(world, seed, flaws, patterns)
     with tempfile.TemporaryDirectory(prefix="lightstage-sim-") as name:
         desk = Path(name)
-        folders = CameraFolders(desk / "cameras", [camera.id for camera in world.rig.cameras])
-        photographer.photographs(np.zeros(len(world.rig.lights)), folders)
+        dark = np.zeros(len(world.rig.lights))
+        folders: CameraFolders | StoryCameras
+        log, timeout_s, attempts = FaultLog(), SETTLE_TIMEOUT_S, 1
+        if story is None:
+            folders = CameraFolders(desk / "cameras", [camera.id for camera in world.rig.cameras])
+        else:
+            log, timeout_s, attempts = _new_log(faults_path(out)), TIMEOUT_S, ATTEMPTS
+            folders = StoryCameras(desk / "cameras", world.rig, story, log)
+            for pattern in patterns:
+                levels = pattern_levels(pattern, world.rig)
+                photographer.photographs(levels, folders.shelf(levels))
+            photographer.photographs(dark, folders.shelf(dark))
+
+        def show(levels: np.ndarray) -> None:
+            if not (isinstance(folders, StoryCameras) and folders.recall(levels)):
+                photographer.photographs(levels, folders)
+
+        show(dark)
         save_rig(world.rig, desk / "rig.json")
         write_json(desk / "colour.json", photographer.colour_calibration())
         write_text(desk / "cameras.toml", folders.cameras_file())
-
-        def show(levels: np.ndarray) -> None:
-            photographer.photographs(levels, folders)
-
-        with LedDevice(len(world.rig.lights), show) as device:
+        banks = [light.bank for light in world.rig.lights]
+        with LedDevice(len(banks), show, 1, story, log, banks) as device:
             command = [
                 *(sys.executable, "-m", "lightstage", "capture"),
                 *("--rig", str(desk / "rig.json"), "--sequence", sequence, "--out", str(out)),
-                *("--leds", device.url(SETTLE_TIMEOUT_S), "--cameras", str(desk / "cameras.toml")),
+                *("--leds", device.url(timeout_s, attempts)),
+                *("--cameras", str(desk / "cameras.toml")),
                 *("--subject", world.subject.name, "--expression", world.subject.expression),
                 *("--colour", str(desk / "colour.json")),
             ]
@@ -206,6 +220,12 @@ def capture_session(
         )
     write_json(flaws_path(out), photographer.record(patterns))
     return out
+
+
+def _new_log(path: Path) -> FaultLog:
+    """A log in an empty file: also where nothing happens, it is there to be read."""
+    write_text(path, "")
+    return FaultLog(path)
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ import numpy as np
 
 from lightstage.formats.config import as_dict, make_config, read_toml
 from sim.errors import SimError
+from sim.lamps import LampConfig
 from sim.sensor import SensorConfig
 
 
@@ -93,9 +94,13 @@ class SwayConfig:
 
 @dataclasses.dataclass(frozen=True)
 class CaptureFlaws:
-    """Everything that a simulated capture does to the light."""
+    """Everything that a simulated capture does to the light.
+
+    `lamps` are what the stage's lights really shine; the rig of the session does not tell.
+    """
 
     lens: LensConfig = LensConfig()
+    lamps: LampConfig = dataclasses.field(default_factory=LampConfig)
     pulses: PulseConfig = PulseConfig()
     room: RoomConfig = RoomConfig()
     sway: SwayConfig = SwayConfig()
@@ -115,6 +120,7 @@ PRESETS: dict[str, CaptureFlaws] = {
             focus_error_mm=5.0,
             distortion_k1=-0.03,
         ),
+        lamps=LampConfig(gain_spread=0.02, colour_spread=0.005),
         pulses=PulseConfig(frequency_hz=2000.0),
         room=RoomConfig(ambient=0.002),
         sway=SwayConfig(sway_mm=0.3, sway_deg=0.1),
@@ -132,6 +138,7 @@ PRESETS: dict[str, CaptureFlaws] = {
             focus_error_mm=40.0,
             distortion_k1=-0.3,
         ),
+        lamps=LampConfig(gain_spread=0.1, colour_spread=0.03),
         pulses=PulseConfig(frequency_hz=120.0),
         room=RoomConfig(ambient=0.05),
         sway=SwayConfig(sway_mm=3.0, sway_deg=1.5),

@@ -7,29 +7,28 @@ import functools
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lightstage.rig import Rig
-from sim.lamps import light_weights
+from sim.lamps import Lamps
 
 DIRECTIONS = 20_000
 
 
-def even_levels(rig: Rig) -> np.ndarray:
+def even_levels(lamps: Lamps) -> np.ndarray:
     """Levels of the stage's lamps that make the field nearest to light from everywhere.
 
     Each lamp stands for the directions nearest to it. So room light needs no renderer of its own:
     it is one more state of the lamps, with the subject's shadows.
 
     Args:
-        rig: the lamps.
+        lamps: what can shine.
 
     Returns:
         (m,) at least 0, not bounded by 1: a white diffuser in the middle reads about 1 whichever
         way it faces. Lamps of no light are left out.
     """
-    weights = light_weights(rig).mean(axis=1)
+    weights = lamps.weights.mean(axis=1)
     alive = np.flatnonzero(weights > 0)
     # Integrated over the sphere, cosine / pi gives a diffuser its reading of an even field.
-    weights_wanted = _shares(rig.positions_mm[alive].tobytes(), len(alive)) * 4.0
+    weights_wanted = _shares(lamps.positions_mm[alive].tobytes(), len(alive)) * 4.0
     levels = np.zeros(len(weights))
     levels[alive] = weights_wanted / weights[alive]
     return levels

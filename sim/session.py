@@ -18,7 +18,8 @@ from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import save_rig
 from sim.errors import SimError
 from sim.flaws import CaptureFlaws
-from sim.shooting import LitSubject, Shooting
+from sim.polarised import behind_polarisers, is_polarised
+from sim.shooting import Shooting
 from sim.truth import landmarks_px
 from sim.world import World
 
@@ -48,6 +49,11 @@ def flaws_path(session: Path) -> Path:
     return truth_path(session) / "flaws.json"
 
 
+def faults_path(session: Path) -> Path:
+    """Where it is told what went wrong with the devices, in the session's truth."""
+    return truth_path(session) / "faults.jsonl"
+
+
 def require_new(out: Path) -> None:
     """SimError when a session is there already: photographs are never overwritten."""
     if (out / "session.json").exists() or (out / "journal.jsonl").exists():
@@ -63,7 +69,6 @@ def write_direct(
     seed: int,
     progress: ProgressCallback,
     flaws: CaptureFlaws | None = None,
-    lit: LitSubject | None = None,
 ) -> Path:
     """Write a session of linear EXR frames without any device.
 
@@ -77,7 +82,6 @@ def write_direct(
         seed: of the landmark clicks, lenses and sway.
         progress: of frames.
         flaws: what the apparatus does to the light; the default does nothing.
-        lit: photographs the person in place of `world`, such as the path-traced reference.
 
     Returns:
         `out`. session.json is written last, so a folder without it is unfinished.
@@ -86,18 +90,25 @@ def write_direct(
     levels = {name: pattern_levels(name, world.rig) for name in patterns}
     created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     save_rig(world.rig, out / "rig.json")
-    shooting = Shooting(lit or world, flaws or CaptureFlaws(), seed)
+    shooting = Shooting(world, flaws or CaptureFlaws(), seed)
+    through = [is_polarised(name) for name in patterns]
+    filtered = shooting
+    if any(through):
+        filtered = Shooting(behind_polarisers(world), flaws or CaptureFlaws(), seed)
     frames: list[Frame] = []
     total = len(patterns) * len(world.rig.cameras)
     # Rays are cast anew for each pose of a swaying subject, so its photographs go pose by pose.
     together = 1 if shooting.sways else len(patterns)
-    order = list(range(len(patterns)))
-    batches = [order[k : k + together] for k in range(0, len(order), together)]
+    batches = []
+    for polarised in (False, True):
+        some = [k for k in range(len(patterns)) if through[k] == polarised]
+        batches += [some[k : k + together] for k in range(0, len(some), together)]
     with ThreadPoolExecutor(2) as pool:
         for batch in batches:
             states = np.stack([levels[patterns[k]] for k in batch])
             for camera in world.rig.cameras:
-                pictures = shooting.light(camera.id, states, batch)
+                seen = filtered if through[batch[0]] else shooting
+                pictures = seen.light(camera.id, states, batch)
                 paths = [f"frames/{patterns[k]}/{camera.id}.exr" for k in batch]
                 list(pool.map(lambda p, image: write_exr(out / p, image), paths, pictures))
                 frames += [

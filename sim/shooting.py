@@ -9,6 +9,7 @@ import numpy as np
 from lightstage.formats.config import as_dict
 from lightstage.rig import Rig
 from sim.flaws import CaptureFlaws
+from sim.lamps import Lamps
 from sim.optics import Lens, make_lens, own_rng
 from sim.pulses import band_gain
 from sim.room import even_levels
@@ -28,7 +29,11 @@ class LitSubject(Protocol):
     """A subject in a rig that can be photographed: `World`, or the path-traced reference."""
 
     rig: Rig
-    surfaces: dict[str, Surface]
+    lamps: Lamps
+
+    @property
+    def surfaces(self) -> dict[str, Surface]:
+        """What each camera's pixels see."""
 
     @property
     def subject(self) -> Subject:
@@ -36,6 +41,9 @@ class LitSubject(Protocol):
 
     def photograph(self, camera_id: str, levels: np.ndarray) -> np.ndarray:
         """Pictures (s, h, w, 3) under (s, m) levels, linear in them."""
+
+    def skin_peak(self, quantile: float = 0.999) -> np.ndarray:
+        """(3,) what the brightest skin reads under `full`."""
 
     def with_subject(self, subject: Subject) -> LitSubject:
         """The same stage with another subject, or the same one elsewhere."""
@@ -152,7 +160,7 @@ class Shooting:
         lens, flaws = self.lenses[camera_id], self.flaws
         steady = exposure_s is None or flaws.pulses.frequency_hz <= 0
         ambient = flaws.room.ambient * np.array(flaws.room.ambient_rgb, np.float32)
-        room = even_levels(world.rig)[None] if ambient.any() else levels[:0]
+        room = even_levels(world.lamps)[None] if ambient.any() else levels[:0]
         if steady:
             light = world.photograph(camera_id, np.concatenate([levels, room]))
         else:

@@ -13,8 +13,8 @@ from sim.errors import SimError
 from sim.lamps import Lamps
 from sim.target_light import FINER, Window, corner_rays, white_reading, window
 
-MIRROR_FINER = 8
-"""Subpixels along a side of a pixel that shows a lamp in the mirror."""
+MIRROR_FINER = 16
+"""Subpixels along a side of a pixel that shows a lamp in the mirror: lamps are small in it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -233,6 +233,7 @@ def _reflect(
                 continue
             # On the ball's outline, where rays turn without end, every lamp is looked for.
             near = 1.5 * math.sqrt(turned) if met == 5 else 4.0
+            steps = finer if met == 5 else FINER
             for k in range(len(lamps)):
                 x, y, z = lamps[k, 0] - px, lamps[k, 1] - py, lamps[k, 2] - pz
                 far = math.sqrt(x * x + y * y + z * z)
@@ -240,10 +241,10 @@ def _reflect(
                 if off2 > (near + 2.0 * lamp_radius / far) ** 2:
                     continue
                 share = 0.0
-                for i in range(finer):
-                    v = (i + 0.5) / finer
-                    for j in range(finer):
-                        u = (j + 0.5) / finer
+                for i in range(steps):
+                    v = (i + 0.5) / steps
+                    for j in range(steps):
+                        u = (j + 0.5) / steps
                         w0, w1, w2, w3 = (1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u
                         found, qx, qy, qz, x, y, z = _bounce(
                             eye,
@@ -260,4 +261,4 @@ def _reflect(
                         if along > 0.0 and miss2 < lamp_radius * lamp_radius and aside > 0.0:
                             share += aside**exponent
                 for channel in range(3):
-                    out[row, column, channel] += share / (finer * finer) * bright[k, channel]
+                    out[row, column, channel] += share / (steps * steps) * bright[k, channel]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import cv2
 import numpy as np
@@ -37,7 +38,7 @@ class BoardConfig:
     columns: int = 8
     rows: int = 11
     square_mm: float = 20.0
-    marker_mm: float = 15.0
+    marker_mm: float = 12.0
     margin_mm: float = 8.0
     texels_per_mm: int = 12
 
@@ -53,22 +54,24 @@ class BoardConfig:
 
     def plane(self, world_from_target: np.ndarray) -> Plane:
         """The board in the stage, its origin the outer corner of its first square."""
-        margin = round(self.margin_mm * self.texels_per_mm)
-        inner = (
-            round(self.columns * self.square_mm * self.texels_per_mm),
-            round(self.rows * self.square_mm * self.texels_per_mm),
-        )
-        printed = self.board().generateImage(inner, marginSize=0, borderBits=1)
-        printed = np.pad(printed, margin, constant_values=255)
-        grey = np.where(printed > 127, PAPER, INK).astype(np.float32)
-        size = np.array(grey.shape[::-1]) / self.texels_per_mm
-        corner = -margin / self.texels_per_mm
-        return Plane(
-            np.repeat(grey[..., None], 3, axis=2),
-            (corner, corner),
-            (float(size[0]), float(size[1])),
-            world_from_target,
-        )
+        picture = _printed(self)
+        corner = -round(self.margin_mm * self.texels_per_mm) / self.texels_per_mm
+        height, width = (side / self.texels_per_mm for side in picture.shape[:2])
+        return Plane(picture, (corner, corner), (width, height), world_from_target)
+
+
+@functools.lru_cache(maxsize=4)
+def _printed(config: BoardConfig) -> np.ndarray:
+    """(rows, columns, 3) float32 reflectance of a board with its margin."""
+    texels = config.texels_per_mm
+    inner = (
+        round(config.columns * config.square_mm * texels),
+        round(config.rows * config.square_mm * texels),
+    )
+    printed = config.board().generateImage(inner, marginSize=0, borderBits=1)
+    printed = np.pad(printed, round(config.margin_mm * texels), constant_values=255)
+    grey = np.where(printed > 127, PAPER, INK).astype(np.float32)
+    return np.repeat(grey[..., None], 3, axis=2)
 
 
 def chart_plane(width_mm: float, world_from_target: np.ndarray) -> Plane:

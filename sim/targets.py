@@ -135,7 +135,7 @@ def write_targets(
         `out`. session.json is written last, so a folder without it is unfinished.
     """
     created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    lamps = lamps_of(rig)
+    lamps = lamps_of(rig, flaws.lamps, seed)
     lenses = {c.id: make_lens(c, flaws.lens, seed) for c in rig.cameras}
     sensors = {
         c.id: make_sensor(flaws.sensor, np.ones(3), own_rng(seed, c.id, b"sensor"))

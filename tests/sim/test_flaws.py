@@ -13,7 +13,7 @@ from lightstage.errors import ConfigError
 from lightstage.rig import default_rig
 from sim.errors import SimError
 from sim.flaws import PRESETS, CaptureFlaws, PulseConfig, SwayConfig, load_flaws, require_usable
-from sim.lamps import light_weights
+from sim.lamps import lamps_of
 from sim.pulses import band_gain
 from sim.room import even_levels
 from sim.sway import moved, poses
@@ -110,7 +110,7 @@ def test_lamps_fully_on_or_off_or_dimmed_by_current_have_no_bands():
 
 def test_room_light_is_the_same_from_everywhere_though_the_lamps_crowd_the_poles():
     rig = default_rig()
-    weights = even_levels(rig)[:, None] * light_weights(rig)
+    weights = even_levels(lamps_of(rig))[:, None] * lamps_of(rig).weights
     towards = rig.positions_mm / np.linalg.norm(rig.positions_mm, axis=1, keepdims=True)
     normals = np.random.default_rng(1).standard_normal((200, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -124,7 +124,7 @@ def test_dead_lamps_are_left_out_of_the_room():
         dataclasses.replace(light, rgb_gain=(0.0, 0.0, 0.0)) if light.id < 20 else light
         for light in rig.lights
     )
-    levels = even_levels(dataclasses.replace(rig, lights=lights))
+    levels = even_levels(lamps_of(dataclasses.replace(rig, lights=lights)))
     assert np.isfinite(levels).all()
     np.testing.assert_array_equal(levels[:20], 0.0)
 

@@ -1,0 +1,330 @@
+"""Targets in the stage: found where their truth says, and lit as formulas say."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import cv2
+import numpy as np
+import pytest
+import rawpy
+import scipy.optimize
+
+from lightstage.commands import quiet
+from lightstage.formats.mesh import Mesh
+from lightstage.formats.session import changed_frames, load_session, missing_frames
+from lightstage.rig import default_rig
+from sim.chart import chart_reflectance
+from sim.errors import SimError
+from sim.flaws import PRESETS, CaptureFlaws, LensConfig
+from sim.lamps import LampConfig, lamps_of
+from sim.optics import make_lens
+from sim.subject import Subject
+from sim.target_ball import Ball, highlights_mm, photograph_grey, photograph_mirror
+from sim.target_boards import BoardConfig, board_poses, chart_plane, facing
+from sim.target_light import white_reading
+from sim.target_plane import Plane, photograph_plane
+from sim.targets import TargetsConfig, make_targets, write_targets
+from sim.world import World
+
+SCALE = 0.1795
+NO_ROOM = np.zeros(3)
+CONFIG = TargetsConfig(board_poses=2, mirror_places_mm=((0, 0, 0),), flats=2, darks=1)
+# A lens as in `lab`, straight; what it blurs is what a detector of corners is used to.
+FLAWS = dataclasses.replace(
+    PRESETS["lab"], lens=dataclasses.replace(PRESETS["lab"].lens, distortion_k1=0.0, blur_um=20.0)
+)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    whole = default_rig().scaled(SCALE)
+    bent = dataclasses.replace(whole.cameras[0], dist=(-0.2, 0.1, 0.002, -0.001, 0.0))
+    return dataclasses.replace(whole, cameras=(bent, whole.cameras[1]))
+
+
+@pytest.fixture(scope="module")
+def full(rig):
+    return np.ones(len(rig.lights))
+
+
+@pytest.fixture(scope="module")
+def written(rig, tmp_path_factory):
+    out = tmp_path_factory.mktemp("targets") / "cal"
+    return write_targets(rig, out, CONFIG, FLAWS, 3, quiet)
+
+
+@pytest.fixture(scope="module")
+def truth(written):
+    return json.loads((written.parent / "cal.truth" / "targets.json").read_text())
+
+
+def counts_of(session, pattern: str, camera: str) -> np.ndarray:
+    with rawpy.imread(str(session / "frames" / pattern / f"{camera}.dng")) as raw:
+        return raw.raw_image_visible.copy()
+
+
+def developed(session, pattern: str, camera: str) -> np.ndarray:
+    """(h, w, 3) camera colours, 0..1 of white."""
+    share = (counts_of(session, pattern, camera) - 600.0) / (16383 - 600)
+    counts = np.rint(np.clip(share, 0, 1) * 65535).astype(np.uint16)
+    return cv2.cvtColor(counts, cv2.COLOR_BAYER_RGGB2RGB) / 65535
+
+
+def places(entry: dict, camera: str) -> np.ndarray:
+    found = entry["cameras"][camera]["places_px"]
+    return np.array([[np.nan, np.nan] if p is None else p for p in found])
+
+
+def test_the_targets_are_a_session_whose_every_photograph_reads(written, rig):
+    session = load_session(written)
+    assert missing_frames(session) == []
+    assert changed_frames(session) == []
+    kinds = {name.split("-")[0] for name in session.file.sequence}
+    assert kinds == {"charuco", "chart", "mirror", "grey", "flat", "dark"}
+    assert session.levels("charuco-00").min() == 1.0
+    assert session.levels("flat-00").max() == 0.0
+
+
+def test_opencv_finds_the_boards_corners_within_a_tenth_of_a_pixel(written, truth):
+    detector = cv2.aruco.CharucoDetector(CONFIG.board.board())
+    for index in range(CONFIG.board_poses):
+        name = f"charuco-{index:02d}"
+        for camera in ("cam0", "cam1"):
+            grey = developed(written, name, camera)[..., 1]
+            picture = np.rint(255 * grey / grey.max()).astype(np.uint8)
+            corners, ids, *_ = detector.detectBoard(picture)
+            known = places(truth["targets"][name], camera)
+            assert len(ids) > 0.8 * np.isfinite(known).all(axis=1).sum() > 30
+            # OpenCV's first pixel is centred on (0, 0).
+            off = np.asarray(corners).reshape(-1, 2) + 0.5 - known[np.ravel(ids)]
+            off = off[np.isfinite(off).all(axis=1)]
+            assert np.sqrt((off**2).sum(axis=1).mean()) < 0.06
+            assert np.abs(off).max() < 0.12
+            assert np.abs(off.mean(axis=0)).max() < 0.03
+
+
+def test_opencv_finds_the_chart_where_it_is(written, truth):
+    picture = developed(written, "chart-01", "cam1")
+    encoded = np.clip(picture / picture.max(), 0, 1) ** (1 / 2.2)
+    detector = cv2.mcc.CCheckerDetector.create()
+    detector.setColorChartType(cv2.mcc.MCC24)
+    image = np.ascontiguousarray((encoded * 255).astype(np.uint8)[..., ::-1])
+    assert detector.process(image, 1)
+    corners = np.asarray(detector.getBestColorChecker().getColorCharts()).reshape(24, 4, 2)
+    known = places(truth["targets"]["chart-01"], "cam1")
+    np.testing.assert_allclose(corners.mean(axis=1) + 0.5, known, atol=10.0)  # of 70 pixels a patch
+
+
+def test_the_charts_patches_give_the_published_reflectances_back(written, truth):
+    """Through the sensor's own matrix, exposure, shading and the light on each patch."""
+    entry = truth["targets"]["chart-01"]
+    picture = developed(written, "chart-01", "cam1") / entry["exposure_factor"]
+    matrix = np.array(truth["sensors"]["cam1"]["raw_from_linear"])
+    linear = picture @ np.linalg.inv(matrix).T
+    pose = np.array(entry["world_from_target"])
+    spots = np.array(entry["places_mm"])
+    world = spots @ pose[:, :2].T + pose[:, 3]
+    session = load_session(written)
+    lamps = lamps_of(session.rig, FLAWS.lamps, 3)
+    normals = np.broadcast_to(-pose[:, 2], world.shape)
+    white = white_reading(world, normals, lamps, np.ones(len(lamps.weights)))
+    white = white + FLAWS.room.ambient * np.array(FLAWS.room.ambient_rgb)
+    lens = make_lens(session.rig.camera("cam1"), FLAWS.lens, 3)
+    for index, (x, y) in enumerate(places(entry, "cam1")):
+        part = slice(int(y) - 12, int(y) + 12), slice(int(x) - 12, int(x) + 12)
+        found = linear[part].mean(axis=(0, 1)) / white[index] / lens.shading[part].mean()
+        np.testing.assert_allclose(found, chart_reflectance()[index], atol=0.006)
+
+
+def test_darks_are_noise_around_black_and_flats_show_the_vignetting(written, rig, truth):
+    dark = counts_of(written, "dark-00", "cam1").astype(float)
+    sensor = truth["sensors"]["cam1"]
+    assert dark.mean() == pytest.approx(600, abs=0.1)
+    known = np.hypot(sensor["read_noise_e"] / sensor["electrons_per_dn"], 12**-0.5)
+    assert dark.std() == pytest.approx(known, rel=0.01)
+    flats = [counts_of(written, f"flat-{k:02d}", "cam1").astype(float) - 600 for k in (0, 1)]
+    shading = make_lens(rig.cameras[1], FLAWS.lens, 3).shading
+    green = flats[0][::2, 1::2]
+    span = (16383 - 600) * 0.5 * np.array(sensor["raw_from_linear"])[1].sum()
+    np.testing.assert_allclose(
+        cv2.blur(green, (41, 41)), cv2.blur(span * shading[::2, 1::2], (41, 41)), rtol=0.01
+    )
+    # Two flats differ by noise alone: twice photons and reading.
+    part = slice(300, 700), slice(200, 500)
+    apart = (flats[0] - flats[1])[part][::2, 1::2]
+    mean_e = flats[0][part][::2, 1::2].mean() * sensor["electrons_per_dn"]
+    noise = np.sqrt(2 * (mean_e + sensor["read_noise_e"] ** 2)) / sensor["electrons_per_dn"]
+    assert apart.std() == pytest.approx(noise, rel=0.02)
+
+
+def test_a_highlight_lies_where_the_way_over_the_mirror_is_shortest(rig):
+    """Fermat instead of the mirror's law: an independent solution of the same places."""
+    ball, camera = Ball(np.array([20.0, -10.0, 5.0]), 38.1, 0.6), rig.cameras[1]
+    some = rig.positions_mm[::17]
+    found = highlights_mm(ball, camera, some)
+    assert np.isfinite(found).all()
+    for place, lamp in zip(found, some, strict=True):
+        normal = (place - ball.centre_mm) / ball.radius_mm
+
+        def length(angles, normal=normal, lamp=lamp):
+            first = np.cross(normal, [0.3, 0.5, 0.8])
+            first /= np.linalg.norm(first)
+            off = normal + angles[0] * first + angles[1] * np.cross(normal, first)
+            point = ball.centre_mm + ball.radius_mm * off / np.linalg.norm(off)
+            return np.linalg.norm(point - camera.centre_mm) + np.linalg.norm(point - lamp)
+
+        best = scipy.optimize.minimize(length, [0.05, -0.05], method="BFGS").x
+        assert np.abs(best).max() < 1e-4
+        into = place - camera.centre_mm
+        into /= np.linalg.norm(into)
+        out = (lamp - place) / np.linalg.norm(lamp - place)
+        np.testing.assert_allclose(out, into - 2 * (into @ normal) * normal, atol=1e-9)
+
+
+def test_the_mirror_balls_picture_shows_each_lamp_at_its_highlight(rig, full):
+    ball = Ball(np.array([10.0, 5.0, 0.0]), 38.1, 0.6)
+    # Pixels finer than the lamps' pictures: the middle of less than a pixel is not seen.
+    bent = dataclasses.replace(default_rig().scaled(0.4).cameras[0], dist=rig.cameras[0].dist)
+    camera = dataclasses.replace(bent, width_px=600, height_px=600, cx_px=300.0, cy_px=300.0)
+    lamps = lamps_of(rig)
+    known, _ = camera.project(highlights_mm(ball, camera, rig.positions_mm))
+    middle, _ = camera.project(ball.centre_mm[None])
+    inner = np.linalg.norm(known - middle, axis=1) < 160  # of 245: not yet smeared
+    rng = np.random.default_rng(1)
+    for lamp in rng.choice(np.flatnonzero(inner), 4, replace=False):
+        level = np.zeros(len(full))
+        level[lamp] = 1.0
+        light, depth = photograph_mirror(ball, camera, lamps, level, NO_ROOM)
+        weight = light[..., 1].astype(float)
+        rows, columns = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
+        found = np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()
+        np.testing.assert_allclose(found, known[lamp], atol=0.05)
+        assert depth[weight > 0].min() > 1000
+    together, _ = photograph_mirror(ball, camera, lamps, full, NO_ROOM)
+    for place in known[inner]:
+        column, row = place.astype(int)
+        assert together[row - 1 : row + 2, column - 1 : column + 2].max() > 20
+
+
+def test_a_highlight_holds_the_light_that_a_convex_mirror_sends_on(rig):
+    """A lamp nearly behind the camera: the paraxial image, half a radius' focal length."""
+    radius = 38.1
+    ball, camera = Ball(np.zeros(3), radius, 0.6), rig.cameras[1]
+    lamps = dataclasses.replace(lamps_of(rig), exponent=0.0)
+    away = np.linalg.norm(camera.centre_mm)
+    lamp = int(np.argmax(rig.positions_mm @ camera.centre_mm))
+    level = np.zeros(len(rig.lights))
+    level[lamp] = 1.0
+    light, _ = photograph_mirror(ball, camera, lamps, level, NO_ROOM)
+    received = light[..., 1].sum(dtype=float) / camera.fx_px**2
+    distance = np.linalg.norm(rig.positions_mm[lamp])
+    # A diffuser that reads w has lamp radiance times lamp area over pi distance^2 fall on it.
+    radiance_area = np.pi * lamps.weights[lamp, 1] * distance**2
+    shrink = (radius / 2) / (distance - radius + radius / 2)
+    behind = shrink * (distance - radius)
+    known = 0.6 * radiance_area * shrink**2 / (away - radius + behind) ** 2
+    assert received == pytest.approx(known, rel=0.04)
+
+
+def test_a_lamp_without_size_has_no_picture_in_a_mirror(rig, full):
+    points = lamps_of(rig, LampConfig(radius_mm=0.0))
+    with pytest.raises(SimError, match="radius_mm"):
+        photograph_mirror(Ball(np.zeros(3), 38.1, 0.6), rig.cameras[0], points, full, NO_ROOM)
+
+
+def test_the_grey_ball_is_lamberts_law_at_every_pixel(rig):
+    """The plain twin sums lamps for a few pixels, one by one."""
+    ball, camera = Ball(np.array([5.0, 0.0, -10.0]), 38.1, 0.18), rig.cameras[1]
+    lamps = lamps_of(rig)
+    levels = np.random.default_rng(2).random(len(rig.lights))
+    light, depth = photograph_grey(ball, camera, lamps, levels, np.full(3, 0.03))
+    origin, rays = camera.pixel_rays()
+    inside = np.argwhere(cv2.erode((light[..., 1] > 0).astype(np.uint8), np.ones((5, 5))))
+    for row, column in inside[:: len(inside) // 12]:
+        ray = rays[row, column]
+        along = ray @ (ball.centre_mm - origin)
+        aside2 = np.sum((ball.centre_mm - origin) ** 2) - along**2
+        point = origin + (along - np.sqrt(ball.radius_mm**2 - aside2)) * ray
+        normal = (point - ball.centre_mm) / ball.radius_mm
+        total = 0.03
+        for place, axis, weight, level in zip(
+            lamps.positions_mm, lamps.axes, lamps.weights[:, 1], levels, strict=True
+        ):
+            way = place - point
+            far = np.linalg.norm(way)
+            cosine = max(normal @ way / far, 0.0)
+            fall = (-(way @ axis) / far) ** lamps.exponent
+            total += level * weight * cosine * fall * (np.linalg.norm(place) / far) ** 2
+        assert light[row, column, 1] == pytest.approx(0.18 * total, rel=1e-5)
+        assert depth[row, column] == pytest.approx((point - origin) @ rays[540, 360], rel=1e-3)
+
+
+def plane_subject(plane: Plane, ball: Subject) -> Subject:
+    """The plane as a mesh with texture, for the simulator's other hand."""
+    (x, y), (w, h) = plane.corner_mm, plane.size_mm
+    square = np.array([[x, y + h], [x + w, y + h], [x + w, y], [x, y]])
+    faces = np.array([[0, 1, 2, 3]], np.int32)
+    uvs = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    shape = plane.reflectance.shape[:2]
+    normal = np.broadcast_to(plane.normal.astype(np.float32), (*shape, 3))
+    return dataclasses.replace(
+        ball,
+        mesh=Mesh(plane.world(square), faces, uvs, faces),
+        diffuse_albedo=plane.reflectance,
+        specular_albedo=np.zeros(shape, np.float32),
+        roughness=np.full(shape, 0.3, np.float32),
+        normal=np.ascontiguousarray(normal),
+        translucency=np.zeros(shape, np.float32),
+        skin=np.ones(shape, bool),
+    )
+
+
+def test_a_board_is_drawn_where_the_worlds_rays_meet_its_mesh(rig, full, ball):
+    """Same outline and pattern as a mesh of the same plane that the skin's renderer shows."""
+    board = BoardConfig(texels_per_mm=4)
+    pose = board_poses(rig, board, 2, 5)[0]
+    plane = board.plane(pose)
+    alone = dataclasses.replace(rig.scaled(0.5), cameras=rig.scaled(0.5).cameras[:1])
+    light, depth = photograph_plane(plane, alone.cameras[0], lamps_of(rig), full, NO_ROOM)
+    world = World(plane_subject(plane, ball), alone)
+    surface = world.surfaces["cam0"]
+    seen = surface.picture(np.ones(len(surface.pixel)))
+    whole = cv2.erode(seen, np.ones((3, 3))) > 0
+    assert not light[cv2.dilate(seen, np.ones((3, 3))) == 0].any()
+    albedo = surface.picture(surface.albedo)[..., 1]
+    # Away from edges of the print both see one texture, and light that varies slowly.
+    even = cv2.dilate(albedo, np.ones((5, 5))) - cv2.erode(albedo, np.ones((5, 5))) < 1e-3
+    ratio = light[whole & even][:, 1] / albedo[whole & even]
+    assert ratio.min() > 0.5
+    assert np.ptp(ratio) < 0.8
+    position = surface.picture(surface.position)
+    axis = rig.cameras[0].cam_from_world[2]
+    np.testing.assert_allclose(depth[whole], position[whole] @ axis[:3] + axis[3], rtol=1e-4)
+
+
+def test_a_planes_back_is_plain_and_a_plane_behind_the_camera_is_not_seen(rig, full):
+    size = np.array([100.0, 80.0])
+    away = facing(-rig.cameras[1].centre_mm, np.zeros(3), size)
+    light, _ = photograph_plane(
+        chart_plane(100.0, away), rig.cameras[1], lamps_of(rig), full, NO_ROOM
+    )
+    lit = light[light[..., 1] > 0][:, 1]
+    assert np.quantile(lit, 0.9) < 0.05 * 1.6
+    behind = facing(-rig.cameras[1].centre_mm, 2 * rig.cameras[1].centre_mm, size)
+    light, depth = photograph_plane(
+        chart_plane(100.0, behind), rig.cameras[1], lamps_of(rig), full, NO_ROOM
+    )
+    assert not light.any()
+    assert not depth.any()
+
+
+def test_poses_and_truth_follow_the_seed(rig):
+    first, again, other = (
+        make_targets(rig, lamps_of(rig), CONFIG, CaptureFlaws(lens=LensConfig()), seed)
+        for seed in (1, 1, 2)
+    )
+    assert first["charuco-01"].truth == again["charuco-01"].truth
+    assert first["charuco-01"].truth != other["charuco-01"].truth
+    assert first["charuco-00"].seen(rig.cameras[0])["places_px"]
