@@ -189,7 +189,7 @@ def polarised_factors(
         *(np.ascontiguousarray(a, np.float32) for a in (position, normal, view)),
         *(np.ascontiguousarray(a, np.float64) for a in (lamps_mm, lamp_axes, analyser)),
         float(index),
-        lamp_extinction / (1.0 + lamp_extinction),
+        1.0 / (1.0 + 1.0 / lamp_extinction),
         1.0 / analyser_extinction,
         diffuse,
         specular,
