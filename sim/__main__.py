@@ -28,6 +28,9 @@ def session(
     flaws: str = typer.Option(
         "ideal", help="What lens, lamps, room and subject do: ideal, lab, bad, or a TOML file."
     ),
+    faults: Path | None = typer.Option(
+        None, help="Story of what goes wrong with the devices (TOML, docs/faults.md)."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Photograph a simulated person in the light stage."""
@@ -35,6 +38,7 @@ def session(
     from lightstage.rig import default_rig, load_rig
     from lightstage.session import check_pseudonym
     from sim.capture import capture_session
+    from sim.faults import Story
     from sim.flaws import load_flaws
     from sim.optics import distorted
     from sim.session import (
@@ -53,10 +57,15 @@ def session(
     require_new(out)
     config = SessionConfig(sequence=sequence)
     done_to_light = load_flaws(flaws)
+    story = None if faults is None else Story.read(faults)
+    if story is not None and direct:
+        raise SimError("--faults", found="--direct too", expected="devices that can have faults")
     stage = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
     stage = distorted(stage, done_to_light.lens)
     for name in sequence_patterns(sequence):
         pattern_levels(name, stage)
+    if story is not None:
+        story.check_cameras([camera.id for camera in stage.cameras], "--faults")
     person = load_subject(subject, seed, expression, config.texture_rows)
     with progress_bar("shadow rays, cameras") as progress:
         world = World(person, stage, progress)
@@ -66,7 +75,7 @@ def session(
         with progress_bar("photographs") as progress:
             write_direct(world, out, config, seed, progress, done_to_light)
     else:
-        capture_session(world, out, seed, sequence, done_to_light)
+        capture_session(world, out, seed, sequence, done_to_light, story)
         write_landmarks(world, out, seed, config.click_noise_px)
     count = len(sequence_patterns(sequence)) * len(stage.cameras)
     seconds = time.monotonic() - begun
@@ -122,6 +131,54 @@ def dataset(
         facts,
         as_json,
     )
+
+
+@app.command()
+def render(
+    subject: str = typer.Option(..., help="lps (the scanned head) or a parametric person's name."),
+    light: str = typer.Option(
+        ...,
+        help="A pattern (full, x+, full@cross, olat-003 ..), street, noon, sunset, uniform, "
+        "softbox, ring, rim, clamshell, or a file: latitude-longitude .exr or .hdr, lights .json.",
+    ),
+    out: Path = typer.Option(..., help="Picture, .png (exposed) or .exr (linear)."),
+    seed: int = typer.Option(0, help="Of the person, and of the street's houses."),
+    expression: str = typer.Option("neutral", help="Expression of a parametric person."),
+    camera: str = typer.Option("cam0", help="View: a camera of the rig."),
+    width: int = typer.Option(480, min=16, max=6016, help="Pixels across."),
+    lights: int = typer.Option(512, help="Lights that stand for an environment, at most."),
+    rotate: float = typer.Option(0.0, help="Degrees that an environment turns, +z toward +x."),
+    exposure: float | None = typer.Option(None, help="Stops of a .png; automatic where absent."),
+    rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Render a person under a pattern of the stage or under an environment."""
+    from lightstage.rig import default_rig, load_rig
+    from lightstage.session import check_pseudonym
+    from sim.portrait import portrait, write_portrait
+    from sim.relight import RelightConfig, require_picture
+    from sim.subjects import load_subject
+
+    begun = time.monotonic()
+    check_pseudonym(subject, "subject")
+    require_picture(out)
+    config = RelightConfig(lights=lights, rotate_deg=rotate)
+    stage = default_rig() if rig is None else load_rig(rig)
+    stage = stage.scaled(width / stage.camera(camera).width_px)
+    person = load_subject(subject, seed, expression)
+    with progress_bar("lights") as progress:
+        picture = portrait(person, stage, camera, light, config, seed, progress)
+    factor = write_portrait(picture, out, exposure)
+    seconds = time.monotonic() - begun
+    facts = {
+        "picture": str(out),
+        "width_px": picture.shape[1],
+        "height_px": picture.shape[0],
+        "exposure": round(factor, 4),
+        "seconds": round(seconds, 1),
+    }
+    size = f"{picture.shape[1]} x {picture.shape[0]} px"
+    finish(f"{out}: {size}, exposure x {factor:.3g}, {seconds:.1f} s", facts, as_json)
 
 
 @app.command()

@@ -1,0 +1,83 @@
+"""One picture of one person under a pattern of the stage or under an environment."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.patterns import pattern_levels
+from lightstage.rig import Rig
+from sim.polarised import PolarisedWorld, is_polarised
+from sim.relight import (
+    SAMPLES,
+    RelightConfig,
+    auto_exposure,
+    environment_lights,
+    is_environment,
+    relit,
+    require_picture,
+    write_picture,
+)
+from sim.scene import Scene
+from sim.subject import Subject
+from sim.world import World
+
+
+def portrait(
+    subject: Subject,
+    rig: Rig,
+    camera_id: str,
+    light: str,
+    config: RelightConfig | None = None,
+    seed: int = 0,
+    progress: ProgressCallback = quiet,
+) -> np.ndarray:
+    """A person's picture.
+
+    Args:
+        subject: the person.
+        rig: lamps and cameras.
+        camera_id: the view.
+        light: a pattern's name, or an environment's (`sim.relight.environment_lights`).
+        config: of an environment.
+        seed: of the street's houses.
+        progress: of lights.
+
+    Returns:
+        (h, w, 3) float32, linear, on the session's scale: a white diffuser at the origin reads 1
+        under `full`, or under an environment whose radiance is 1 everywhere.
+
+    Raises:
+        SimError, PatternError, RigError: an unknown environment, pattern or camera.
+    """
+    camera = rig.camera(camera_id)
+    if is_environment(light):
+        lights = environment_lights(light, config, seed)
+        return relit(Scene(subject), camera, lights, progress)
+    levels = pattern_levels(light, rig)[None]
+    world = World(subject, dataclasses.replace(rig, cameras=(camera,)), samples=SAMPLES)
+    seen = PolarisedWorld(world) if is_polarised(light) else world
+    return seen.photograph(camera_id, levels)[0]
+
+
+def write_portrait(picture: np.ndarray, out: Path, exposure_stops: float | None) -> float:
+    """Write a portrait as .png or .exr.
+
+    Args:
+        picture: (h, w, 3) linear.
+        out: .exr holds it as it is; .png is exposed and encoded.
+        exposure_stops: of a .png, 0 as it is; None makes the bright skin nearly white.
+
+    Returns:
+        The factor that a .png was multiplied by, 1 of an .exr.
+    """
+    require_picture(out)
+    if out.suffix.lower() == ".exr":
+        exposure = 1.0
+    else:
+        exposure = auto_exposure(picture) if exposure_stops is None else 2.0**exposure_stops
+    write_picture(picture, out, exposure)
+    return exposure
