@@ -1,4 +1,4 @@
-"""ICT's head beside ours: the same head frame, and which place of our head each of its points is."""
+"""ICT's head beside ours: in the head frame, and which place of our head each of its points is."""
 
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ def anchors(model: IctModel, vertices_mm: np.ndarray) -> tuple[np.ndarray, np.nd
     used = np.unique(parts.faces[np.isin(parts.part, (FACE, BACK))])
     skin = vertices_mm[parts.vertices[used[used >= 0]]]
     own = neutral_mesh().vertices
-    theirs, ours = [], []
+    theirs: list[np.ndarray] = []
+    ours: list[np.ndarray] = []
     for points, out in ((skin, theirs), (own, ours)):
         middle = points[np.abs(points[:, 0]) < 6.0]
         crown = middle[middle[:, 1].argmax()]

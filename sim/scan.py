@@ -1,4 +1,4 @@
-"""The scanned head `lps`: a real person's shape and skin, placed in the stage.
+"""Scans as subjects: what is made of a scan's textures; and the scanned head `lps`.
 
 Infinite, 3D Head Scan by Lee Perry-Smith, CC BY 3.0, based on a work at www.triplegangers.com. The
 scan is not part of this project: it is read from the folder that LIGHTSTAGE_DATA names, or from
@@ -7,6 +7,7 @@ scan is not part of this project: it is read from the folder that LIGHTSTAGE_DAT
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from pathlib import Path
@@ -14,12 +15,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-import trimesh
 from scipy import ndimage
 
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import default_template_path, load_template
 from sim.errors import SimError
+from sim.import_file import read_picture
+from sim.import_gltf import read_gltf
 from sim.subdivide import loop_subdivide
 from sim.subject import Subject
 from sim.texture import raster_uv, tangent_frames
@@ -32,6 +34,8 @@ MM_PER_UNIT = 52.0
 CENTRE_UNITS = (-0.1, 1.1, 1.3)
 """This place of the file, within the head behind the nose, goes to the sphere's centre."""
 MEAN_SPECULAR = 0.028
+DETAIL_TEXEL_MM = 0.35
+"""A texel of a head's texture of 1024 rows."""
 ANNOTATIONS = Path(__file__).parent / "data" / "lps_landmarks.json"
 
 
@@ -59,7 +63,7 @@ def load_scan(folder: Path, texture_rows: int = 1536) -> Subject:
     """
     mesh = _read_mesh(folder / "LeePerrySmith.glb")
     notes = json.loads(ANNOTATIONS.read_text())
-    albedo = _linear(_read_picture(folder / "Map-COL.jpg", texture_rows))
+    albedo = linear_of(_read_picture(folder / "Map-COL.jpg", texture_rows))
     tangent = _read_picture(folder / "Infinite-Level_02_Tangent_SmoothUV.jpg", texture_rows)
     specular, roughness = skin_specular(albedo)
     place = np.array(notes["points"], float)
@@ -80,27 +84,42 @@ def load_scan(folder: Path, texture_rows: int = 1536) -> Subject:
     )
 
 
-def skin_specular(albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Specular albedo and Beckmann roughness that vary as fine as the skin's colour does.
-
-    Both follow the colour map's band of detail between 1 and 16 texels (dark pores and hairs
-    reflect less and are rougher) around values that are usual for skin (.028; m .2 to .35), with a
-    broad part from redness. Procedural, not measured.
+def fine_detail(albedo: np.ndarray, scale: float) -> np.ndarray:
+    """The colour map's detail of pores and hairs, -1 (dark) to 1.
 
     Args:
         albedo: (rows, columns, 3) linear.
+        scale: texels of `DETAIL_TEXEL_MM`; the band lies between .25 and 4 mm.
+
+    Returns:
+        (rows, columns) float32.
+    """
+    luminance = albedo @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    logs = np.log(np.maximum(luminance, 1e-3))
+    fine = ndimage.gaussian_filter(logs, 0.7 * scale) - ndimage.gaussian_filter(logs, 12 * scale)
+    return np.asarray(np.tanh(fine / 0.25))
+
+
+def skin_specular(albedo: np.ndarray, scale: float | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Specular albedo and Beckmann roughness that vary as fine as the skin's colour does.
+
+    Both follow the colour map's fine detail (dark pores and hairs reflect less and are rougher)
+    around values that are usual for skin (.028; m .2 to .35), with a broad part from redness.
+    Procedural, not measured.
+
+    Args:
+        albedo: (rows, columns, 3) linear.
+        scale: see `fine_detail`; None for a head's texture of 1024 rows a unit.
 
     Returns:
         (rows, columns) float32 reflectance at normal incidence, about .018 to .038, and m.
     """
-    scale = albedo.shape[0] / 1024
+    scale = albedo.shape[0] / 1024 if scale is None else scale
+    detail = fine_detail(albedo, scale)
     luminance = albedo @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-    logs = np.log(np.maximum(luminance, 1e-3))
-    fine = ndimage.gaussian_filter(logs, 0.7 * scale) - ndimage.gaussian_filter(logs, 12 * scale)
-    red = np.log(np.maximum(albedo[..., 0], 1e-3)) - logs
+    red = np.log(np.maximum(albedo[..., 0], 1e-3)) - np.log(np.maximum(luminance, 1e-3))
     broad = ndimage.gaussian_filter(red, 20 * scale)
     broad -= np.median(broad)
-    detail = np.tanh(fine / 0.25)
     specular = MEAN_SPECULAR * np.exp(0.25 * detail + 0.35 * np.tanh(broad / 0.2))
     roughness = 0.275 - 0.04 * detail - 0.05 * np.tanh(broad / 0.2)
     return (
@@ -134,33 +153,31 @@ def world_normals(mesh: Mesh, tangent_map: np.ndarray) -> np.ndarray:
 
 
 def _read_mesh(path: Path) -> Mesh:
-    try:
-        scene = trimesh.load(path, process=False)
-        part = next(iter(scene.geometry.values()))
-        places, faces = np.asarray(part.vertices, float), np.asarray(part.faces, np.int32)
-        uvs = np.asarray(part.visual.uv, float)
-    except (OSError, ValueError, StopIteration, AttributeError) as error:
-        raise SimError(path, found=str(error), expected="the scan's glTF mesh") from None
-    # A vertex on a UV seam is there twice; the surface itself has no seam.
-    merged, inverse = np.unique(np.round(places, 5), axis=0, return_inverse=True)
-    # trimesh hands glTF's v turned over once; the file's own v ran against glTF's rule.
-    upward = np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1)
-    fine = loop_subdivide(Mesh(merged, inverse.ravel()[faces].astype(np.int32), upward, faces))
+    """The scan's mesh in world mm, subdivided once."""
+    if not path.is_file():
+        raise SimError(path, found="no such file", expected="the scan's glTF mesh")
+    mesh = read_gltf(path).mesh
+    if mesh.uvs is None:
+        raise SimError(path, field="uv", found="none", expected="texture coordinates")
+    # The file's own v runs against glTF's rule.
+    upward = np.stack([mesh.uvs[:, 0], 1.0 - mesh.uvs[:, 1]], axis=1)
+    fine = loop_subdivide(dataclasses.replace(mesh, uvs=upward))
     return fine.with_vertices((fine.vertices - CENTRE_UNITS) * MM_PER_UNIT)
+
+
+def resized(pixels: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """A texture (h, w, k) in another size, (rows, columns, k) float32."""
+    method = cv2.INTER_CUBIC if rows > len(pixels) else cv2.INTER_AREA
+    return np.asarray(cv2.resize(pixels, (columns, rows), interpolation=method), np.float32)
 
 
 def _read_picture(path: Path, rows: int) -> np.ndarray:
     """An 8-bit picture as (rows, rows, 3) float32 RGB 0..1."""
-    picture = cv2.imread(str(path)) if path.is_file() else None
-    if picture is None:
-        raise SimError(path, found="no readable picture", expected="the scan's texture")
-    rgb = np.asarray(picture)[:, :, ::-1].astype(np.float32) / 255.0
-    method = cv2.INTER_CUBIC if rows > len(rgb) else cv2.INTER_AREA
-    return np.clip(np.asarray(cv2.resize(rgb, (rows, rows), interpolation=method)), 0.0, 1.0)
+    return np.clip(resized(read_picture(path).pixels, rows, rows), 0.0, 1.0)
 
 
-def _linear(srgb: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1 decoding."""
+def linear_of(srgb: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB values 0..1 ([IEC61966]), float32."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).astype(
         np.float32
     )
@@ -178,10 +195,14 @@ def head_from_landmarks(landmarks_mm: np.ndarray) -> np.ndarray:
     """(3, 4) rigid motion that lays landmarks best onto the template's (least squares, no scale).
 
     Source: [Kabsch1976].
+
+    Args:
+        landmarks_mm: (68, 3), NaN where unknown; three known ones that are not in a line.
     """
     template = load_template(default_template_path())
-    wanted = template.mesh.vertices[template.landmarks]
-    from_mean, to_mean = landmarks_mm.mean(axis=0), wanted.mean(axis=0)
-    u, _, vt = np.linalg.svd((wanted - to_mean).T @ (landmarks_mm - from_mean))
+    known = np.isfinite(landmarks_mm).all(axis=1)
+    found, wanted = landmarks_mm[known], template.mesh.vertices[template.landmarks][known]
+    from_mean, to_mean = found.mean(axis=0), wanted.mean(axis=0)
+    u, _, vt = np.linalg.svd((wanted - to_mean).T @ (found - from_mean))
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     return np.concatenate([turn, (to_mean - turn @ from_mean)[:, None]], axis=1)

@@ -1,30 +1,67 @@
-"""People by name: the scanned head, or a parametric person of a seed."""
+"""People by name: the scanned head, ICT's heads, a subject folder, or a parametric person."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from sim.errors import SimError
-from sim.scan import load_scan, scan_folder
 from sim.subject import Subject
+from sim.traits import Traits
+
+SCAN, ICT = "lps", "ict"
 
 
 def load_subject(
-    name: str, seed: int, expression: str = "neutral", texture_rows: int = 1536
+    name: str,
+    seed: int,
+    expression: str | None = None,
+    texture_rows: int = 1536,
+    traits: Traits | None = None,
 ) -> Subject:
     """A person ready to be lit.
 
     Args:
-        name: ``lps`` for the scanned head; any other pseudonym is a parametric person.
-        seed: of a parametric person; the scan is always the same.
-        expression: such as ``neutral``; the scan has only that.
-        texture_rows: rows of the textures.
+        name: ``lps`` for the scanned head; ``ict`` or ``ict-...`` for a head of ICT Face Model
+            Light; a folder that holds a subject.json (or any path with a slash); any other
+            pseudonym is a parametric person.
+        seed: of a parametric person or of ICT's; scans and folders are always the same.
+        expression: such as ``neutral``; scans and folders have one only. None for theirs, else
+            neutral.
+        texture_rows: rows of the textures; a folder's own stay as they are.
+        traits: who a parametric or ICT's person is; None draws it from the seed.
 
     Raises:
-        SimError: the scan is absent, or has no such expression.
+        SimError: the data for it are absent, or it has no such expression.
     """
-    if name != "lps":
-        from sim.person import parametric_subject
+    if is_folder(name):
+        from sim.import_folder import load_subject_folder
 
-        return parametric_subject(name, seed, expression, texture_rows)
+        return _of_expression(load_subject_folder(Path(name)), expression, f"subject {name}")
+    if name == SCAN:
+        return _scan(expression, texture_rows)
+    if name == ICT or name.startswith(f"{ICT}-"):
+        return _ict(name, seed, expression or "neutral", texture_rows, traits)
+    from sim.person import parametric_subject
+
+    return parametric_subject(name, seed, expression or "neutral", texture_rows, traits)
+
+
+def is_folder(name: str) -> bool:
+    """Whether a subject's name is a path: a folder with a subject, or anything with a slash."""
+    return "/" in name or (Path(name) / "subject.json").is_file()
+
+
+def _of_expression(subject: Subject, expression: str | None, where: str) -> Subject:
+    if expression not in (None, subject.expression):
+        raise SimError(
+            where, field="expression", found=expression or "", expected=subject.expression
+        )
+    return subject
+
+
+def _scan(expression: str | None, texture_rows: int) -> Subject:
+    from sim.scan import load_scan, scan_folder
+
     folder = scan_folder()
     if folder is None:
         raise SimError(
@@ -33,6 +70,23 @@ def load_subject(
             expected="LeePerrySmith.glb in lps_head under LIGHTSTAGE_DATA or ../shared/data",
             hint="Use --subject parametric for a person that needs no data.",
         )
-    if expression != "neutral":
+    if expression not in (None, "neutral"):
         raise SimError("subject lps", field="expression", found=expression, expected="neutral")
     return load_scan(folder, texture_rows)
+
+
+def _ict(
+    name: str, seed: int, expression: str, texture_rows: int, traits: Traits | None
+) -> Subject:
+    from sim.ict import ict_folder
+    from sim.ict_subject import ict_subject
+
+    folder = ict_folder()
+    if folder is None:
+        raise SimError(
+            f"subject {name}",
+            found="no ICT Face Model Light",
+            expected="FaceXModel in ict_facekit under LIGHTSTAGE_DATA or ../shared/data",
+            hint="Clone it, then make a folder for --subject with lightstage-sim import-ict.",
+        )
+    return ict_subject(name, folder, seed, expression, texture_rows, traits)
