@@ -9,16 +9,22 @@ import typer
 
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
 from sim.errors import SimError
+from sim.import_commands import add_import_commands
 
+SUBJECT_HELP = (
+    "lps (the scanned head), ict (a head of ICT Face Model Light), a subject folder, or any other "
+    "name: a parametric person."
+)
 app = make_app("A light stage without the hardware: sessions, data sets and the template.")
+add_import_commands(app)
 
 
 @app.command()
 def session(
-    subject: str = typer.Option(..., help="lps (the scanned head) or a parametric person's name."),
+    subject: str = typer.Option(..., help=SUBJECT_HELP),
     out: Path = typer.Option(..., help="Session folder; truth goes to OUT.truth."),
     seed: int = typer.Option(0, help="Of the person, the noise and the landmark clicks."),
-    expression: str = typer.Option("neutral", help="Expression of a parametric person."),
+    expression: str | None = typer.Option(None, help="Neutral, or what a folder's face does."),
     sequence: str = typer.Option("binary", help="Named sequence or comma-separated patterns."),
     scale: float = typer.Option(
         0.1795, min=0.005, max=1.0, help="Share of the rig's pixels a side."
@@ -36,7 +42,6 @@ def session(
     """Photograph a simulated person in the light stage."""
     from lightstage.patterns import pattern_levels, sequence_patterns
     from lightstage.rig import default_rig, load_rig
-    from lightstage.session import check_pseudonym
     from sim.capture import capture_session
     from sim.faults import Story
     from sim.flaws import load_flaws
@@ -48,12 +53,12 @@ def session(
         write_direct,
         write_landmarks,
     )
-    from sim.subjects import load_subject
+    from sim.subjects import check_subject, load_subject
     from sim.truth import write_truth
     from sim.world import World
 
     begun = time.monotonic()
-    check_pseudonym(subject, "subject")
+    check_subject(subject)
     require_new(out)
     config = SessionConfig(sequence=sequence)
     done_to_light = load_flaws(flaws)
@@ -135,7 +140,7 @@ def dataset(
 
 @app.command()
 def render(
-    subject: str = typer.Option(..., help="lps (the scanned head) or a parametric person's name."),
+    subject: str = typer.Option(..., help=SUBJECT_HELP),
     light: str = typer.Option(
         ...,
         help="A pattern (full, x+, full@cross, olat-003 ..), street, noon, sunset, uniform, "
@@ -143,7 +148,7 @@ def render(
     ),
     out: Path = typer.Option(..., help="Picture, .png (exposed) or .exr (linear)."),
     seed: int = typer.Option(0, help="Of the person, and of the street's houses."),
-    expression: str = typer.Option("neutral", help="Expression of a parametric person."),
+    expression: str | None = typer.Option(None, help="Neutral, or what a folder's face does."),
     camera: str = typer.Option("cam0", help="View: a camera of the rig."),
     width: int = typer.Option(480, min=16, max=6016, help="Pixels across."),
     lights: int = typer.Option(512, help="Lights that stand for an environment, at most."),
@@ -154,13 +159,12 @@ def render(
 ) -> None:
     """Render a person under a pattern of the stage or under an environment."""
     from lightstage.rig import default_rig, load_rig
-    from lightstage.session import check_pseudonym
     from sim.portrait import portrait, write_portrait
     from sim.relight import RelightConfig, require_picture
-    from sim.subjects import load_subject
+    from sim.subjects import check_subject, load_subject
 
     begun = time.monotonic()
-    check_pseudonym(subject, "subject")
+    check_subject(subject)
     require_picture(out)
     config = RelightConfig(lights=lights, rotate_deg=rotate)
     stage = default_rig() if rig is None else load_rig(rig)

@@ -115,9 +115,7 @@ def ict_subject(
         translucency=inner.translucency,
         landmarks_mm=world[model.landmarks],
         skin=skin.skin & on_skin,
-        head_from_world=np.concatenate(
-            [drawn.turn.T, -(drawn.turn.T @ shift)[:, None]], axis=1
-        ),
+        head_from_world=np.concatenate([drawn.turn.T, -(drawn.turn.T @ shift)[:, None]], axis=1),
         source=SOURCE,
         distribution=skin.distribution,
         anisotropy=skin.anisotropy,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lightstage.session import check_pseudonym
 from sim.errors import SimError
 from sim.subject import Subject
 from sim.traits import Traits
@@ -44,6 +45,12 @@ def load_subject(
     from sim.person import parametric_subject
 
     return parametric_subject(name, seed, expression or "neutral", texture_rows, traits)
+
+
+def check_subject(name: str) -> None:
+    """ConfigError when a name is neither a folder nor a pseudonym that a session may carry."""
+    if not is_folder(name):
+        check_pseudonym(name, "subject")
 
 
 def is_folder(name: str) -> bool:

@@ -198,9 +198,10 @@ def landmarks_px(
         noise_px: standard deviation of a click.
 
     Returns:
-        (68, 2) pixels, NaN where hidden or outside the picture.
+        (68, 2) pixels, NaN where hidden, outside the picture, or unknown on the subject.
     """
-    places = world.subject.landmarks_mm
+    known = np.isfinite(world.subject.landmarks_mm).all(axis=1)
+    places = np.where(known[:, None], world.subject.landmarks_mm, 0.0)
     normals = _normals_at(world.scene, places)
     points, depth = camera.project(places)
     points = points + rng.normal(0.0, noise_px, points.shape)
@@ -209,7 +210,7 @@ def landmarks_px(
     hidden = world.scene.blocked(places + 1.0 * normals, np.tile(camera.centre_mm, (68, 1)))
     hidden |= np.sum(toward * normals, axis=1) < FACING
     inside = (points >= 0).all(axis=1) & (points < [camera.width_px, camera.height_px]).all(axis=1)
-    points[hidden | ~inside | ~(depth > 0)] = np.nan
+    points[~known | hidden | ~inside | ~(depth > 0)] = np.nan
     return points
 
 
