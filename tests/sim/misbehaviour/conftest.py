@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 import tifffile
 
+from lightstage.cameras.binding import close_cameras
+from lightstage.cameras.process import CameraProcess
 from lightstage.capture import CaptureConfig, capture, connect
 from lightstage.errors import LightstageError
 from lightstage.formats.session import load_session
@@ -23,7 +25,7 @@ from lightstage.sequence import SafetyConfig, plan_shots
 from lightstage.session import SessionWriter, read_journal
 from sim.faults import Fault, FaultLog, Story, read_fault_log
 from sim.led_device import LedDevice
-from sim.simulated_camera import SimulatedCamera, SimulatedCameras
+from sim.simulated_camera import DRIVER, SimulatedCamera, SimulatedCameras
 
 WIDTH, HEIGHT, BLACK, WHITE = 32, 48, 512, 16383
 FAST = CaptureConfig(trigger_lead_s=0.0, safety=SafetyConfig(light_interval_s=0.0))
@@ -120,11 +122,15 @@ class Stage:
         self,
         *faults: Fault,
         seed: int = 0,
-        timeout_s: float = 0.15,
+        timeout_s: float = 0.2,
         attempts: int = 3,
         settings: dict[str, dict[str, Any]] | None = None,
+        camera_deadline_s: float | None = None,
     ) -> Ending:
-        """Photograph the sequence while this happens."""
+        """Photograph the sequence while this happens.
+
+        With a deadline the cameras are processes of their own, else they are in this one.
+        """
         self.captures += 1
         desk = self.root / f"desk{self.captures}"
         desk.mkdir()
@@ -137,11 +143,17 @@ class Stage:
             for number, camera in enumerate(self.rig.cameras):
                 bodies.put(camera.id, make_dng(levels, number))
 
-        said, writer = "", None
+        said, writer, cameras = "", None, []
         with LedDevice(len(self.rig.lights), show, 1, story, log, banks) as device:
             try:
                 with SerialLeds(parse_url(device.url(timeout_s, attempts))) as lights:
-                    cameras = [Named(c.id, str(bodies.folder(c.id))) for c in self.rig.cameras]
+                    ports = {c.id: str(bodies.folder(c.id)) for c in self.rig.cameras}
+                    cameras = [Named(name, port) for name, port in ports.items()]
+                    if camera_deadline_s is not None:
+                        cameras = [
+                            CameraProcess(name, port, None, camera_deadline_s, DRIVER)
+                            for name, port in ports.items()
+                        ]
                     connect(self.rig, lights, cameras, [])
                     shots = plan_shots(self.patterns, self.rig)
                     writer = SessionWriter(
@@ -151,6 +163,7 @@ class Stage:
             except LightstageError as error:
                 said = str(error)
             finally:
+                close_cameras(cameras)
                 if writer is not None:
                     writer.close()
             until = time.monotonic() + 5

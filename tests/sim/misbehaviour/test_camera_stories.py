@@ -55,6 +55,11 @@ def test_a_camera_that_fails_in_its_second_shot_is_told_and_nothing_else_is_lost
     refused_at_x(stage, ending, said)
 
 
+def test_a_camera_that_hangs_in_a_capture_is_ended_and_the_lights_go_out(stage):
+    ending = stage.capture(Fault("hang", camera="cam1", at=2), camera_deadline_s=1.5)
+    refused_at_x(stage, ending, "camera cam1, capture: found no answer within 1.5 s")
+
+
 def test_a_card_with_room_for_two_files_is_full_at_the_third(stage):
     ending = stage.capture(settings={"cam2": {"card_files": 2}})
     assert "pattern x-: 2 of 3 photographs kept" in ending.said
