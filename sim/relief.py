@@ -41,7 +41,7 @@ def skin_relief(patch: Patch, strength: float, age: float) -> np.ndarray:
     skin = pits + 0.016 * fine + net + grain
     waves = 0.016 * (1 + 0.6 * age) * patch.noise(6.0, 2, 27)
     grooves = patch.noise_of(lambda p: p * np.array([1.0, 0.16, 0.16], np.float32), 1.5, 2, 26)
-    lip = -0.055 * np.maximum(grooves, -0.4) + 0.008 * patch.noise(0.7, 2, 25)
+    lip = -0.030 * np.maximum(grooves, -0.4) + 0.008 * patch.noise(0.7, 2, 25)
     out = (1 - lips) * (strength * skin + waves) + lips * lip
     return np.asarray(out * (1 - patch.mask("eyes")), np.float32)
 

@@ -22,7 +22,7 @@ _Colour = tuple[float, float, float]
 
 _BLACK, _BROWN = np.array([0.020, 0.016, 0.0145]), np.array([0.060, 0.034, 0.019])
 _BLOND, _RED = np.array([0.26, 0.165, 0.080]), np.array([0.20, 0.070, 0.022])
-_GREY = np.array([0.30, 0.295, 0.285])
+_GREY = np.array([0.27, 0.255, 0.235])
 _EYES = {
     "dark": np.array([0.045, 0.022, 0.012]),
     "brown": np.array([0.095, 0.046, 0.020]),

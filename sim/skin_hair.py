@@ -138,8 +138,8 @@ def stubble_share(patch: Patch, strength: float) -> np.ndarray:
     here = patch.mask("beard")
     if strength <= 0 or here.max() < 0.02:
         return np.zeros(patch.shape, np.float32)
-    density = here * (0.75 + 0.25 * patch.noise(9.0, 2, 61))
-    width = 0.085 + 0.04 * strength
+    density = here * (0.86 + 0.10 * patch.noise(13.0, 2, 61))
+    width = 0.075 + 0.03 * strength
     # Dots smaller than a texel keep their darkness, not their size.
     drawn = max(width, 0.45 * patch.face.texel_mm)
 
@@ -149,9 +149,9 @@ def stubble_share(patch: Patch, strength: float) -> np.ndarray:
     def along(place: np.ndarray) -> np.ndarray:
         return place * np.array([1.0, 1.0 - 0.5 * strength, 1.0 - 0.3 * strength], np.float32)
 
-    dots = patch.pits_of(along, 0.62, 62, root) * (width / drawn) ** 2
+    dots = patch.pits_of(along, 0.52, 62, root) * (width / drawn) ** 2
     shadow = 0.10 + 0.16 * strength
-    share = smoothstep(0.1, 0.75, density) * (shadow + (0.5 + 0.5 * strength) * dots)
+    share = smoothstep(0.02, 0.95, density) * (shadow + (0.5 + 0.5 * strength) * dots)
     return np.asarray(np.clip(share * (0.35 + 0.65 * strength), 0, 0.9), np.float32)
 
 
@@ -176,7 +176,7 @@ def scalp_share(patch: Patch, recession_mm: float, cover: float) -> tuple[np.nda
     tufts = patch.noise_of(_combed_softly, 6.0, 2, 55)
     mixed = 0.55 * strands + 0.6 * fine
     # Toward the hairline fewer and fewer strands are there at all.
-    threshold = 1.7 - 3.6 * density * (0.55 + 0.45 * cover)
+    threshold = 1.7 - 4.3 * density * (0.55 + 0.45 * cover)
     strand = smoothstep(-0.5, 0.7, mixed - threshold)
     # Between the strands others lie deeper: part of the cover is even.
     share = (0.62 * strand + 0.38 * density**1.5) * smoothstep(0.0, 0.1, density)
