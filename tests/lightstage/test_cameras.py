@@ -1,5 +1,6 @@
 """Cameras in processes of their own, with libgphoto2's real virtual camera."""
 
+import dataclasses
 import io
 import os
 import signal
@@ -235,9 +236,53 @@ def test_unknown_and_doubled_entries_of_the_cameras_file_are_all_told(small_rig,
     assert "camera cam9: found an entry in the cameras file, none in the rig" in said
 
 
+def test_a_driver_needs_a_port_and_nothing_of_libgphoto2s(small_rig, tmp_path):
+    file = CamerasFile(
+        (),
+        {
+            "cam0": CameraEntry(driver="a.b:c"),
+            "cam1": CameraEntry("p", tmp_path, "a.b:c"),
+            "cam2": CameraEntry("p", None, "a.b:c"),
+        },
+    )
+    said = [str(problem) for problem in binding_problems(small_rig, file)]
+    assert len(said) == 2
+    assert "camera cam0, driver: found no port" in said[0]
+    assert "camera cam1, driver: found a virtual_folder too" in said[1]
+
+
+@pytest.mark.parametrize(
+    ("driver", "said"),
+    [
+        ("no_such_module:Camera", r"driver: found No module named 'no_such_module', expected an"),
+        (
+            "json:Camera",
+            "driver: found module 'json' has no attribute 'Camera', expected an installed module",
+        ),
+    ],
+)
+def test_a_driver_that_is_not_there_is_told_with_the_cameras_name(driver, said):
+    camera = CameraProcess("cam4", "somewhere", None, 20.0, driver)
+    with pytest.raises(DeviceError, match=r"camera cam4 \(somewhere\), " + said):
+        camera.open()
+    camera.close()
+
+
+def test_a_cameras_file_names_the_driver_that_takes_the_photographs(small_rig, tmp_path):
+    (tmp_path / "cameras.toml").write_text(
+        '[cameras.cam0]\ndriver = "my.stage:Camera"\nport = "tcp:3"\n'
+    )
+    file = read_cameras_file(tmp_path / "cameras.toml")
+    rig = dataclasses.replace(small_rig, cameras=small_rig.cameras[:1])
+    (camera,) = find_cameras(rig, file, 20.0, detect_ports)
+    assert (camera.driver, camera.port) == ("my.stage:Camera", "tcp:3")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        ('[cameras.cam0]\ndriver = "my.stage"', "driver: found 'my.stage', expected package.mod"),
+        ('[cameras.cam0]\ndriver = "my stage:x"', "expected package.module:name"),
         ('alow_unverifiable = ["iso"]', "alow_unverifiable: found an unknown key"),
         ('allow_unverifiable = ["colour"]', "found 'colour', expected of serial"),
         ('allow_unverifiable = "iso"', "expected tuple"),
