@@ -6,8 +6,12 @@ import numpy as np
 
 from lightstage.formats.mesh import Mesh
 from sim.errors import SimError
-from sim.head_mesh import neutral_mesh
-from sim.head_modes import EXPRESSIONS, expression_modes, identity_fields, identity_modes
+from sim.head_expressions import EXPRESSIONS, expressed, expression_modes
+from sim.head_eyes import clear_of_eyes, eye_centres, seat_balls
+from sim.head_fields import BROAD, LOCAL, identity_fields
+from sim.head_mesh import grid_vertices, neutral_mesh
+from sim.head_modes import identity_modes
+from sim.traits import Traits, random_traits
 
 
 def parametric_head(identity: np.ndarray, expression: str | None = None) -> Mesh:
@@ -53,10 +57,41 @@ def expression_offset(expression: str | None) -> np.ndarray:
     return expression_modes()[EXPRESSIONS.index(expression)]
 
 
-def random_head(rng: np.random.Generator, expression: str | None = None) -> Mesh:
-    """A head drawn over all anatomical fields, so not quite within the modes' span; head frame."""
-    _, fields = identity_fields()
-    draws = np.clip(rng.normal(size=len(fields)), -2.0, 2.0)
+def random_head(
+    rng: np.random.Generator, expression: str | None = None, traits: Traits | None = None
+) -> Mesh:
+    """A head drawn over all anatomical fields, so not quite within the modes' span; head frame.
+
+    Its lids rest on its own eyeballs and close over them; `parametric_head` is linear instead.
+
+    Args:
+        rng: of the draw; the same state gives the same person whatever the expression.
+        expression: as in `parametric_head`.
+        traits: sex and age shift the means of the draw; None draws them too.
+
+    Raises:
+        SimError: an unknown expression.
+    """
+    expression_offset(expression)
     mesh = neutral_mesh()
-    offset = np.tensordot(draws, fields, axes=1)
-    return mesh.with_vertices(mesh.vertices + offset + expression_offset(expression))
+    vertices = mesh.vertices + _random_offset(rng, traits or random_traits(rng))
+    index = grid_vertices()
+    neutral = mesh.vertices[index]
+    centres = eye_centres(vertices[index], neutral)
+    vertices[index] = seat_balls(clear_of_eyes(vertices[index], centres), centres)
+    if expression not in (None, "neutral"):
+        vertices = expressed(vertices, str(expression))
+    return mesh.with_vertices(vertices)
+
+
+def _random_offset(rng: np.random.Generator, traits: Traits) -> np.ndarray:
+    names, fields = identity_fields()
+    table = {**BROAD, **LOCAL}
+    male = 1.0 if traits.sex == "male" else -1.0
+    years = np.clip((traits.age_years - 45.0) / 18.0, -1.6, 2.2)
+    chance = np.clip(rng.normal(size=len(fields)), -2.0, 2.0)
+    draws = [
+        table[name].male * male + table[name].age * years + table[name].rest * part
+        for name, part in zip(names, chance, strict=True)
+    ]
+    return np.tensordot(np.array(draws), fields, axes=1)

@@ -29,8 +29,8 @@ SLIT_DEG = 25.0
 ROW_HAIRLINE, ROW_BROW, ROW_LID_UP, ROW_LID_LOW = 12, 33, 43, 49
 ROW_NOSE, ROW_LIP_UP, ROW_MOUTH, ROW_LIP_LOW, ROW_CHIN, ROW_THROAT = 72, 79, 84, 89, 104, 113
 
-EYE_AZIMUTH_DEG, EYE_HALF_DEG = 18.6, 9.2
-MOUTH_HALF_DEG = 13.6
+EYE_AZIMUTH_DEG, EYE_HALF_DEG = 19.1, 8.8
+MOUTH_HALF_DEG = 14.8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +54,25 @@ def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
     """0 below `low`, 1 above `high`, smooth between."""
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
+
+
+def relaxed(grid: np.ndarray, share: np.ndarray, rounds: int = 18) -> np.ndarray:
+    """Spread a grid's points evenly.
+
+    Args:
+        grid: (rows + 1, columns + 1, 3) mm.
+        share: (rows + 1, columns + 1) 0..1, how freely each point moves; borders stay.
+        rounds: how often.
+
+    Returns:
+        A grid of the same shape.
+    """
+    for _ in range(rounds):
+        inner = 0.25 * (grid[:-2, 1:-1] + grid[2:, 1:-1] + grid[1:-1, :-2] + grid[1:-1, 2:])
+        moved = grid.copy()
+        moved[1:-1, 1:-1] += share[1:-1, 1:-1, None] * 0.6 * (inner - grid[1:-1, 1:-1])
+        grid = moved
+    return grid
 
 
 def face_azimuth_deg() -> np.ndarray:
@@ -101,9 +120,9 @@ def row_elevation_deg(azimuth_deg: np.ndarray) -> np.ndarray:
     lips = smoothstep(2.6, 1.0, mouth)
     bow = 0.28 * np.exp(-((mouth / 0.09) ** 2)) - 0.22 * np.exp(-(((mouth - 0.22) / 0.12) ** 2))
     taper = np.sqrt(np.clip(1 - np.clip(mouth, 0, 1) ** 2, 0, 1))
-    line = -27.6 - 2.7 * np.clip(mouth, 0, 1.0) ** 2 - 0.25 * np.exp(-((mouth / 0.2) ** 2))
-    lip_up = line + 0.6 + 2.7 * taper**1.6 - bow
-    lip_low = line - 0.6 - 3.1 * taper**1.45
+    line = -25.2 - 4.4 * np.clip(mouth, 0, 1.0) ** 2 - 0.3 * np.exp(-((mouth / 0.2) ** 2))
+    lip_up = line + 0.6 + 2.6 * taper**1.4 - bow
+    lip_low = line - 0.6 - 5.0 * taper**1.45
     anchors = {
         0: flat + 90.0 - SLIT_DEG,
         ROW_HAIRLINE: flat + 43.0,
@@ -152,4 +171,20 @@ def head_rays() -> Rays:
     origins = origins + ahead_of[..., None] * NOSE_SHIFT_MM
     directions = through - origins
     directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    origins, directions = _level_neck(origins, directions, phi)
     return Rays(origins, directions, azimuth_deg, elevation_deg)
+
+
+def _level_neck(
+    origins: np.ndarray, directions: np.ndarray, azimuth: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Let the neck's rays start on its axis and leave it level; azimuth in radians."""
+    row = np.arange(ROWS + 1.0)[:, None]
+    ahead = np.cos(azimuth)
+    height = -132.0 - 10.0 * ahead - 3.2 * (row - ROW_THROAT)
+    level = smoothstep(ROW_CHIN - 1.0, ROW_THROAT + 3.0, row)[..., None]
+    start = np.stack([0 * height, height, 0 * height - 25.0], axis=-1)
+    out = np.stack([np.sin(azimuth), 0 * ahead, ahead], axis=-1)
+    directions = (1 - level) * directions + level * out
+    directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    return (1 - level) * origins + level * start, directions

@@ -6,8 +6,9 @@ import functools
 
 import numpy as np
 
-from lightstage.formats.mesh import Mesh
-from sim.head_features import add_features, ear_share
+from lightstage.formats.mesh import Mesh, vertex_normals
+from sim.head_ears import beside_ears, ear_share
+from sim.head_features import add_features
 from sim.head_grid import (
     COLUMNS,
     EYE_AZIMUTH_DEG,
@@ -21,25 +22,29 @@ from sim.head_grid import (
     ROWS,
     face_azimuth_deg,
     head_rays,
+    smoothstep,
 )
 from sim.head_shape import cast
 
 HALF = COLUMNS // 2
 
+HAIR_MM = 4.0
+"""How thick the average head's short hair is."""
+
 # Places of landmarks that lie on no row, x >= 0: mm in the head frame.
 _JAW_MM = (
-    (72, -6, 8),
-    (70, -24, 8),
-    (67, -43, 8),
-    (63, -62, 8),
-    (55, -81, 16),
-    (43, -97, 34),
-    (28, -109, 52),
-    (14, -117, 66),
-    (0, -119, 74),
+    (71, -6, 8),
+    (69, -24, 8),
+    (66, -43, 8),
+    (58, -62, 9),
+    (50, -80, 14),
+    (42, -96, 30),
+    (29, -108, 52),
+    (14, -116, 73),
+    (0, -120, 83),
 )
 _BROW_MM = ((54, 11, 66), (46, 17, 76), (36, 19, 84), (25, 17, 90), (14, 13, 93))
-_NOSE_BASE_MM = ((13.5, -51, 96), (7, -54, 99), (0, -55, 100))
+_NOSE_BASE_MM = ((16, -49, 94), (8, -52, 96))
 
 
 @functools.cache
@@ -69,11 +74,17 @@ def neutral_mesh() -> Mesh:
     other = np.empty(len(vertices), int)
     other[index.ravel()] = mirrored.ravel()
     vertices = 0.5 * (vertices + vertices[other] * (-1, 1, 1))
+    quads = _quads(index)
+    share = _hair_share(vertices[index])
+    normals = vertex_normals(vertices, Mesh(vertices, quads).triangles())
+    thick = np.empty(len(vertices))
+    thick[index] = HAIR_MM * share
+    vertices = vertices + thick[:, None] * 0.5 * (normals + normals[other] * (-1, 1, 1))
     flat = np.arange((ROWS + 1) * (COLUMNS + 1)).reshape(ROWS + 1, COLUMNS + 1)
     u = np.arange(COLUMNS + 1) / COLUMNS
     v = 1 - np.arange(ROWS + 1) / ROWS
     uvs = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    return Mesh(vertices, _quads(index), uvs, _quads(flat))
+    return Mesh(vertices, quads, uvs, _quads(flat))
 
 
 def _quads(index: np.ndarray) -> np.ndarray:
@@ -114,7 +125,9 @@ def landmarks() -> np.ndarray:
     tip = ROW_LID_LOW + int(np.argmax(front[ROW_LID_LOW : ROW_LIP_UP - 3, 2]))
     bridge = np.linspace(np.argmin(np.abs(front[:, 1] + 1)), tip, 4).round().astype(int)
     nose = [int(index[row, HALF]) for row in bridge]
-    base = [near(p, -1) for p in _NOSE_BASE_MM] + [near(p, 1) for p in _NOSE_BASE_MM[-2::-1]]
+    under = [near(p, -1) for p in _NOSE_BASE_MM]
+    under.append(int(index[tip + np.argmin(front[tip : ROW_LIP_UP - 2, 2]), HALF]))
+    base = under + [near(p, 1) for p in _NOSE_BASE_MM[::-1]]
     eyes = [eye(middle, 0.98, -1), eye(ROW_LID_UP, 0.36, -1), eye(ROW_LID_UP, -0.36, -1)]
     eyes += [eye(middle, -0.98, -1), eye(ROW_LID_LOW, -0.36, -1), eye(ROW_LID_LOW, 0.36, -1)]
     eyes += [eye(middle, -0.98, 1), eye(ROW_LID_UP, -0.36, 1), eye(ROW_LID_UP, 0.36, 1)]
@@ -146,6 +159,28 @@ def regions() -> dict[str, np.ndarray]:
     chosen["skin"] = ~(lips | eyes | ears | hair)
     names = ("skin", "lips", "eyes", "ears", "hair")
     return {name: np.unique(index[chosen[name]]) for name in names}
+
+
+def _hair_share(points: np.ndarray) -> np.ndarray:
+    """(rows + 1, columns + 1) 0..1: how much of the hair's thickness a place has."""
+    # Behind and above the ear hair starts thin, so that the ear keeps its place.
+    return np.asarray(smoothstep(-1.0, 16.0, hairline_mm(points)) * beside_ears())
+
+
+@functools.cache
+def hair_share() -> np.ndarray:
+    """(n,) 0..1: how much of the hair's thickness each vertex has."""
+    index = grid_vertices()
+    vertices = neutral_mesh().vertices
+    share = np.empty(len(vertices))
+    share[index] = _hair_share(vertices[index])
+    return share
+
+
+@functools.cache
+def vertex_normals_of() -> np.ndarray:
+    """(n, 3) unit normals of the average head."""
+    return vertex_normals(neutral_mesh().vertices, neutral_mesh().triangles())
 
 
 def hairline_mm(points: np.ndarray) -> np.ndarray:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from sim.head_sections import section_distance
+
 EYE_CENTRE_MM = np.array([31.5, -8.0, 68.5])
 EYE_RADIUS_MM = 12.2
 
@@ -57,17 +59,13 @@ def bump(
 
 # What is added to the surface, mm: height, centre, spread.
 BUMPS: tuple[tuple[float, tuple[float, float, float], tuple[float, float, float]], ...] = (
-    (2.2, (24, 15, 92), (14, 6.5, 20)),  # brow ridge
-    (2.5, (44, 13, 78), (10, 6, 20)),  # its outer end
-    (-1.0, (0, 13, 98), (6, 8, 20)),  # between the brows
-    (-4.0, (21, -3, 84), (8, 7, 18)),  # inner eye socket
-    (-4.0, (38, -20, 78), (14, 8, 18)),  # below the eye
-    (4.0, (54, -26, 55), (13, 10, 20)),  # cheekbone
-    (3.5, (36, -38, 74), (13, 11, 18)),  # apple of the cheek
-    (-2.0, (50, -66, 50), (12, 14, 25)),  # hollow cheek
-    (-2.5, (60, 20, 50), (10, 20, 18)),  # temple
-    (2.0, (33, -64, 76), (6, 12, 18)),  # beside the mouth
-    (-1.4, (22, -55, 92), (4, 8, 16)),  # fold from the nose to the mouth
+    (1.2, (22, 14, 94), (12, 5.5, 16)),  # brow ridge
+    (1.2, (49, 10, 74), (9, 6, 14)),  # its outer end
+    (1.6, (36, -40, 76), (12, 10, 16)),  # apple of the cheek
+    (-1.6, (17, -24, 80), (6, 8, 14)),  # beside the nose, below the eye
+    (-1.3, (27, -57, 88), (3.5, 9, 12)),  # fold from the nose to the mouth
+    (-1.6, (30, -76, 78), (4.5, 6, 12)),  # beside the corners of the mouth
+    (-0.8, (0, -109, 94), (3.5, 7, 10)),  # dimple between the halves of the chin
 )
 
 
@@ -75,28 +73,55 @@ def base_distance(points: np.ndarray) -> np.ndarray:
     """Signed distance (about) to the head without lips and ears: (n, 3) mm to (n,) mm."""
     p = np.array(points, float)
     p[..., 0] = np.abs(p[..., 0])
-    d = ellipsoid(p, (0, 22, -8), (75, 90, 92))
-    d = join(d, ellipsoid(p, (0, 30, 22), (62, 66, 72)), 18)  # forehead
-    d = join(d, ellipsoid(p, (0, -34, 22), (65, 66, 64)), 16)  # middle of the face
-    d = join(d, ellipsoid(p, (0, -70, 50), (36, 42, 43)), 16)  # jaws and teeth
-    d = join(d, cone(p, (45, -58, 4), (14, -101, 67), 13, 13), 24)  # jaw line
-    d = join(d, ellipsoid(p, (0, -103, 77), (16, 13, 17)), 14)  # chin
-    d = join(d, cone(p, (0, -50, -24), (0, -190, -40), 50, 57), 30)  # neck
+    shape = p.shape[:-1]
+    p = p.reshape(-1, 3)
+    d = ellipsoid(p, (0, 24, -11), (71.5, 88, 88))
+    d = join(d, ellipsoid(p, (0, 44, -26), (70, 63, 68)), 14)  # its sides above
+    d = join(d, ellipsoid(p, (0, 8, -50), (59, 60, 48)), 20)  # back of the head
+    d = join(d, ellipsoid(p, (0, 38, 18), (66, 70, 72)), 20)  # its front
+    d = join(d, section_distance(p), 8)
+    d = join(d, _neck(p), 16)
     for height, centre, sigma in BUMPS:
         d = d - height * bump(p, centre, sigma)
-    d = _nose(p, d)
-    return _eye(p, d)
+    return _eye(p, _nose(p, d)).reshape(shape)
+
+
+def _neck(p: np.ndarray) -> np.ndarray:
+    n = ellipsoid_column(p, (0, -40, -26), (0, -205, -24), (41, 48), (49, 56))
+    n = join(n, cone(p, (50, -32, -24), (18, -200, 28), 10, 9), 12)  # turner of the head
+    n = join(n, cone(p, (22, -50, -64), (34, -210, -60), 19, 28), 25)  # muscles of the nape
+    n = join(n, cone(p, (0, -138, 20), (0, -152, 24), 8, 7), 18)  # larynx
+    return join(n, cone(p, (0, -104, 62), (0, -124, 18), 14, 22), 18)  # floor of the mouth
+
+
+def ellipsoid_column(
+    p: np.ndarray,
+    start: tuple[float, float, float],
+    end: tuple[float, float, float],
+    radii: tuple[float, float],
+    end_radii: tuple[float, float],
+) -> np.ndarray:
+    """Distance (about) to an upright column of elliptic sections; radii along x and z; p (n, 3)."""
+    a, b = np.array(start), np.array(end)
+    t = np.clip((p[:, 1] - a[1]) / (b[1] - a[1]), 0.0, 1.0)
+    middle = a + t[:, None] * (b - a)
+    size = np.array(radii) + t[:, None] * (np.array(end_radii) - np.array(radii))
+    q = (p - middle)[:, [0, 2]] / size
+    flat = (np.linalg.norm(q, axis=1) - 1) * size.min(axis=1)
+    return np.maximum(flat, p[:, 1] - a[1])
 
 
 def _nose(p: np.ndarray, d: np.ndarray) -> np.ndarray:
-    n = cone(p, (0, 2, 86.5), (0, -26, 95.5), 7.0, 8.5)
-    n = join(n, cone(p, (0, -24, 96), (0, -41, 104), 8.2, 9.2), 6)
-    n = join(n, ellipsoid(p, (0, -42.5, 104.8), (10, 8.6, 10)), 5)  # tip
-    n = join(n, ellipsoid(p, (11.2, -46, 96), (6.8, 7.2, 10)), 4)  # wing
-    n = join(n, cone(p, (0, -49, 103), (0, -54, 97), 4, 5), 4)  # columella
-    n = join(n, cone(p, (0, -12, 84), (0, -45, 92), 8.5, 11.5), 8)  # what it stands on
-    d = join(d, n, 10)
-    return carve(d, ellipsoid(p, (6.6, -54.5, 99.5), (3.2, 3.5, 5.0)), 4)  # nostril
+    n = cone(p, (0, 6, 80), (0, -20, 92.5), 6.5, 7.5)  # bones
+    n = join(n, cone(p, (0, -18, 92.5), (0, -40, 104.0), 7.0, 7.4), 5)  # bridge
+    n = join(n, ellipsoid(p, (3.8, -42.0, 105.0), (7.6, 7.4, 8.0)), 4)  # tip, two domes
+    n = join(n, cone(p, (0, -48, 101), (0, -53.5, 94), 3.4, 4.2), 4)  # columella
+    n = join(n, cone(p, (0, -6, 78), (0, -42, 90), 8.0, 12.5), 8)  # what it stands on
+    n = join(n, cone(p, (3, -24, 88), (6.5, -40, 96), 5.0, 6.0), 6)  # side walls
+    d = join(d, n, 9)
+    d = join(d, ellipsoid(p, (11.0, -45.6, 95), (6.6, 6.8, 9.5)), 5)  # wing
+    d = d + 0.9 * bump(p, (15.5, -40.5, 95), (3.0, 3.0, 6.0))  # groove above the wing
+    return carve(d, ellipsoid(p, (6.4, -53.0, 98.0), (3.2, 3.6, 5.6)), 3)  # nostril
 
 
 def _eye(p: np.ndarray, d: np.ndarray) -> np.ndarray:
