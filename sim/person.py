@@ -68,7 +68,7 @@ def person_expressions(
             expected="a multiple of 3, at least 96",
         )
     who = random_traits(_stream(seed, 3)) if traits is None else traits
-    heads = [random_head(_stream(seed, 0), expression) for expression in expressions]
+    heads = [random_head(_stream(seed, 0), expression, who) for expression in expressions]
     pose_rng = _stream(seed, 2)
     turn = Rotation.from_rotvec(np.radians(np.clip(pose_rng.normal(0, 2.0, 3), -4, 4))).as_matrix()
     place = np.clip(pose_rng.normal(0, 3.0, 3), -6, 6) + np.array([0.0, 0.0, 6.0])
