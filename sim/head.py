@@ -88,7 +88,8 @@ def _random_offset(rng: np.random.Generator, traits: Traits) -> np.ndarray:
     names, fields = identity_fields()
     table = {**BROAD, **LOCAL}
     male = 1.0 if traits.sex == "male" else -1.0
-    years = np.clip((traits.age_years - 45.0) / 18.0, -1.6, 2.2)
+    # What sags has not begun to in the young, who differ little in it from one another.
+    years = np.clip((traits.age_years - 45.0) / 18.0, -1.0, 2.2)
     chance = np.clip(rng.normal(size=len(fields)), -2.0, 2.0)
     draws = [
         table[name].male * male + table[name].age * years + table[name].rest * part

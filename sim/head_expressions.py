@@ -71,11 +71,11 @@ def _moved(name: str, vertices: np.ndarray) -> np.ndarray:
 def _smile(points: np.ndarray) -> np.ndarray:
     return paired(
         points,
-        ((7.5, 0.5, -5.0), (25, -74, 84), (11, 10, 20)),  # corners out and back
+        ((8.5, 0.5, -5.5), (25, -74, 84), (11, 10, 20)),  # corners out and back
         ((0, 6.5, 0), (31, -73, 80), (9, 10, 20)),  # and up
         ((0, -0.8, 0), (0, -76, 96), (10, 8, 18)),
         ((0, 0.6, -1.8), (0, -72, 98), (13, 9, 18)),  # lips thin against the teeth
-        ((1.6, 4.0, 3.6), (39, -40, 74), (13, 11, 20)),  # cheeks rise and round
+        ((1.8, 4.5, 4.2), (39, -41, 74), (13, 11, 20)),  # cheeks rise and round
         ((1.0, 0, -1.8), (30, -58, 84), (4.5, 9, 14)),  # fold from nose to mouth
         ((0, 1.5, 0.5), (32, -19, 79), (13, 4.5, 18)),  # lower lids
         ((0, -0.5, 0), (32, -3, 80), (13, 3, 18)),
