@@ -1,0 +1,1 @@
+"""The second hand: Mitsuba's rays and reflectance, bounces, subsurface scattering."""
