@@ -45,6 +45,7 @@ def session(
     from sim.capture import capture_session
     from sim.faults import Story
     from sim.flaws import load_flaws
+    from sim.lamps import lamps_of
     from sim.optics import distorted
     from sim.session import (
         SessionConfig,
@@ -73,7 +74,8 @@ def session(
         story.check_cameras([camera.id for camera in stage.cameras], "--faults")
     person = load_subject(subject, seed, expression, config.texture_rows)
     with progress_bar("shadow rays, cameras") as progress:
-        world = World(person, stage, progress)
+        lamps = lamps_of(stage, done_to_light.lamps, seed)
+        world = World(person, stage, progress, lamps=lamps)
     with progress_bar("truth") as progress:
         truth = write_truth(world, truth_path(out), progress)
     if direct:
@@ -183,6 +185,45 @@ def render(
     }
     size = f"{picture.shape[1]} x {picture.shape[0]} px"
     finish(f"{out}: {size}, exposure x {factor:.3g}, {seconds:.1f} s", facts, as_json)
+
+
+@app.command()
+def targets(
+    out: Path = typer.Option(..., help="Session folder; truth goes to OUT.truth."),
+    rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
+    seed: int = typer.Option(0, help="Of the board's poses, lenses, sensors and noise."),
+    scale: float = typer.Option(
+        0.1795, min=0.005, max=1.0, help="Share of the rig's pixels a side."
+    ),
+    flaws: str = typer.Option(
+        "ideal", help="What lens, lamps, room and sensor do: ideal, lab, bad, or a TOML file."
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Photograph calibration targets: boards, chart, mirror and grey ball, flats and darks."""
+    from lightstage.rig import default_rig, load_rig
+    from sim.flaws import load_flaws
+    from sim.optics import distorted
+    from sim.session import require_new, truth_path
+    from sim.targets import TargetsConfig, write_targets
+
+    begun = time.monotonic()
+    require_new(out)
+    done_to_light = load_flaws(flaws)
+    stage = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
+    stage = distorted(stage, done_to_light.lens)
+    with progress_bar("photographs") as progress:
+        write_targets(stage, out, TargetsConfig(), done_to_light, seed, progress)
+    seconds = time.monotonic() - begun
+    count = sum(1 for _ in out.glob("frames/*/*.dng"))
+    truth = truth_path(out)
+    facts = {
+        "session": str(out),
+        "truth": str(truth),
+        "photographs": count,
+        "seconds": round(seconds, 1),
+    }
+    finish(f"{out}: {count} photographs, truth in {truth}, {seconds:.1f} s", facts, as_json)
 
 
 @app.command()
