@@ -92,21 +92,30 @@ def decode_picture(data: bytes, where: str) -> Picture:
     raise SimError(where, found=f"{pixels.dtype} pixels", expected="8 or 16 bits, or OpenEXR")
 
 
-def merged(points: np.ndarray, faces: np.ndarray, uvs: np.ndarray | None) -> Mesh:
+def merged(
+    points: np.ndarray,
+    faces: np.ndarray,
+    uvs: np.ndarray | None,
+    face_uvs: np.ndarray | None,
+) -> Mesh:
     """A mesh whose vertices are one where they lie in one place; UV keep their own indices.
 
-    Files repeat a vertex at each UV seam; the surface itself has none.
+    Files repeat a vertex at each UV seam; the surface itself has none. Vertices of no face are
+    left out: they are no part of the head and would count for its size.
 
     Args:
         points: (n, 3), finite.
-        faces: (t, 3) into points and UV.
-        uvs: (n, 2) or None.
+        faces: (t, 3) into points.
+        uvs: (k, 2) or None.
+        face_uvs: (t, 3) into UV or None.
     """
+    used, faces = np.unique(faces, return_inverse=True)
+    points, faces = points[used], faces.reshape(-1, 3)
     step = max(float(np.ptp(points, axis=0).max()), 1e-30) * 1e-6
     _, first, inverse = np.unique(
         np.round(points / step), axis=0, return_index=True, return_inverse=True
     )
     joined = inverse.ravel()[faces].astype(np.int32)
-    if uvs is None:
+    if uvs is None or face_uvs is None:
         return Mesh(points[first], joined)
-    return Mesh(points[first], joined, uvs, faces.astype(np.int32))
+    return Mesh(points[first], joined, uvs, face_uvs.astype(np.int32))

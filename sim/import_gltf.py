@@ -76,9 +76,10 @@ def read_gltf(path: Path) -> ScanFile:
             hint="Remove the parts without UV, or unwrap them.",
         )
     flat = np.concatenate(known) if known else None
+    corners = np.concatenate(faces)
     return ScanFile(
         where=path,
-        mesh=merged(everything, np.concatenate(faces), flat),
+        mesh=merged(everything, corners, flat, corners),
         mm_per_unit=MM_PER_UNIT,
         colour=reader.picture(("pbrMetallicRoughness", "baseColorTexture")),
         colour_factor=reader.colour_factor(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightstage.formats.mesh import Mesh, read_obj
+from lightstage.formats.mesh import read_obj
 from sim.errors import SimError
 from sim.import_file import Picture, ScanFile, merged, read_picture
 
@@ -38,15 +38,10 @@ def read_textured_obj(path: Path) -> ScanFile:
         )
     if not used:
         used = list(materials)
-    triangles = mesh.triangles()
-    if mesh.uvs is None or mesh.face_uvs is None:
-        joined = merged(mesh.vertices, triangles, None)
-    else:
-        one = merged(mesh.vertices, triangles, None)
-        joined = Mesh(one.vertices, one.faces, mesh.uvs, mesh.triangle_uvs())
+    face_uvs = None if mesh.face_uvs is None else mesh.triangle_uvs()
     return ScanFile(
         where=path,
-        mesh=joined,
+        mesh=merged(mesh.vertices, mesh.triangles(), mesh.uvs, face_uvs),
         mm_per_unit=None,
         colour=_texture(path, materials, used, _COLOUR),
         normals=_texture(path, materials, used, _NORMALS),
