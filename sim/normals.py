@@ -25,7 +25,7 @@ def _bend(
         for c in range(columns):
             nx, ny, nz = normal[r, c, 0], normal[r, c, 1], normal[r, c, 2]
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if not covered[r, c] or not length > 1e-9:
+            if not covered[r, c] or not 1e-9 < length < 1e9:
                 out[r, c] = 0.0
                 continue
             nx, ny, nz = nx / length, ny / length, nz / length

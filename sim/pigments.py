@@ -76,7 +76,7 @@ class PigmentConfig:
 
     epidermis_mm: float = 0.06
     oxygenated: float = 0.75
-    backscatter: float = 0.35
+    backscatter: float = 0.5
     dermis_base: float = 0.2
 
 
@@ -126,9 +126,8 @@ def reflectance(
 
 
 def led_white() -> np.ndarray:
-    """(34,) a white LED's spectrum: a blue chip at 452 nm and its phosphor about 555 nm."""
-    wave = WAVELENGTHS_NM
-    return np.exp(-0.5 * ((wave - 452) / 11) ** 2) + 0.62 * _lobe(555, 42, 68)
+    """(34,) a white LED of good colour rendering: a blue chip, a green and a red phosphor."""
+    return _lobe(452, 10, 14) + 0.4 * _lobe(525, 25, 45) + _lobe(605, 60, 45)
 
 
 def _lobe(middle: float, below: float, above: float) -> np.ndarray:
@@ -204,7 +203,8 @@ def paint_pigments(
 def _steps(values: np.ndarray, span: tuple[float, float], count: int) -> np.ndarray:
     """Places in the table, 0..count - 1."""
     low, high = span
-    logs = np.log(np.fmin(np.fmax(values, np.float32(low)), np.float32(high)))
+    clean = np.fmin(np.fmax(np.asarray(values, np.float32), np.float32(low)), np.float32(high))
+    logs = np.log(clean)
     return np.asarray(
         (logs - np.float32(np.log(low))) * np.float32((count - 1) / np.log(high / low))
     )

@@ -9,12 +9,12 @@ import numpy as np
 from sim.traits import Traits, random_traits
 
 MELANIN_OF_TONE = {
-    1: (0.018, 0.027),
-    2: (0.027, 0.040),
-    3: (0.040, 0.060),
-    4: (0.060, 0.098),
-    5: (0.105, 0.185),
-    6: (0.19, 0.34),
+    1: (0.026, 0.034),
+    2: (0.034, 0.047),
+    3: (0.047, 0.068),
+    4: (0.068, 0.110),
+    5: (0.125, 0.215),
+    6: (0.230, 0.420),
 }
 """Melanin's volume fraction of each tone, least and most: ITA of about 60 down to -50 degrees."""
 
@@ -96,7 +96,7 @@ def random_complexion(rng: np.random.Generator, traits: Traits | None = None) ->
     low, high = MELANIN_OF_TONE[who.tone]
     melanin = float(low * (high / low) ** u[0])
     # 1 for the fairest, 0 from the middle tones on.
-    fair = float(np.clip(1 - (melanin - 0.018) / 0.045, 0, 1))
+    fair = float(np.clip(1 - (melanin - 0.026) / 0.05, 0, 1))
     years = who.age_years
     age = float(np.clip((years - 20) / 58, 0, 1) ** 1.15)
     male = who.sex == "male"
@@ -105,7 +105,7 @@ def random_complexion(rng: np.random.Generator, traits: Traits | None = None) ->
     freckled = float(u[6] < 0.15 + 0.3 * fair) * (0.25 + 0.75 * u[7]) * (0.2 + 0.8 * fair)
     return Complexion(
         melanin=melanin,
-        blood=float(0.0075 * 2.2 ** (u[8] - 0.5)),
+        blood=float(0.0066 * 2.2 ** (u[8] - 0.5)),
         eumelanin=float(np.clip(0.12 + 0.65 * (1 - fair) + 0.2 * (u[9] - 0.5), 0.05, 0.95)),
         redness=float(0.65 + 0.7 * u[10]),
         lips=float((0.045 + 0.035 * u[11]) * (1 - 0.3 * age) * (0.8 if male else 1.0)),
