@@ -10,6 +10,7 @@ from numba import njit, prange
 from lightstage.formats.environment import stage_lights
 from lightstage.formats.session import Session
 from processing.errors import ProcessingError
+from processing.interface import BARE, Interface, let_through, row_of
 
 OCTAHEDRON = 96
 """Side of the octahedral grid that the far field is tabulated for (off by 2.5 deg at most)."""
@@ -159,18 +160,25 @@ def far_field(lights: PatternLights) -> np.ndarray:
 
 
 def irradiance_vectors(
-    lights: PatternLights, points_mm: np.ndarray, normals: np.ndarray, shadows: Shadows
+    lights: PatternLights,
+    points_mm: np.ndarray,
+    normals: np.ndarray,
+    shadows: Shadows,
+    interface: Interface = BARE,
+    roughness: float = 0.26,
 ) -> np.ndarray:
     """Irradiance vectors at points near the origin, shadows and fall-off included.
 
-    g_k(p) = sum over visible lights above the horizon of strength_k l (d0 / d)^2, with l the unit
-    direction to the light, d its distance and d0 its distance from the origin.
+    g_k(p) = sum over visible lights above the horizon of strength_k l T(n . l) (d0 / d)^2, with l
+    the unit direction to the light, d its distance and d0 its distance from the origin.
 
     Args:
         lights: of P patterns.
         points_mm: (n, 3).
-        normals: (n, 3) that set the horizon.
+        normals: (n, 3) that set the horizon and what the interface lets in.
         shadows: of the n points.
+        interface: that light passes on its way in.
+        roughness: of the interface, Beckmann's m.
 
     Returns:
         (n, P, 3) float32.
@@ -187,6 +195,8 @@ def irradiance_vectors(
         lights.weight.astype(np.float32),
         lights.levels.astype(np.float32),
         lights.group_end,
+        interface.table,
+        np.float32(roughness),
         out,
     )
     return out
@@ -204,8 +214,11 @@ def _irradiance_vectors(
     weight: np.ndarray,
     levels: np.ndarray,
     group_end: np.ndarray,
+    through: np.ndarray,
+    roughness: float,
     out: np.ndarray,
 ) -> None:
+    row, part = row_of(roughness, len(through))
     for i in prange(len(points)):
         c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
         first = 0
@@ -224,7 +237,9 @@ def _irradiance_vectors(
                 if seen <= 0 or facing <= 0:
                     continue
                 d2 = dx * dx + dy * dy + dz * dz
-                fall = seen * weight[j] * radius[j] * radius[j] / (d2 * np.sqrt(d2))
+                d = np.sqrt(d2)
+                fall = seen * weight[j] * radius[j] * radius[j] / (d2 * d)
+                fall *= let_through(through, row, part, facing / d)
                 x += fall * dx
                 y += fall * dy
                 z += fall * dz

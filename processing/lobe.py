@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from processing.interface import BARE, Interface, let_through, row_of
 from processing.lights import PatternLights, Shadows
 
 SKIN_F0 = 0.028
@@ -61,6 +62,7 @@ def transport(
     views: np.ndarray,
     roughness: np.ndarray | float,
     shadows: Shadows,
+    interface: Interface = BARE,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """E_k, A_k and B_k of pixels.
 
@@ -71,6 +73,7 @@ def transport(
         views: (n, 3) unit, toward the camera.
         roughness: Beckmann's m, one or (n,).
         shadows: of the n points.
+        interface: that light passes on its way into the diffuse layer and out; E_k holds both.
 
     Returns:
         Three (n, P) float32.
@@ -93,6 +96,8 @@ def transport(
         lights.levels.astype(np.float32),
         lights.group_end,
         fresnel_table().astype(np.float32),
+        interface.table,
+        interface.mean,
         out,
     )
     return out[0], out[1], out[2]
@@ -123,6 +128,8 @@ def _transport(
     levels: np.ndarray,
     group_end: np.ndarray,
     table: np.ndarray,
+    through: np.ndarray,
+    mean: np.ndarray,
     out: np.ndarray,
 ) -> None:
     steps = len(table) - 1
@@ -133,6 +140,9 @@ def _transport(
         vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
         nv = max(nx * vx + ny * vy + nz * vz, np.float32(GRAZING))
         shadow_v = _shadowing(nv, roughness)
+        row, part = row_of(roughness, len(through))
+        leaving = let_through(through, row, part, nv)
+        leaving /= mean[row] * (1 - part) + mean[row + 1] * part
         c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
         first = 0
         for group in range(len(group_end)):
@@ -155,7 +165,7 @@ def _transport(
                 fall = radius[j] / distance
                 seen *= weight[j] * fall * fall
                 nl /= distance
-                e += seen * nl
+                e += seen * nl * leaving * let_through(through, row, part, nl)
                 hx, hy, hz = lx / distance + vx, ly / distance + vy, lz / distance + vz
                 length = math.sqrt(hx * hx + hy * hy + hz * hz)
                 if length <= 0:
@@ -169,9 +179,9 @@ def _transport(
                 lobe *= seen * shadow_v * _shadowing(nl, roughness)
                 place = min(1.0, (vx * hx + vy * hy + vz * hz) / length) * steps
                 below = min(steps - 1, int(place))
-                part = place - below
-                a = table[below, 0] * (1 - part) + table[below + 1, 0] * part
-                b = table[below, 1] * (1 - part) + table[below + 1, 1] * part
+                rest = place - below
+                a = table[below, 0] * (1 - rest) + table[below + 1, 0] * rest
+                b = table[below, 1] * (1 - rest) + table[below + 1, 1] * rest
                 first_part += lobe * a
                 second_part += lobe * b
             first = group_end[group]

@@ -15,6 +15,7 @@ from lightstage.formats.session import Session
 from processing.albedo import diffuse_albedo, diffuse_light
 from processing.errors import ProcessingError
 from processing.frames import read_foreground, read_frames
+from processing.interface import skin_interface
 from processing.lights import PatternLights, irradiance_vectors, pattern_lights
 from processing.lobe import SKIN_F0, transport
 from processing.masks import edge_distance_px
@@ -209,7 +210,14 @@ def solve_pixels(view: View, lights: PatternLights, config: RefineConfig) -> Nor
     )
     normal = sight.normals
     for _ in range(2):
-        vectors = irradiance_vectors(lights, sight.points_mm, normal, sight.shadows)
+        vectors = irradiance_vectors(
+            lights,
+            sight.points_mm,
+            normal,
+            sight.shadows,
+            skin_interface(),
+            config.roughness[len(config.roughness) // 2],
+        )
         normal = solve_normals(signal, vectors)
     colourful = np.clip(saturation / config.grey_saturation - 1, 0, 1)
     # A normal that the mesh could not have: mistaken shadows, or hair.
@@ -295,7 +303,15 @@ def solve_albedo(
     corners, weights = sight.shadows.corners, sight.shadows.weights
     roughness = (gloss.roughness[corners] * weights).sum(axis=1)
     specular = (gloss.specular[corners] * weights).sum(axis=1)
-    e, a, b = transport(lights, sight.points_mm, normal, sight.views, roughness, sight.shadows)
+    e, a, b = transport(
+        lights,
+        sight.points_mm,
+        normal,
+        sight.views,
+        roughness,
+        sight.shadows,
+        skin_interface(),
+    )
     specular[~solved] = 0
     lit, power = diffuse_light(rgb, e, a, b, specular)
     lit[~solved], power[~solved] = 0, 0

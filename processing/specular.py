@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from processing.albedo import specular_evidence
+from processing.interface import skin_interface
 from processing.lights import PatternLights, Shadows
 from processing.lobe import transport
 
@@ -79,7 +80,9 @@ def add_view(
 
     sums.count += summed(np.ones(len(mean)))
     for index, roughness in enumerate(sums.roughness):
-        e, a, b = transport(lights, points_mm, normals, views, float(roughness), shadows)
+        e, a, b = transport(
+            lights, points_mm, normals, views, float(roughness), shadows, skin_interface()
+        )
         evidence = specular_evidence(mean, e, a, b)
         sums.weighed[index] += summed(evidence.weighed)
         sums.weight[index] += summed(evidence.weight)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 from pathlib import Path
 
@@ -25,6 +26,8 @@ class Ball:
     specular: float = 0.028
     roughness: float = 0.25
     centre_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    coated: bool = False
+    """Whether the diffuse layer lies below the interface that mirrors, as skin's does."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +75,42 @@ def smith(cosine: np.ndarray, roughness: float) -> np.ndarray:
     return np.where(a < 1.6, fitted, 1.0)
 
 
+def let_through(ball: Ball, cosine: np.ndarray) -> np.ndarray:
+    """Share of light that enters the ball's skin, 1 without a coat."""
+    if not ball.coated:
+        return np.ones_like(cosine)
+    grid, shares = entering(ball.roughness)
+    return np.interp(cosine, grid, shares)
+
+
+def kept_mean(ball: Ball) -> float:
+    """Mean over the hemisphere, weighted by the cosine, of the share that enters."""
+    grid, shares = entering(ball.roughness)
+    return float(np.trapezoid(2 * grid * shares, grid))
+
+
+@functools.cache
+def entering(roughness: float) -> tuple[np.ndarray, np.ndarray]:
+    """Cosines, and 1 - the sum over visible half vectors of what the facets of n = 1.4 mirror.
+
+    The integral runs over the facets' normals, drawn evenly in Beckmann's cumulative share.
+    """
+    u, phi = np.meshgrid((np.arange(200) + 0.5) / 200, np.pi * (np.arange(64) + 0.5) / 64)
+    hz = 1 / np.sqrt(1 - roughness**2 * np.log(1 - u))
+    hx = np.sqrt(1 - hz**2) * np.cos(phi)
+    grid = np.linspace(0, 1, 41)
+    shares = []
+    for cosine in np.maximum(grid, 0.01):
+        vh = hz * cosine + hx * np.sqrt(1 - cosine**2)
+        nl = 2 * vh * hz - cosine
+        seen = (vh > 0) & (nl > 0)
+        g1, g2 = smith(np.array(cosine), roughness), smith(np.maximum(nl, 1e-9), roughness)
+        masked = 1 / (1 / g1 + 1 / g2 - 1)  # height-correlated
+        f = exact_fresnel((0.4 / 2.4) ** 2, np.maximum(vh, 0))
+        shares.append(1 - np.where(seen, f * masked * vh / (hz * cosine), 0).mean())
+    return grid, np.array(shares)
+
+
 def shade(ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(n,) irradiance and (n,) mirror radiance of a pattern; a convex ball shadows only itself."""
     lights = rig.positions_mm
@@ -81,13 +120,14 @@ def shade(ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray) -> tuple[np.nd
     mirror = np.zeros(len(sight.points_mm))
     nv = np.maximum((sight.normals * sight.views).sum(axis=1), 0.05)
     m = ball.roughness
+    leaving = let_through(ball, nv) / (kept_mean(ball) if ball.coated else 1)
     for light, radius, level in zip(lights, radii, levels, strict=True):
         to_light = light - sight.points_mm
         distance = np.linalg.norm(to_light, axis=1)
         to_light /= distance[:, None]
         nl = np.maximum((sight.normals * to_light).sum(axis=1), 0)
         weight = level / white * (radius / distance) ** 2
-        irradiance += weight * nl
+        irradiance += weight * nl * let_through(ball, nl) * leaving
         half = to_light + sight.views
         half /= np.linalg.norm(half, axis=1, keepdims=True)
         nh = (sight.normals * half).sum(axis=1)

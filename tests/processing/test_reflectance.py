@@ -16,6 +16,7 @@ from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig
 from processing.albedo import specular_evidence
 from processing.errors import ProcessingError
+from processing.interface import skin_interface
 from processing.lights import (
     PatternLights,
     far_field,
@@ -78,6 +79,32 @@ def test_irradiance_and_lobe_agree_with_the_plain_twin() -> None:
     np.testing.assert_allclose(e[:, 1], irradiance, atol=2e-6)
     found = a[:, 1] + ball.specular * b[:, 1]
     np.testing.assert_allclose(found, mirror, atol=0.01 * mirror.max())
+
+
+def test_irradiance_below_skins_interface_agrees_with_the_plain_twin() -> None:
+    """Theirs integrates over facets, ours over directions of light."""
+    for roughness in (0.2, 0.3):
+        ball = Ball(centre_mm=(12.0, -20.0, 5.0), roughness=roughness, coated=True)
+        sight = lit_ball.see(ball, CAMERA)
+        seen = (sight.points_mm, sight.normals, sight.views)
+        irradiance, _ = lit_ball.shade(ball, sight, RIG, pattern_levels("x+", RIG))
+        open_sky = no_shadows(len(sight.normals), LIGHTS)
+        e, _, _ = transport(LIGHTS, *seen, roughness, open_sky, skin_interface())
+        np.testing.assert_allclose(e[:, 1], irradiance, atol=0.01 * irradiance.max())
+
+
+def test_skins_interface_mirrors_as_a_dielectric_and_keeps_its_mean() -> None:
+    found = skin_interface()
+    smooth = 1 - fresnel(((1.4 - 1) / (1.4 + 1)) ** 2, np.array([0.5, 1.0]))
+    # A smooth surface and the smoothest row differ at the grazing end alone.
+    np.testing.assert_allclose(found.table[0][[20, 40]], smooth, atol=0.01)
+    assert (np.diff(found.table, axis=1) > 0).all()
+    assert (found.table[:, 0] < 0.8).all()
+    cosines = np.linspace(0, 1, 2001)
+    grid = np.linspace(0, 1, found.table.shape[1])
+    for row, mean in zip(found.table, found.mean, strict=True):
+        known = np.trapezoid(2 * cosines * np.interp(cosines, grid, row), cosines)
+        np.testing.assert_allclose(mean, known, rtol=1e-3)
 
 
 def test_irradiance_vectors_give_the_irradiance_of_their_own_normal() -> None:
@@ -176,7 +203,8 @@ def refined(ball: Ball, noise: float = 0.0) -> tuple[np.ndarray, ...]:
 def test_refine_recovers_normal_albedo_gloss_and_open_sky_of_a_ball(
     specular: float, roughness: float
 ) -> None:
-    ball = Ball(specular=specular, roughness=roughness, centre_mm=(15.0, -25.0, 10.0))
+    place = (15.0, -25.0, 10.0)
+    ball = Ball(specular=specular, roughness=roughness, centre_mm=place, coated=True)
     angle, albedo, found, width, occlusion = refined(ball)
     assert angle.mean() < 0.3
     assert np.abs(albedo - ball.albedo).mean() < 0.004
@@ -186,7 +214,7 @@ def test_refine_recovers_normal_albedo_gloss_and_open_sky_of_a_ball(
 
 
 def test_refine_of_a_noisy_ball_takes_its_relief_from_all_channels() -> None:
-    ball = Ball()
+    ball = Ball(coated=True)
     angle, albedo, found, _, _ = refined(ball, noise=0.004)
     assert angle.mean() < 1.5  # chroma alone: about 2.5 degrees
     assert np.sqrt(((albedo - ball.albedo) ** 2).mean()) < 0.01
