@@ -31,6 +31,7 @@ def session(
     ),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     direct: bool = typer.Option(False, "--direct", help="Linear EXR frames without devices."),
+    light: str = typer.Option("fast", help="fast, or reference: bounces and subsurface, slow."),
     flaws: str = typer.Option(
         "ideal", help="What lens, lamps, room and subject do: ideal, lab, bad, or a TOML file."
     ),
@@ -40,6 +41,8 @@ def session(
     as_json: bool = JsonFlag,
 ) -> None:
     """Photograph a simulated person in the light stage."""
+    import numpy as np
+
     from lightstage.patterns import pattern_levels, sequence_patterns
     from lightstage.rig import default_rig, load_rig
     from sim.capture import capture_session
@@ -47,6 +50,8 @@ def session(
     from sim.flaws import load_flaws
     from sim.lamps import lamps_of
     from sim.optics import distorted
+    from sim.polarised import is_polarised
+    from sim.reference.world import ReferenceWorld
     from sim.session import (
         SessionConfig,
         require_new,
@@ -62,6 +67,12 @@ def session(
     check_subject(subject)
     require_new(out)
     config = SessionConfig(sequence=sequence)
+    if light not in ("fast", "reference"):
+        raise SimError("--light", found=light, expected="fast or reference")
+    if light == "reference" and any(is_polarised(name) for name in sequence_patterns(sequence)):
+        raise SimError(
+            "--light reference", found="a polarised pattern", expected="patterns without @"
+        )
     done_to_light = load_flaws(flaws)
     story = None if faults is None else Story.read(faults)
     if story is not None and direct:
@@ -78,11 +89,19 @@ def session(
         world = World(person, stage, progress, lamps=lamps)
     with progress_bar("truth") as progress:
         truth = write_truth(world, truth_path(out), progress)
+    lit: World | ReferenceWorld = world
+    if light == "reference":
+        lit = ReferenceWorld(person, stage, lamps)
+        with progress_bar("path tracing, cameras") as progress:
+            lit.prepare(
+                np.stack([pattern_levels(name, stage) for name in sequence_patterns(sequence)]),
+                progress,
+            )
     if direct:
         with progress_bar("photographs") as progress:
-            write_direct(world, out, config, seed, progress, done_to_light)
+            write_direct(lit, out, config, seed, progress, done_to_light)
     else:
-        capture_session(world, out, seed, sequence, done_to_light, story)
+        capture_session(lit, out, seed, sequence, done_to_light, story)
         write_landmarks(world, out, seed, config.click_noise_px)
     count = len(sequence_patterns(sequence)) * len(stage.cameras)
     seconds = time.monotonic() - begun

@@ -19,6 +19,7 @@ from lightstage.rig import save_rig
 from sim.errors import SimError
 from sim.flaws import CaptureFlaws
 from sim.polarised import behind_polarisers, is_polarised
+from sim.reference.world import ReferenceWorld
 from sim.shooting import Shooting
 from sim.truth import landmarks_px
 from sim.world import World
@@ -63,7 +64,7 @@ def require_new(out: Path) -> None:
 
 
 def write_direct(
-    world: World,
+    world: World | ReferenceWorld,
     out: Path,
     config: SessionConfig,
     seed: int,
@@ -138,7 +139,7 @@ def write_direct(
     return out
 
 
-def write_landmarks(world: World, out: Path, seed: int, noise_px: float) -> Path:
+def write_landmarks(world: World | ReferenceWorld, out: Path, seed: int, noise_px: float) -> Path:
     """Write landmarks.json as someone would have clicked it."""
     rng = np.random.default_rng([seed, 68])
     points = {camera.id: landmarks_px(world, camera, rng, noise_px) for camera in world.rig.cameras}

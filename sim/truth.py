@@ -16,6 +16,7 @@ from lightstage.formats.landmarks import write_points_mm
 from lightstage.formats.mesh import write_obj, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera, Rig
+from sim.reference.world import ReferenceWorld
 from sim.scene import Scene, Surface
 from sim.subject import Subject
 from sim.texture import raster_uv, texture_of
@@ -187,7 +188,7 @@ def relit_sets(rig: Rig) -> list[tuple[LightSet, np.ndarray]]:
 
 
 def landmarks_px(
-    world: World, camera: Camera, rng: np.random.Generator, noise_px: float
+    world: World | ReferenceWorld, camera: Camera, rng: np.random.Generator, noise_px: float
 ) -> np.ndarray:
     """Landmarks as someone would click them in a camera's picture.
 

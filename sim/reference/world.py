@@ -90,6 +90,10 @@ class ReferenceWorld:
         """The surface in patches."""
         return Texels(self.skin, self.config.texel_mm)
 
+    def with_subject(self, subject: Subject) -> ReferenceWorld:
+        """The same stage with another subject, or the same one elsewhere; nothing is prepared."""
+        return ReferenceWorld(subject, self.rig, self.lamps, self.config)
+
     def prepare(self, levels: np.ndarray, progress: ProgressCallback = quiet) -> None:
         """Take all cameras' pictures of the states that these (s, m) levels are sums of.
 
