@@ -17,6 +17,8 @@ _STEP = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _TO_UNIT = 1.0 / 9007199254740992.0  # 2^-53
+BRIGHTEST = 1e12
+"""More light than any pixel holds, and finite."""
 FEW = 10.0
 """Mean electrons below which uniforms are multiplied; the rejection needs at least this many."""
 
@@ -86,7 +88,7 @@ def count_kernel(
     """Counts of an RGGB mosaic.
 
     Args:
-        light: (h, w, 3) float32 linear.
+        light: (h, w, 3) float32 linear. Below zero is no light; infinity clips.
         electrons: (3, 3) float64 mean electrons of a red, green and blue pixel from light's r g b.
         full_well_e: electrons that a pixel holds.
         noise_e: standard deviation of what reading adds, electrons.
@@ -102,11 +104,12 @@ def count_kernel(
         bad = 0
         for column in range(width):
             kind = (row & 1) + (column & 1)
-            mean = (
-                electrons[kind, 0] * light[row, column, 0]
-                + electrons[kind, 1] * light[row, column, 1]
-                + electrons[kind, 2] * light[row, column, 2]
-            )
+            mean = 0.0
+            for channel in range(3):
+                value = float(light[row, column, channel])
+                # Infinity times a crosstalk of zero would be no number; NaN passes through.
+                value = 0.0 if value < 0.0 else BRIGHTEST if value > BRIGHTEST else value
+                mean += electrons[kind, channel] * value
             if math.isnan(mean):
                 bad += 1
                 out[row, column] = 0

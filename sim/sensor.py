@@ -109,12 +109,8 @@ class Sensor:
         span_e = (config.white_dn - config.black_dn) * config.gain_e_per_dn
         counts = np.empty(light.shape[:2], np.uint16)
         unusable = np.zeros(len(light), np.int64)
-        # Beyond any full well, but finite: infinity times a crosstalk of zero is no number.
-        brightest = np.float32(1e12)
-        if not np.abs(light).max() <= brightest:
-            light = np.clip(light, -brightest, brightest)
         count_kernel(
-            np.maximum(light, np.float32(0)),
+            light,
             self.raw_from_linear * span_e,
             config.full_well_e,
             config.noise_e,
