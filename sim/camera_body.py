@@ -33,7 +33,7 @@ REFUSED = {
 }
 """Faults with which no picture is taken: libgphoto2's error and what is said. The first wins."""
 IN_SETTINGS = ("duplicate-serial",)
-"""Faults that show when the settings are read, not at a shot."""
+"""Faults that show when the camera is opened and asked, not at a shot."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,15 +86,15 @@ class CameraBody:
         if state["off"]:
             raise BodyError(-105, "no camera on the bus: its battery is empty")
         self._events.clear()
+        for due in self._serial_lies(state):
+            self._log.write(self.id, due, state["shots"] + 1, f"serial {due.fault['value']}")
 
     def settings(self) -> CameraSettings:
         """What it tells when it is asked now."""
         state = self._state()
         settings = dataclasses.replace(self._nominal, **state["changed"])
-        for due in self._story.due(self.id, "shot", state["shots"] + 1):
-            if due.name == "duplicate-serial":
-                self._log.write(self.id, due, state["shots"] + 1, due.fault["value"])
-                settings = dataclasses.replace(settings, serial=due.fault["value"])
+        for due in self._serial_lies(state):
+            settings = dataclasses.replace(settings, serial=due.fault["value"])
         return settings
 
     def card_free(self) -> int:
@@ -197,6 +197,11 @@ class CameraBody:
         settings = self.settings()
         gain = settings.gain() / self._nominal.gain()
         return light if gain == 1.0 else expose_again(light, gain, settings.iso)
+
+    def _serial_lies(self, state: dict[str, Any]) -> list[Due]:
+        """What makes it tell another serial number before its next shot."""
+        due = self._story.due(self.id, "shot", state["shots"] + 1)
+        return [each for each in due if each.name == "duplicate-serial"]
 
     def _raws(self) -> list[str]:
         return [name for name in self.card() if name.endswith(".DNG")]
