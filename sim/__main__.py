@@ -52,6 +52,7 @@ def session(
     from sim.optics import distorted
     from sim.polarised import is_polarised
     from sim.reference.world import ReferenceWorld
+    from sim.room import even_levels
     from sim.session import (
         SessionConfig,
         require_new,
@@ -93,10 +94,10 @@ def session(
     if light == "reference":
         lit = ReferenceWorld(person, stage, lamps)
         with progress_bar("path tracing, cameras") as progress:
-            lit.prepare(
-                np.stack([pattern_levels(name, stage) for name in sequence_patterns(sequence)]),
-                progress,
-            )
+            states = [pattern_levels(name, stage) for name in sequence_patterns(sequence)]
+            if done_to_light.room.ambient > 0:
+                states.append(even_levels(lamps))
+            lit.prepare(np.stack(states), progress)
     if direct:
         with progress_bar("photographs") as progress:
             write_direct(lit, out, config, seed, progress, done_to_light)
