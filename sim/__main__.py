@@ -247,6 +247,37 @@ def targets(
 
 
 @app.command()
+def gallery(
+    out: Path = typer.Option(..., help="Picture, .png (exposed) or .exr (linear)."),
+    subjects: int = typer.Option(6, min=1, help="How many people, one a row."),
+    expressions: str = typer.Option("neutral,smile,brow_raise", help="Columns of each light."),
+    lights: str = typer.Option("full,x+,street", help="Patterns or environments, as in `render`."),
+    people: str = typer.Option("balanced", help="Shares: a table's name or a TOML file."),
+    seed: int = typer.Option(0, help="Of the people."),
+    width: int = typer.Option(240, min=16, max=2048, help="Pixels across one picture."),
+    rows: int = typer.Option(1536, min=96, max=6144, help="Rows of the textures."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Make a contact sheet of people in several expressions under several lights."""
+    from lightstage.rig import default_rig
+    from sim.dataset import make_plan
+    from sim.gallery import CAMERA, write_gallery
+    from sim.people import load_table
+
+    begun = time.monotonic()
+    plan = make_plan(out.parent, load_table(people), subjects, 1, seed, rows)
+    rig = default_rig()
+    rig = rig.scaled(width / rig.camera(CAMERA).width_px)
+    with progress_bar("pictures") as progress:
+        write_gallery(
+            plan.persons, expressions.split(","), lights.split(","), rig, rows, out, progress
+        )
+    seconds = time.monotonic() - begun
+    facts = {"picture": str(out), "people": subjects, "seconds": round(seconds, 1)}
+    finish(f"{out}: {subjects} people, {seconds:.1f} s", facts, as_json)
+
+
+@app.command()
 def template(
     out: Path = typer.Option(..., help="Template folder."), as_json: bool = JsonFlag
 ) -> None:
