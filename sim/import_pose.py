@@ -9,12 +9,12 @@ from scipy.spatial import cKDTree
 
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh
-from lightstage.formats.template import default_template_path, load_template
 from sim.errors import SimError
 from sim.head_mesh import neutral_mesh
 from sim.import_checks import UNITS_MM
 from sim.import_file import ScanFile
 from sim.import_match import FEWEST_LANDMARKS
+from sim.scan import template_landmarks
 
 BOX_MM = 200.0
 """From the crown down: a head without its shoulders."""
@@ -101,9 +101,8 @@ def require_fit(
     marks: np.ndarray, head_from_file: np.ndarray, where: Path, largest_mm: float
 ) -> None:
     """SimError when landmarks (68, 3) mm, moved rigidly, fit a head's worse than this (rms)."""
-    template = load_template(default_template_path())
     there = marks @ head_from_file[:, :3].T + head_from_file[:, 3]
-    gap = np.linalg.norm(there - template.mesh.vertices[template.landmarks], axis=1)
+    gap = np.linalg.norm(there - template_landmarks(), axis=1)
     rms = float(np.sqrt(np.nanmean(gap**2)))
     if rms > largest_mm:
         raise SimError(

@@ -8,6 +8,7 @@ scan is not part of this project: it is read from the folder that LIGHTSTAGE_DAT
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import os
 from pathlib import Path
@@ -191,6 +192,15 @@ def _skin(notes: dict[str, Any], rows: int) -> np.ndarray:
     return mask.astype(bool)
 
 
+@functools.cache
+def template_landmarks() -> np.ndarray:
+    """(68, 3) mm of our own template, head frame."""
+    template = load_template(default_template_path())
+    marks = template.mesh.vertices[template.landmarks]
+    marks.flags.writeable = False
+    return marks
+
+
 def head_from_landmarks(landmarks_mm: np.ndarray) -> np.ndarray:
     """(3, 4) rigid motion that lays landmarks best onto the template's (least squares, no scale).
 
@@ -199,9 +209,8 @@ def head_from_landmarks(landmarks_mm: np.ndarray) -> np.ndarray:
     Args:
         landmarks_mm: (68, 3), NaN where unknown; three known ones that are not in a line.
     """
-    template = load_template(default_template_path())
     known = np.isfinite(landmarks_mm).all(axis=1)
-    found, wanted = landmarks_mm[known], template.mesh.vertices[template.landmarks][known]
+    found, wanted = landmarks_mm[known], template_landmarks()[known]
     from_mean, to_mean = found.mean(axis=0), wanted.mean(axis=0)
     u, _, vt = np.linalg.svd((wanted - to_mean).T @ (found - from_mean))
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

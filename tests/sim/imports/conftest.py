@@ -153,7 +153,7 @@ def egg() -> Mesh:
     return egg_mesh()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def files() -> dict[str, Callable]:
     """The writers of this module by name."""
     chosen = (picture_bytes, gltf_scene, glb_bytes, write_glb, write_textured_obj, landmarks_file)
