@@ -134,7 +134,7 @@ def dataset(
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Make many parametric people, as processed folders or as sessions; goes on where it stopped."""
+    """Make many parametric people, as maps or as sessions; go on where a run stopped."""
     from sim.dataset import make_plan, write_people, write_sessions
     from sim.people import load_table
 
@@ -154,7 +154,7 @@ def dataset(
         "seconds": round(seconds, 1),
     }
     finish(
-        f"{out}: {plan.scans} scans of {len(plan.persons)} people, {made} made now, {seconds:.1f} s",
+        f"{out}: {plan.scans} scans, {len(plan.persons)} people, {made} made now, {seconds:.1f} s",
         facts,
         as_json,
     )
