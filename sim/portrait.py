@@ -8,14 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import PatternError
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig
+from sim.errors import SimError
 from sim.polarised import PolarisedWorld, is_polarised
 from sim.relight import (
     SAMPLES,
     RelightConfig,
     auto_exposure,
     environment_lights,
+    environment_names,
     is_environment,
     relit,
     require_picture,
@@ -51,13 +54,21 @@ def portrait(
         under `full`, or under an environment whose radiance is 1 everywhere.
 
     Raises:
-        SimError, PatternError, RigError: an unknown environment, pattern or camera.
+        SimError, RigError: an unknown light or camera, or a file that cannot be used.
     """
     camera = rig.camera(camera_id)
     if is_environment(light):
         lights = environment_lights(light, config, seed)
         return relit(Scene(subject), camera, lights, progress)
-    levels = pattern_levels(light, rig)[None]
+    try:
+        levels = pattern_levels(light, rig)[None]
+    except PatternError as error:
+        raise SimError(
+            f"light {light!r}",
+            found=error.found,
+            expected=f"{error.expected}; or {', '.join(environment_names())}, or a file "
+            ".exr, .hdr, .json",
+        ) from None
     world = World(subject, dataclasses.replace(rig, cameras=(camera,)), samples=SAMPLES)
     seen = PolarisedWorld(world) if is_polarised(light) else world
     return seen.photograph(camera_id, levels)[0]
