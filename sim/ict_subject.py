@@ -83,7 +83,9 @@ def ict_subject(
     model = load_ict(path)
     parts = parts_of(model)
     drawn = _draw(seed, len(model.identity), traits)
-    person = model.mesh.vertices + np.tensordot(drawn.identity, model.identity, axes=1)
+    person = model.mesh.vertices.copy()
+    for weight, mode in zip(drawn.identity, model.identity, strict=True):
+        person += weight * mode
     motion = head_from_ict(person, model)
     neutral = person @ motion[:, :3].T + motion[:, 3]
     moved = (person + blend(model, expression)) @ motion[:, :3].T + motion[:, 3]

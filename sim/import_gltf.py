@@ -1,6 +1,6 @@
 """glTF 2.0 (.glb and .gltf) as a scan comes in it: triangles, UV, textures, the nodes' transforms.
 
-Read after the specification [glTF2]. What a scan does not need (skins, animations, morph targets,
+Read after the specification [GLTF20]. What a scan does not need (skins, animations, morph targets,
 cameras, vertex colours) is passed over; what would be shown wrongly (compressed meshes, transformed
 textures, several colour textures) is refused.
 """

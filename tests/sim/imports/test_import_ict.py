@@ -21,7 +21,7 @@ from sim.import_checks import outward_share
 from sim.subjects import load_subject
 from sim.texture import raster_uv
 
-ROWS = 192
+ROWS = 144
 
 
 @pytest.fixture(scope="module")
@@ -125,9 +125,6 @@ def test_the_same_seed_is_the_same_person_in_every_expression(ict, person):
     moved = np.linalg.norm(again.mesh.vertices - person.mesh.vertices, axis=1)
     assert moved.max() > 4
     assert np.median(moved) < 1
-    other = ict_subject("ict-6", ict, 6, "neutral", ROWS)
-    assert np.abs(other.mesh.vertices - person.mesh.vertices).max() > 5
-    assert not np.array_equal(other.diffuse_albedo, person.diffuse_albedo)
 
 
 def test_expressions_do_what_their_names_say(model):
@@ -211,10 +208,12 @@ def test_skin_and_eyes_look_outward(model):
     assert normals[tip, 2] > 0.8
 
 
-def test_ict_is_a_subject_by_name(head_data, monkeypatch, tmp_path):
+def test_ict_is_a_subject_by_name(head_data, person, monkeypatch, tmp_path):
     monkeypatch.setenv("LIGHTSTAGE_DATA", str(head_data))
-    one = load_subject("ict-a", 5, None, 96)
+    one = load_subject("ict-a", 6, None, 96)
     assert (one.name, one.expression) == ("ict-a", "neutral")
+    # Another seed is somebody else.
+    assert np.abs(one.landmarks_mm - person.landmarks_mm).max() > 5
     monkeypatch.setenv("LIGHTSTAGE_DATA", str(tmp_path))
     with pytest.raises(SimError, match=r"subject ict: found no ICT Face Model.*import-ict"):
         load_subject("ict", 0)
