@@ -22,8 +22,13 @@ _TILT_DEG = 14.0
 def ear_share(points: np.ndarray) -> np.ndarray:
     """(rows + 1, columns + 1) 0..1: how much of each grid point is ear; `points` the cast grid."""
     row, column = _square()
+    across = np.interp(column, _COLUMNS, _BACK)
+    # The square's corners lie flat on the head.
+    wide = np.where(across < 0, 1.08, 1.0) * np.abs(across)
+    egg = smoothstep(1.27, 1.19, (wide**3 + np.abs(row) ** 3) ** (1 / 3))
     return np.asarray(
-        smoothstep(1.12, 0.98, np.abs(row))
+        egg
+        * smoothstep(1.06, 0.98, np.abs(row))
         * smoothstep(_FRONT - 1.0, _FRONT + 1.0, column)
         * smoothstep(_RIM + 3.0, _RIM + 2.0, column)
     ) * np.ones(points.shape[:2])

@@ -146,4 +146,8 @@ def _jaw_open(points: np.ndarray, angle_deg: float = 13.0) -> np.ndarray:
     )
     # The cheeks are drawn in, the corners of the mouth toward each other.
     drawn = paired(points, ((-2.6, 0, -1.0), (36, -70, 72), (16, 18, 24)))
-    return by_vertex[:, None] * turned + drawn
+    # The row between the lips goes in between the teeth, where it is dark.
+    inward = np.zeros_like(points)
+    for row_inside, depth_mm in ((ROW_MOUTH - 1, 3.0), (ROW_MOUTH, 24.0), (ROW_MOUTH + 1, 3.0)):
+        inward[grid_vertices()[row_inside], 2] = -depth_mm * np.clip(1 - (mouth / 0.9) ** 2, 0, 1)
+    return by_vertex[:, None] * turned + drawn + inward

@@ -185,15 +185,16 @@ def close_lids(grid: np.ndarray, centres: np.ndarray) -> np.ndarray:
             distance = np.linalg.norm(offset, axis=1, keepdims=True)
             return centre + offset / distance * np.maximum(distance, EYE_RADIUS_MM + depth_mm)
 
+        # A closed lid is as round as the ball, and as far from it as the rim where they meet.
+        far = np.linalg.norm(margin - centre, axis=1, keepdims=True)
+        far = np.maximum(far, EYE_RADIUS_MM + LID_MM + 0.2)
         top, bottom = on_ball(margin, LID_MM + 0.2), on_ball(lower, LID_MM)
         new = g.copy()
         for row in range(_CREASE + 1, ROW_LID_UP + 1):
             part = (row - _CREASE) / (ROW_LID_UP - _CREASE)
             chord = g[_CREASE] * (1 - part) + margin * part
             offset = chord - centre
-            round_lid = centre + offset / np.linalg.norm(offset, axis=1, keepdims=True) * (
-                EYE_RADIUS_MM + LID_MM + 0.2
-            )
+            round_lid = centre + offset / np.linalg.norm(offset, axis=1, keepdims=True) * far
             share = smoothstep(0.15, 0.7, np.array(part)) * smoothstep(
                 1.0, 0.5, np.abs(_place()[columns])
             )

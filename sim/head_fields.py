@@ -45,7 +45,7 @@ class Field:
 
 LOCAL: dict[str, Field] = {
     # Jaw and chin.
-    "jaw_width": Field((((2.1, 0, 0), (53, -80, 18), (22, 26, 32)),), male=0.55),
+    "jaw_width": Field((((2.1, 0, 0), (53, -80, 18), (22, 26, 32)),), male=0.3),
     "jaw_angle": Field((((0.8, -4.0, -1.5), (52, -82, 12), (16, 16, 26)),), male=0.4),
     "chin_forward": Field((((0, 0, 3.4), (0, -108, 86), (24, 16, 26)),), male=0.25),
     "chin_width": Field((((2.2, 0, -0.6), (19, -110, 78), (11, 12, 18)),), male=0.5),
@@ -154,7 +154,7 @@ BROAD: dict[str, Field] = {
     "crown_height": Field(),
     "face_width": Field(male=0.15),
     "face_height": Field(male=0.35),
-    "chin_height": Field(male=0.7),
+    "chin_height": Field(male=0.8),
     "eye_opening": Field(male=-0.2, age=-0.3),
     "eye_width": Field(),
     "eye_tilt": Field(male=-0.2, age=-0.3),
@@ -194,7 +194,7 @@ def _broad(p: np.ndarray) -> dict[str, np.ndarray]:
         "crown_height": np.stack([zero, 4.5 * smoothstep(25, 112, y), zero], axis=1),
         "face_width": np.stack([0.030 * x * face, zero, zero], axis=1),
         "face_height": np.stack([zero, 0.030 * np.clip(y, -119, 0), zero], axis=1),
-        "chin_height": np.stack([zero, -3.3 * smoothstep(-84, -118, y), zero], axis=1),
+        "chin_height": np.stack([zero, -3.5 * smoothstep(-84, -118, y), zero], axis=1),
         "eye_opening": np.stack([zero, 0.09 * eye * (y + 9), zero], axis=1),
         "eye_width": np.stack(
             [0.045 * eye * (np.abs(x) - 30) * np.sign(x), zero, -0.02 * eye * (np.abs(x) - 30)],

@@ -45,6 +45,7 @@ _JAW_MM = (
 )
 _BROW_MM = ((54, 11, 66), (46, 17, 76), (36, 19, 84), (25, 17, 90), (14, 13, 93))
 _NOSE_BASE_MM = ((16, -49, 94), (8, -52, 96))
+_BELOW_NOSE_MM = (0, -52.5, 97.5)
 
 
 @functools.cache
@@ -126,7 +127,7 @@ def landmarks() -> np.ndarray:
     bridge = np.linspace(np.argmin(np.abs(front[:, 1] + 1)), tip, 4).round().astype(int)
     nose = [int(index[row, HALF]) for row in bridge]
     under = [near(p, -1) for p in _NOSE_BASE_MM]
-    under.append(int(index[tip + np.argmin(front[tip : ROW_LIP_UP - 2, 2]), HALF]))
+    under.append(int(index[np.argmin(np.linalg.norm(front - _BELOW_NOSE_MM, axis=1)), HALF]))
     base = under + [near(p, 1) for p in _NOSE_BASE_MM[::-1]]
     eyes = [eye(middle, 0.98, -1), eye(ROW_LID_UP, 0.36, -1), eye(ROW_LID_UP, -0.36, -1)]
     eyes += [eye(middle, -0.98, -1), eye(ROW_LID_LOW, -0.36, -1), eye(ROW_LID_LOW, 0.36, -1)]
