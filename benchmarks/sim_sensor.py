@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -48,8 +49,8 @@ def noise_rows(size: str, shape: tuple[int, int]) -> list[tuple[object, ...]]:
     for iso in (100, 800, 6400):
         sensor = make_sensor(SensorConfig(iso=iso), np.ones(3), np.random.default_rng(1))
         sensor.expose(light[:2, :2], np.random.default_rng(0))  # compile
-        seconds, counts = timed(lambda s=sensor: s.expose(light, np.random.default_rng(2)))
-        seconds_twin, known = timed(lambda s=sensor: twin(s, light, np.random.default_rng(2)))
+        seconds, counts = timed(partial(sensor.expose, light, np.random.default_rng(2)))
+        seconds_twin, known = timed(partial(twin, sensor, light, np.random.default_rng(2)))
         out.append(
             (
                 size,
