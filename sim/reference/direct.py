@@ -111,16 +111,18 @@ def _sum_many(
     interface = interface_of(distribution)
     roughness = np.maximum(points.roughness, MIN_ROUGHNESS)
     kinds = {"beckmann": mi.MicrofacetType.Beckmann, "ggx": mi.MicrofacetType.GGX}
+    rows = interface.rows(roughness)
     found = sum_over_lamps(
         rays.scene,
         mi.MicrofacetDistribution(kinds[distribution], mi.Float(roughness), True),
-        mi.Float(interface.enters.astype(np.float32).ravel()),
-        mi.Float(interface.rows(roughness).astype(np.float32)),
+        mi.Float(np.nan_to_num(interface.enters).astype(np.float32).ravel()),
+        mi.Float(rows.astype(np.float32)),
         vectors(mi.Point3f, points.position),
         vectors(mi.Point3f, points.start),
         vectors(mi.Vector3f, points.normal),
         vectors(mi.Vector3f, points.view),
         vectors(mi.Point3f, lamps.positions_mm[lit]),
+        mi.UInt32(lit.astype(np.uint32)),
         vectors(mi.Vector3f, lamps.axes[lit]),
         [vectors(mi.Vector3f, v) for v in _across(lamps.axes[lit])],
         mi.Float(lamps.radius_mm),
@@ -129,7 +131,7 @@ def _sum_many(
         mi.Float(np.ascontiguousarray(np.swapaxes(table, 0, 1), np.float32).ravel()),
         mi.UInt32(len(lit)),
         states * channels,
-        mi.UInt32(int(np.random.default_rng(seed).integers(2**31))),
+        mi.UInt32(int(np.random.default_rng(seed).integers(2**30))),
     )
     # One evaluation of all; asked for one by one, the loop would run again for each.
     drjit.eval(found)
@@ -160,7 +162,9 @@ def _sum_one_by_one(
     levels = levels_of(points.roughness, ROUGHNESS_STEP)
     for i in range(len(points)):
         lobes = lobes_of(distribution, float(levels[i]))
-        radius, turn = np.sqrt(rng.random(len(lit))), 2 * np.pi * rng.random(len(lit))
+        # Drawn for all lamps, so that a lamp's place does not depend on which others shine.
+        drawn = rng.random((2, len(lamps.axes)))[:, lit]
+        radius, turn = np.sqrt(drawn[0]), 2 * np.pi * drawn[1]
         place = lamps.positions_mm[lit] + lamps.radius_mm * radius[:, None] * (
             np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
         )

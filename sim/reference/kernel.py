@@ -25,6 +25,7 @@ def sum_over_lamps(
     normal: Any,
     view: Any,
     lamps: Any,
+    names: Any,
     axes: Any,
     across: Any,
     radius: Any,
@@ -43,6 +44,7 @@ def sum_over_lamps(
         rows: (n,) place between the table's rows.
         position, start, normal, view: (n, 3) as `sim.reference.points.Points` has them.
         lamps: (m, 3) mm.
+        names: (m,) each lamp's number.
         axes: (m, 3) in which lamps shine most.
         across: two (m, 3), at right angles to it.
         radius: mm, of a lamp.
@@ -62,12 +64,14 @@ def sum_over_lamps(
     out = dr.normalize(out)
     row = mi.UInt32(rows)
     down = rows - mi.Float(row)
-    random = mi.PCG32(size=size, initstate=seed)
+    which = dr.arange(mi.UInt32, size)
     sums = [mi.Float(0.0) for _ in range(2 * columns)]
     k = mi.UInt32(0)
     while k < count:
+        # The place on a lamp is drawn for the point and the lamp, whatever others shine.
+        one, other = mi.sample_tea_32(which, dr.gather(mi.UInt32, names, k) + seed, 4)
         spot = mi.warp.square_to_uniform_disk_concentric(
-            mi.Point2f(random.next_float32(), random.next_float32())
+            mi.Point2f(mi.Float(one >> 8), mi.Float(other >> 8)) * 2.0**-24
         )
         place = dr.gather(mi.Point3f, lamps, k) + radius * (
             spot.x * dr.gather(mi.Vector3f, across[0], k)

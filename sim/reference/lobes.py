@@ -79,27 +79,33 @@ class Interface:
     """
 
     def __init__(self, distribution: str) -> None:
-        lobes = [lobes_of(distribution, float(m)) for m in ROUGHNESSES]
-        self.enters = np.stack([lobe.enters for lobe in lobes])
-        self.exits = np.stack([lobe.exits for lobe in lobes])
+        self._distribution = distribution
+        self.enters = np.full((len(ROUGHNESSES), TABLE), np.nan)
+        self.exits = np.full((len(ROUGHNESSES), TABLE), np.nan)
 
     def rows(self, roughness: np.ndarray) -> np.ndarray:
-        """Places between the tables' rows, within their range."""
+        """Places between the tables' rows, within their range; rows are filled when first used."""
         step = ROUGHNESSES[1] - ROUGHNESSES[0]
-        return np.clip(
-            (np.asarray(roughness, float) - ROUGHNESSES[0]) / step, 0, len(ROUGHNESSES) - 1 - 1e-6
-        )
+        last = len(ROUGHNESSES) - 1
+        places = (np.asarray(roughness, float) - ROUGHNESSES[0]) / step
+        places = np.clip(places, 0, last - 1e-6)
+        for row in np.union1d(np.floor(places), np.floor(places) + 1).astype(int):
+            # Mitsuba takes a good part of a second for each.
+            if np.isnan(self.enters[row, 0]):
+                lobes = lobes_of(self._distribution, float(ROUGHNESSES[row]))
+                self.enters[row], self.exits[row] = lobes.enters, lobes.exits
+        return places
 
     def entry(self, cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
         """T at cosines of the angle to the light."""
-        return self._between(self.enters, cosine, roughness)
+        return self._between(self.enters, cosine, self.rows(roughness))
 
     def exit(self, cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
         """X at cosines of the angle to the viewer, kept above `MIN_COSINE`."""
-        return self._between(self.exits, np.maximum(cosine, MIN_COSINE), roughness)
+        return self._between(self.exits, np.maximum(cosine, MIN_COSINE), self.rows(roughness))
 
-    def _between(self, table: np.ndarray, cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-        y, x = self.rows(roughness), np.clip(cosine, 0, 1) * (TABLE - 1)
+    def _between(self, table: np.ndarray, cosine: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        y, x = rows, np.clip(cosine, 0, 1) * (TABLE - 1)
         row, column = y.astype(int), np.minimum(x.astype(int), TABLE - 2)
         y, x = y - row, x - column
         upper = table[row, column] * (1 - x) + table[row, column + 1] * x
@@ -161,5 +167,6 @@ def _body_at_normal(kind: dict[str, Any]) -> tuple[Any, np.ndarray]:
     for cosine in np.maximum(np.linspace(0, 1, TABLE), 1e-6):
         out_direction = mi.Vector3f(float(np.sqrt(1 - cosine**2)), 0.0, float(cosine))
         out.append(np.pi * bsdf.eval(context, si, out_direction)[0] / cosine)
-    mi.set_variant(before)
+    if before is not None:
+        mi.set_variant(before)
     return bsdf, np.array(out)

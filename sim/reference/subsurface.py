@@ -1,4 +1,4 @@
-"""Light that wanders inside the skin: a sum of six Gaussians over the surface [dEon2007].
+"""Light that wanders inside the skin: a sum of six Gaussians over the surface [DEon2007].
 
 U is the light that entered, per area. What leaves, before the skin's colour takes its share, is
 
