@@ -21,6 +21,8 @@ SCHEMA = "lightstage.sim-flaws/1"
 SHOTS = 512
 """Poses are drawn for this many photographs at once; a longer session begins them again."""
 STATES_AT_ONCE = 8
+FINEST = 65535
+"""Steps of a level, as the wire carries it."""
 STEADY = 1e-9
 """A row's gain nearer to 1 is that of a steady lamp."""
 
@@ -182,9 +184,10 @@ class Shooting:
         rows = self.lenses[camera_id].camera.height_px
         phase = self.phase(camera_id, shot)
         states, gains = [np.zeros(len(level))], [np.ones(rows)]
-        for value in np.unique(level):
-            gain = band_gain(float(value), rows, exposure_s, phase, self.flaws.pulses)
-            own = np.where(level == value, level, 0.0)
+        counts = np.round(level * FINEST)
+        for count in np.unique(counts):
+            gain = band_gain(count / FINEST, rows, exposure_s, phase, self.flaws.pulses)
+            own = np.where(counts == count, level, 0.0)
             if np.abs(gain - 1).max() < STEADY:
                 states[0] += own
             else:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import rawpy
 import scipy.optimize
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from lightstage.commands import quiet
 from lightstage.formats.mesh import Mesh
@@ -318,6 +320,30 @@ def test_a_planes_back_is_plain_and_a_plane_behind_the_camera_is_not_seen(rig, f
     )
     assert not light.any()
     assert not depth.any()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.floats(1e-3, 3.0), st.floats(0.5, 2000.0))
+def test_targets_anywhere_are_drawn_finite_and_never_negative(seed, tilt, size_mm):
+    """Grazing, huge, tiny, half behind the camera: masked or finite."""
+    rng = np.random.default_rng(seed)
+    whole = default_rig().scaled(0.01)
+    camera = whole.cameras[seed % 9]
+    lamps = lamps_of(whole)
+    toward = camera.centre_mm + 1100 * tilt * rng.standard_normal(3)
+    middle = rng.uniform(-600, 600, 3)
+    plane = chart_plane(size_mm, facing(toward, middle, np.array([size_mm, 0.67 * size_mm])))
+    ball = Ball(middle, min(size_mm / 2, 200.0), 0.5)
+    levels = rng.random(len(whole.lights))
+    for light, depth in (
+        photograph_plane(plane, camera, lamps, levels, NO_ROOM),
+        photograph_grey(ball, camera, lamps, levels, NO_ROOM),
+        photograph_mirror(ball, camera, lamps, levels, NO_ROOM),
+    ):
+        assert np.isfinite(light).all()
+        assert np.isfinite(depth).all()
+        assert light.min() >= 0
+        assert depth.min() >= 0
 
 
 def test_poses_and_truth_follow_the_seed(rig):
