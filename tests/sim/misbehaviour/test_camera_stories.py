@@ -71,7 +71,7 @@ def test_a_card_with_room_for_two_files_is_full_at_the_third(stage):
 @pytest.mark.parametrize(
     "fault",
     [
-        Fault("slow", camera="cam0", at=2, seconds=0.7),
+        Fault("slow", camera="cam0", at=2, seconds=0.4),
         Fault("event-storm", camera="cam1", at=1, until=3),
         Fault("other-order", at=1, until=3),
     ],
