@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 
 from lightstage.formats.config import as_dict
@@ -174,7 +175,9 @@ class Shooting:
             light = np.stack([*pulsed, *(world.photograph(camera_id, room) if len(room) else [])])
         if len(room):
             light = light[:-1] + light[-1] * ambient
-        depth = depth_picture(world.surfaces[camera_id]) if lens.config.depth_of_field else None
+        depth = None
+        if lens.config.depth_of_field:
+            depth = widened(depth_picture(world.surfaces[camera_id]))
         return np.stack([lens.form(picture, depth) for picture in light])
 
     def _pulsed(
@@ -208,3 +211,13 @@ def depth_picture(surface: Surface) -> np.ndarray:
     cam_from_world = surface.camera.cam_from_world
     depth = surface.position @ cam_from_world[2, :3] + cam_from_world[2, 3]
     return surface.picture(depth.astype(np.float32))
+
+
+def widened(depth: np.ndarray) -> np.ndarray:
+    """A depth picture in which pixels beside the subject have the depth of its edge.
+
+    They show a part of it where a photograph's pixels gather several rays; left without a depth
+    they would stay sharp beside what blurs.
+    """
+    beside = cv2.dilate(depth, np.ones((3, 3), np.uint8))
+    return np.where(depth > 0, depth, beside)

@@ -111,6 +111,21 @@ def test_depth_is_along_the_cameras_axis(world):
     np.testing.assert_allclose(depth[seen], known, rtol=1e-5)
 
 
+def test_pixels_that_show_a_part_of_the_edge_blur_with_it(ball, tiny_rig):
+    """Nine rays a pixel at silhouettes: no sharp rim is left around a blurred ball."""
+    fine = World(ball, tiny_rig, samples=3)
+    flaws = CaptureFlaws(
+        lens=LensConfig(f_number=0.7, depth_of_field=True, focus_before_origin_mm=-400.0)
+    )
+    sharp, blurred = (shoot(fine, f, "full")[0, ..., 1] for f in (CaptureFlaws(), flaws))
+    partly = (depth_picture(fine.surfaces["cam0"]) == 0) & (sharp > 0)
+    assert partly.sum() > 20
+    radius = Shooting(fine, flaws, 1).lenses["cam0"].circle_px(np.array([1095.0]))[0]
+    assert radius > 1.0
+    np.testing.assert_allclose(blurred.sum(), sharp.sum(), rtol=1e-3)
+    assert np.abs(np.diff(blurred, axis=1)).max() < 0.6 * np.abs(np.diff(sharp, axis=1)).max()
+
+
 def test_a_swaying_subjects_first_photograph_is_where_its_truth_is(world):
     flaws = CaptureFlaws(sway=SwayConfig(sway_mm=8.0, sway_deg=3.0))
     shooting = Shooting(world, flaws, 5)
