@@ -121,7 +121,7 @@ def _melanin_logs(patch: Patch, c: Complexion) -> np.ndarray:
 
     if c.freckles > 0:
         where = np.clip(m("freckled") * (1 + 0.5 * patch.noise(12.0, 2, 18)) * c.freckles, 0, 1)
-        spread = 1.3 * patch.pits(2.3, 4, freckle) + 0.9 * patch.pits(1.25, 14, freckle)
+        spread = 1.7 * patch.pits(2.3, 4, freckle) + 1.3 * patch.pits(1.25, 14, freckle)
         logs += where * spread * (m("skin") > 0.5)
     return np.asarray(logs)
 

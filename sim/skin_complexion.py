@@ -105,7 +105,7 @@ def random_complexion(rng: np.random.Generator, traits: Traits | None = None) ->
     freckled = float(u[6] < 0.15 + 0.3 * fair) * (0.25 + 0.75 * u[7]) * (0.2 + 0.8 * fair)
     return Complexion(
         melanin=melanin,
-        blood=float(0.0066 * 2.2 ** (u[8] - 0.5)),
+        blood=float(0.0050 * 2.2 ** (u[8] - 0.5)),
         eumelanin=float(np.clip(0.12 + 0.65 * (1 - fair) + 0.2 * (u[9] - 0.5), 0.05, 0.95)),
         redness=float(0.65 + 0.7 * u[10]),
         lips=float((0.045 + 0.035 * u[11]) * (1 - 0.3 * age) * (0.8 if male else 1.0)),

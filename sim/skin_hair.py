@@ -169,17 +169,17 @@ def scalp_share(patch: Patch, recession_mm: float, cover: float) -> tuple[np.nda
     behind = patch.mask("hairline") - recession_mm * smoothstep(40, 70, patch.reference[..., 1])
     if behind.max() < -8:
         return np.zeros(patch.shape, np.float32), np.zeros(patch.shape, np.float32)
-    edge = behind + 3.0 * patch.noise(11.0, 3, 52)
-    density = smoothstep(-5.0, 10.0, edge) * (1 - smoothstep(0.05, 0.5, patch.mask("ears")))
+    edge = behind + 1.8 * patch.noise(9.0, 3, 52)
+    density = smoothstep(-6.0, 13.0, edge) * (1 - smoothstep(0.05, 0.5, patch.mask("ears")))
     strands = patch.noise_of(_combed, 0.9, 3, 53)
     fine = patch.noise_of(_combed, 0.42, 2, 54)
     tufts = patch.noise_of(_combed_softly, 6.0, 2, 55)
     mixed = 0.55 * strands + 0.6 * fine
     # Toward the hairline fewer and fewer strands are there at all.
     threshold = 1.7 - 4.3 * density * (0.55 + 0.45 * cover)
-    strand = smoothstep(-0.5, 0.7, mixed - threshold)
+    strand = smoothstep(-0.7, 0.9, mixed - threshold)
     # Between the strands others lie deeper: part of the cover is even.
-    share = (0.62 * strand + 0.38 * density**1.5) * smoothstep(0.0, 0.1, density)
+    share = (0.62 * strand + 0.38 * density**1.5) * smoothstep(0.0, 0.55, density)
     shade = 0.45 * mixed + 0.25 * tufts
     return (
         np.asarray(share * (0.2 + 0.76 * float(smoothstep(0.0, 0.6, np.array(cover)))), np.float32),
