@@ -62,7 +62,8 @@ def main() -> None:
         f"{name}. Peer: Mitsuba's `{polarised_variant()}`, pplastic, lamp behind a polariser, "
         f"Stokes vectors read through an upright analyser, three lamps of each bank at "
         f"{SMALL_PX} pixels across, direct light, 256 samples. Mirror light: share of the "
-        "unpolarised highlight's peak. Diffuse light: difference of the share that passes.",
+        "unpolarised highlight's peak, where it is over a hundredth of it. "
+        "Diffuse light: difference of the share that passes.",
     )
     record(
         "Leakage of cross-polarised shots",
@@ -259,7 +260,8 @@ def one_lamp(
     peer, known = timed(lambda: passed(dataclasses.replace(skin, diffuse=0.0)))
     # A pixel's middle stands for its area only where the surface does not turn away within it.
     facing = np.einsum("nk,nk->n", surface.normal, surface.view) > 0.3
-    off_mirror = np.abs(highlight * shares[:, 1] - known)[facing] / highlight.max()
+    shines = facing & (highlight > 0.01 * highlight.max())
+    off_mirror = np.abs(highlight * shares[:, 1] - known)[shines] / highlight.max()
     matte = dataclasses.replace(skin, specular=0.0)
     plain = stokes(matte, None)[surface.pixel, 0]
     bright = facing & (plain > 0.1 * plain.max())

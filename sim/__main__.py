@@ -176,6 +176,9 @@ def render(
     lights: int = typer.Option(512, help="Lights that stand for an environment, at most."),
     rotate: float = typer.Option(0.0, help="Degrees that an environment turns, +z toward +x."),
     exposure: float | None = typer.Option(None, help="Stops of a .png; automatic where absent."),
+    reference: bool = typer.Option(
+        False, "--reference", help="Path-traced, with bounces and light inside the skin."
+    ),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     as_json: bool = JsonFlag,
 ) -> None:
@@ -193,7 +196,9 @@ def render(
     stage = stage.scaled(width / stage.camera(camera).width_px)
     person = load_subject(subject, seed, expression)
     with progress_bar("lights") as progress:
-        picture = portrait(person, stage, camera, light, config, seed, progress)
+        picture = portrait(
+            person, stage, camera, light, config, seed, progress, reference=reference
+        )
     factor = write_portrait(picture, out, exposure)
     seconds = time.monotonic() - begun
     facts = {

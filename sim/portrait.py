@@ -12,6 +12,7 @@ from lightstage.errors import PatternError
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig
 from sim.errors import SimError
+from sim.lamps import Lamps, lamps_of
 from sim.polarised import PolarisedWorld, is_polarised
 from sim.relight import (
     SAMPLES,
@@ -37,6 +38,8 @@ def portrait(
     config: RelightConfig | None = None,
     seed: int = 0,
     progress: ProgressCallback = quiet,
+    *,
+    reference: bool = False,
 ) -> np.ndarray:
     """A person's picture.
 
@@ -47,7 +50,8 @@ def portrait(
         light: a pattern's name, or an environment's (`sim.relight.environment_lights`).
         config: of an environment.
         seed: of the street's houses.
-        progress: of lights.
+        progress: of lights; the reference tells nothing.
+        reference: path-traced, with bounces and subsurface scattering, in place of the fast path.
 
     Returns:
         (h, w, 3) float32, linear, on the session's scale: a white diffuser at the origin reads 1
@@ -57,11 +61,37 @@ def portrait(
         SimError, RigError: an unknown light or camera, or a file that cannot be used.
     """
     camera = rig.camera(camera_id)
+    alone = dataclasses.replace(rig, cameras=(camera,))
     if is_environment(light):
         lights = environment_lights(light, config, seed)
-        return relit(Scene(subject), camera, lights, progress)
+        if not reference:
+            return relit(Scene(subject), camera, lights, progress)
+        places = lights.position_mm
+        toward = -places / np.linalg.norm(places, axis=1, keepdims=True)
+        levels = np.ones((1, len(places)))
+        lamps = Lamps(places, lights.rgb, toward, exponent=0.0, radius_mm=0.0)
+    else:
+        levels, lamps = _levels(light, rig)[None], lamps_of(rig)
+    if not reference:
+        world = World(subject, alone, samples=SAMPLES)
+        seen = PolarisedWorld(world) if is_polarised(light) else world
+        return seen.photograph(camera_id, levels)[0]
+    if not is_environment(light) and is_polarised(light):
+        raise SimError(
+            f"light {light!r}",
+            found="a polarised pattern",
+            expected="a plain one with --reference",
+            hint="Polarised light is the fast path's; its own reference is in the benchmarks.",
+        )
+    from sim.reference.world import ReferenceWorld
+
+    return ReferenceWorld(subject, alone, lamps).photograph(camera_id, levels)[0]
+
+
+def _levels(light: str, rig: Rig) -> np.ndarray:
+    """(m,) levels of a pattern; SimError tells environments beside patterns."""
     try:
-        levels = pattern_levels(light, rig)[None]
+        return pattern_levels(light, rig)
     except PatternError as error:
         raise SimError(
             f"light {light!r}",
@@ -69,9 +99,6 @@ def portrait(
             expected=f"{error.expected}; or {', '.join(environment_names())}, or a file "
             ".exr, .hdr, .json",
         ) from None
-    world = World(subject, dataclasses.replace(rig, cameras=(camera,)), samples=SAMPLES)
-    seen = PolarisedWorld(world) if is_polarised(light) else world
-    return seen.photograph(camera_id, levels)[0]
 
 
 def write_portrait(picture: np.ndarray, out: Path, exposure_stops: float | None) -> float:
