@@ -29,6 +29,7 @@ class Nodes:
         position: (k, 3) mm, the mean of a node's texels.
         normal: (k, 3) unit.
         spread: (k,) mm^2, the variance of a node's texels along the surface.
+        texel_area: (n,) mm^2.
     """
 
     share: sparse.csr_matrix
@@ -92,6 +93,7 @@ class Texels:
         self.area = (area[self._face] / uv_area[self._face] * texel).astype(np.float64)
         self.spacing_mm = float(np.sqrt(self.area.mean()))
         self._charts = _charts(skin.uv_triangles)[self._face]
+        self._layers: dict[int, Nodes] = {}
 
     def __len__(self) -> int:
         return len(self.area)
@@ -116,9 +118,13 @@ class Texels:
         """Texels' values (n, c) at places (m, 2), bilinear; (m, c) float32."""
         return sample(np.asarray(values, np.float32)[self._nearest], uv)
 
-    @functools.lru_cache(maxsize=8)  # noqa: B019
     def nodes(self, step: int) -> Nodes:
-        """The layer whose nodes are `step` texels apart."""
+        """The layer whose nodes are `step` texels apart; kept once made."""
+        if step not in self._layers:
+            self._layers[step] = self._layer(step)
+        return self._layers[step]
+
+    def _layer(self, step: int) -> Nodes:
         row, column = np.nonzero(self.covered)
         wide = self.shape[1] // step + 3
         tall = self.shape[0] // step + 3

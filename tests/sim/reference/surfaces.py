@@ -42,7 +42,7 @@ def subject_of(
         "head_from_world": np.eye(4)[:3],
         "source": "analytic",
     }
-    return Subject(**{**values, **more})  # type: ignore[arg-type]
+    return Subject(**{**values, **more})
 
 
 def plane(size_mm: float = 40.0, **more: object) -> Subject:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.special import erf
@@ -9,6 +11,7 @@ from scipy.special import erf
 from sim.reference.points import Skin
 from sim.reference.subsurface import FINEST, PROFILE, VARIANCES_MM2, diffuse_inside, layer_step
 from sim.reference.texels import Texels
+from sim.subject import Subject
 from tests.sim.reference.surfaces import corner, plane
 
 
@@ -41,7 +44,7 @@ def test_an_edge_of_light_becomes_the_sum_of_error_functions(texels: Texels) -> 
 
 
 @pytest.mark.parametrize("shape", [plane, corner])
-def test_energy_is_kept_and_uniform_light_unchanged(shape) -> None:  # type: ignore[no-untyped-def]
+def test_energy_is_kept_and_uniform_light_unchanged(shape: Callable[..., Subject]) -> None:
     patches = Texels(Skin(shape(30.0)), 0.3)
     rng = np.random.default_rng(5)
     count = len(patches)

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lightstage.commands import quiet
+from lightstage.formats.exr import read_exr
 from sim.errors import SimError
 from sim.lamps import LampConfig, Lamps, lamps_of
 from sim.reference.config import ReferenceConfig
 from sim.reference.direct import lamp_strength
 from sim.reference.variant import SCALAR, find_variant
 from sim.reference.world import ReferenceWorld
+from sim.session import SessionConfig, write_direct
 from sim.subject import Subject
+from tests.sim.conftest import ball_subject, small_rig
 from tests.sim.reference.surfaces import corner, plane, stage
 
 mi = pytest.importorskip("mitsuba", reason="needs the extra `reference`")
@@ -161,7 +166,9 @@ def test_without_subsurface_the_picture_is_that_of_a_path_tracer(
         flat_corner, specular_albedo=np.full((32, 32), specular, np.float32)
     )
     known = brute_force(subject, 512, bounces + 2)
-    config = ReferenceConfig(bounces=bounces, subsurface=False, samples=4, texel_mm=2.0)
+    config = ReferenceConfig(
+        bounces=bounces, subsurface=False, samples=4, texel_mm=3.0, bounce_rays=48
+    )
     rig = stage(LIGHTS)
     lamps = lamps_of(rig, LampConfig(radius_mm=20.0))
     found = ReferenceWorld(subject, rig, lamps, config).photograph("cam0", np.ones((1, 3)))
@@ -175,7 +182,7 @@ def test_without_subsurface_the_picture_is_that_of_a_path_tracer(
 
 def test_only_mirrored_light_after_a_bounce_is_left_out(flat_corner: Subject) -> None:
     """In a right angle, the worst place for it, it is 3 % of the light."""
-    config = ReferenceConfig(subsurface=False, samples=4, texel_mm=1.5)
+    config = ReferenceConfig(subsurface=False, samples=4, texel_mm=3.0, bounce_rays=32)
     rig = stage(LIGHTS)
     lamps = lamps_of(rig, LampConfig(radius_mm=20.0))
     found = ReferenceWorld(flat_corner, rig, lamps, config).photograph("cam0", np.ones((1, 3)))
@@ -188,7 +195,10 @@ def test_repeats_differ_by_less_than_a_percent() -> None:
     rig = stage(LIGHTS, 12, 12)
     pictures = [
         ReferenceWorld(
-            corner(30.0), rig, lamps_of(rig), ReferenceConfig(samples=1, texel_mm=2.0, seed=seed)
+            corner(30.0),
+            rig,
+            lamps_of(rig),
+            ReferenceConfig(samples=1, texel_mm=3.0, bounce_rays=64, seed=seed),
         ).photograph("cam0", np.ones((1, 3)))[0]
         for seed in (1, 2, 3)
     ]
@@ -215,3 +225,16 @@ def test_a_config_that_cannot_be_is_refused(wrong: dict) -> None:
 def test_an_unknown_variant_is_refused() -> None:
     with pytest.raises(SimError, match="variant"):
         find_variant("cuda_ad_rgb")
+
+
+def test_a_session_of_the_reference_is_written_like_any_other(tmp_path: Path) -> None:
+    config = SessionConfig(sequence="full,x+,x-")
+    coarse = ReferenceConfig(bounces=1, samples=1, texel_mm=5.0, bounce_rays=4)
+    world = ReferenceWorld(ball_subject(), small_rig(6, 16, 24, 1), None, coarse)
+    write_direct(world, tmp_path / "S", config, 1, quiet)
+    full, first, second = (
+        read_exr(tmp_path / "S" / "frames" / name / "cam0.exr") for name in ("full", "x+", "x-")
+    )
+    assert full.max() > 0.1
+    np.testing.assert_allclose(first + second, full, atol=2e-3 * full.max())
+    assert (tmp_path / "S" / "session.json").is_file()
