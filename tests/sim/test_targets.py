@@ -12,11 +12,13 @@ import rawpy
 import scipy.optimize
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from lightstage.commands import quiet
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.session import changed_frames, load_session, missing_frames
-from lightstage.rig import default_rig
+from lightstage.rig import default_rig, save_rig
+from sim.__main__ import app
 from sim.chart import chart_reflectance
 from sim.errors import SimError
 from sim.flaws import PRESETS, CaptureFlaws, LensConfig
@@ -354,3 +356,20 @@ def test_poses_and_truth_follow_the_seed(rig):
     assert first["charuco-01"].truth == again["charuco-01"].truth
     assert first["charuco-01"].truth != other["charuco-01"].truth
     assert first["charuco-00"].seen(rig.cameras[0])["places_px"]
+
+
+def test_the_command_makes_targets_and_refuses_a_session_that_is_there(tmp_path):
+    out, whole = tmp_path / "cal", default_rig()
+    rig_file = str(
+        save_rig(dataclasses.replace(whole, cameras=whole.cameras[:1]), tmp_path / "rig.json")
+    )
+    words = ["targets", "--rig", rig_file, "--out", str(out), "--scale", "0.005"]
+    said = CliRunner().invoke(app, [*words, "--flaws", "lab", "--json"])
+    assert said.exit_code == 0, said.output
+    facts = json.loads(said.output.splitlines()[-1])
+    session = load_session(out)
+    assert facts["photographs"] == len(session.file.frames)
+    assert {camera.dist[0] for camera in session.rig.cameras} == {-0.03}
+    again = CliRunner().invoke(app, words)
+    assert isinstance(again.exception, SimError)
+    assert "a session" in str(again.exception)
