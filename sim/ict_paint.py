@@ -109,9 +109,12 @@ def _eye(
     white = white * (1 - (0.10 * vein + 0.16 * flush)[:, None] * np.array([0.4, 1.0, 1.0]))
     ray = np.stack([4.6 * np.cos(turn), 4.6 * np.sin(turn), 0.35 * radius], axis=-1)
     fibres = 1 + 0.22 * octaves(ray.astype(np.float32), 1.1, 3, seed + 4)
-    shade = fibres * (1 - 0.6 * smoothstep(4.7, 5.9, radius)) * (0.8 + 0.06 * radius)
-    iris = shade[:, None] * np.array(complexion.iris)
+    ring = fibres * (1 - 0.6 * smoothstep(4.7, 5.9, radius)) * (0.8 + 0.06 * radius)
+    iris = ring[:, None] * np.array(complexion.iris)
     iris *= smoothstep(PUPIL_MM - 0.2, PUPIL_MM + 0.25, radius)[:, None]
     inside = smoothstep(IRIS_MM + 0.4, IRIS_MM - 0.3, radius) * ~behind
     out = white + inside[:, None] * (iris - white) + 0.004
-    return np.asarray(np.clip(out, 0.004, 0.9), np.float32)
+    # Lids and lashes shade the ball below them, as in any texture of a photographed eye.
+    shade = 1 - 0.5 * smoothstep(2.0, 6.5, y) - 0.2 * smoothstep(-3.5, -6.5, y)
+    shade *= 1 - 0.3 * smoothstep(7.0, 12.0, np.abs(x))
+    return np.asarray(np.clip(out * shade[:, None], 0.004, 0.9), np.float32)

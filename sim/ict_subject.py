@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from lightstage.formats.mesh import Mesh, vertex_normals
@@ -14,7 +15,7 @@ from sim.head_modes import EXPRESSIONS
 from sim.ict import SOURCE, IctModel, load_ict
 from sim.ict_match import head_from_ict, own_uv_of
 from sim.ict_paint import paint_inner_parts
-from sim.ict_tile import parts_of
+from sim.ict_tile import FACE, LEFT_EYE, RIGHT_EYE, parts_of
 from sim.normals import bend_normals
 from sim.person import FACE_MIDDLE_MM
 from sim.skin import face_from, make_skin, random_complexion
@@ -35,6 +36,12 @@ BLENDS: dict[str, dict[str, float]] = {
     "pucker": {"mouthPucker": 0.9, "mouthFunnel": 0.15},
     "eyes_closed": {"eyeBlink": 1.0},
 }
+CLOSING = "eyeBlink"
+WIDER_RANGE = (0.7, 1.6)
+LID_MM = 0.8
+LEAST_MOVE_MM = 0.8
+# iBUG's upper and lower lid points of the right and the left eye.
+_LID_PAIRS = (((37, 41), (38, 40)), ((43, 47), (44, 46)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +95,8 @@ def ict_subject(
         person += weight * mode
     motion = head_from_ict(person, model)
     neutral = person @ motion[:, :3].T + motion[:, 3]
-    moved = (person + blend(model, expression)) @ motion[:, :3].T + motion[:, 3]
+    moved = over_eyeballs(person + blend(model, expression, person), person, model)
+    moved = moved @ motion[:, :3].T + motion[:, 3]
     shift = drawn.place_mm - drawn.turn @ FACE_MIDDLE_MM
     world = moved @ drawn.turn.T + shift
     mesh = parts.mesh(world[parts.vertices])
@@ -124,8 +132,21 @@ def ict_subject(
     )
 
 
-def blend(model: IctModel, expression: str) -> np.ndarray:
-    """(n, 3) mm displacement of all the model's vertices; SimError when it cannot be made."""
+def blend(model: IctModel, expression: str, person: np.ndarray | None = None) -> np.ndarray:
+    """Displacement of an expression.
+
+    Args:
+        model: the model.
+        expression: ``neutral`` or one of `BLENDS`.
+        person: (n, 3) mm the neutral face it is for: wide eyes close as far as narrow ones. None
+            for the mean face.
+
+    Returns:
+        (n, 3) mm for all the model's vertices.
+
+    Raises:
+        SimError: an unknown expression, or one whose shapes the copy lacks.
+    """
     out = np.zeros_like(model.mesh.vertices)
     if expression == "neutral":
         return out
@@ -141,7 +162,12 @@ def blend(model: IctModel, expression: str) -> np.ndarray:
         sides = [name] if name in model.expression else [f"{name}_L", f"{name}_R"]
         for side in sides:
             if side in model.expression:
-                out += strength * model.expression[side]
+                wider = 1.0
+                if name == CLOSING and person is not None:
+                    wider = _lids_apart(person, model, side) / _lids_apart(
+                        model.mesh.vertices, model, side
+                    )
+                out += np.clip(wider, *WIDER_RANGE) * strength * model.expression[side]
             else:
                 missing.append(side)
     if missing:
@@ -152,6 +178,50 @@ def blend(model: IctModel, expression: str) -> np.ndarray:
             expected="the whole model's expression shapes",
             hint="Is the clone complete (Git LFS files fetched)?",
         )
+    return out
+
+
+def _lids_apart(vertices: np.ndarray, model: IctModel, shape: str) -> float:
+    """How much of a lid-closing shape brings a face's lids together, at the eye that it closes."""
+    move = model.expression[shape][model.landmarks]
+    marks = vertices[model.landmarks]
+    pairs = max(_LID_PAIRS, key=lambda eye: float(np.abs(move[[up for up, _ in eye]]).sum()))
+    gap = np.array([marks[low] - marks[up] for up, low in pairs])
+    closing = np.array([move[up] - move[low] for up, low in pairs])
+    return float((gap * closing).sum() / (closing**2).sum())
+
+
+def over_eyeballs(vertices: np.ndarray, neutral: np.ndarray, model: IctModel) -> np.ndarray:
+    """Lids that an expression moves kept outside of the eyeballs, as they slide over the cornea.
+
+    The model's shapes are straight lines, so that a lid would cut through a bulging eye.
+
+    Args:
+        vertices: (n, 3) mm all the model's vertices with the expression.
+        neutral: (n, 3) without it.
+        model: where the eyeballs are.
+
+    Returns:
+        (n, 3) mm.
+    """
+    parts = parts_of(model)
+    skin = parts.faces[parts.part == FACE]
+    skin = parts.vertices[np.unique(skin[skin >= 0])]
+    skin = skin[np.linalg.norm(vertices[skin] - neutral[skin], axis=1) > LEAST_MOVE_MM]
+    out = vertices.copy()
+    for eye in (LEFT_EYE, RIGHT_EYE):
+        corners = parts.faces[parts.part == eye]
+        ball = vertices[parts.vertices[np.unique(corners[corners >= 0])]]
+        centre = (ball.min(axis=0) + ball.max(axis=0)) / 2
+        radius = np.linalg.norm(ball - centre, axis=1)
+        away = vertices[skin] - centre
+        distance = np.linalg.norm(away, axis=1)
+        near = (distance < radius.max() + LID_MM) & (away[:, 2] > 0)
+        lid, away, distance = skin[near], away[near], distance[near]
+        # The ball's radius in a lid's direction, from its vertices in the nearest directions.
+        _, nearest = cKDTree((ball - centre) / radius[:, None]).query(away / distance[:, None], k=3)
+        least = radius[nearest].max(axis=1) + LID_MM
+        out[lid] = centre + away * np.maximum(1.0, least / distance)[:, None]
     return out
 
 

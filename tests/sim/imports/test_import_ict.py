@@ -15,7 +15,7 @@ from sim.head_mesh import landmarks, neutral_mesh
 from sim.head_modes import EXPRESSIONS
 from sim.ict import load_ict
 from sim.ict_match import head_from_ict, own_uv_of
-from sim.ict_subject import BLENDS, blend, ict_subject, mean_mesh
+from sim.ict_subject import BLENDS, blend, ict_subject, mean_mesh, over_eyeballs
 from sim.ict_tile import BACK, EYE_SOCKETS, FACE, LEFT_EYE, MOUTH_SOCKET, RIGHT_EYE, parts_of
 from sim.import_checks import outward_share
 from sim.subjects import load_subject
@@ -149,8 +149,35 @@ def test_expressions_do_what_their_names_say(model):
     pucker = moved("pucker")
     assert pucker[48, 0] > 2 > -2 > pucker[54, 0]
     assert eye(rest + moved("eyes_closed")) < 0.25 * eye(rest)
+    # Whoever it is, the lids meet.
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        weights = np.clip(rng.normal(size=100), -2, 2)
+        face = model.mesh.vertices + np.tensordot(weights, model.identity, axes=1)
+        closed = (face + blend(model, "eyes_closed", face))[marks]
+        assert eye(closed) < 0.3 * eye(face[marks])
     with pytest.raises(SimError, match=r"expression: found 'wink', expected neutral, smile"):
         blend(model, "wink")
+
+
+def test_closing_lids_slide_over_the_cornea_of_any_eye(model):
+    parts = parts_of(model)
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        weights = np.clip(rng.normal(size=100), -2, 2)
+        face = model.mesh.vertices + np.tensordot(weights, model.identity, axes=1)
+        shut = face + blend(model, "eyes_closed", face)
+        kept = over_eyeballs(shut, face, model)
+        np.testing.assert_array_equal(over_eyeballs(face, face, model), face)
+        assert np.linalg.norm(kept - shut, axis=1).max() < 5
+        for eye, lids in ((RIGHT_EYE, (37, 38)), (LEFT_EYE, (43, 44))):
+            corners = parts.faces[parts.part == eye]
+            ball = kept[parts.vertices[np.unique(corners[corners >= 0])]]
+            centre = (ball.min(axis=0) + ball.max(axis=0)) / 2
+            for lid in kept[model.landmarks[list(lids)]]:
+                toward = (lid - centre) / np.linalg.norm(lid - centre)
+                beside = (ball - centre) @ toward > 0.99 * np.linalg.norm(ball - centre, axis=1)
+                assert ((ball - centre)[beside] @ toward).max() < np.linalg.norm(lid - centre)
 
 
 def test_each_places_skin_is_that_of_the_same_place_on_our_head(model):
