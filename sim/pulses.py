@@ -6,7 +6,6 @@ import numpy as np
 
 from sim.flaws import PulseConfig
 
-
 INSTANT = 1e-6
 """An exposure shorter than this share of a period sees the lamp either on or off."""
 
