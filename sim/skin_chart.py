@@ -94,10 +94,10 @@ def draw_lines(
         layer = np.zeros(part.shape, np.uint8)
         fixed = np.round((place - low) * 2**_SHIFT).astype(np.int32)
         levels = np.broadcast_to(strength, (len(line),))
-        for k in range(len(line) - 1):
-            level = round(float(np.clip(127.5 * (levels[k] + levels[k + 1]), 0, 255)))
-            start, end = fixed[k].tolist(), fixed[k + 1].tolist()
-            cv2.line(layer, start, end, level, width_px, cv2.LINE_AA, _SHIFT)
+        greys = np.clip(127.5 * (levels[1:] + levels[:-1]), 0, 255).round().astype(int).tolist()
+        ends = fixed.tolist()
+        for k, grey in enumerate(greys):
+            cv2.line(layer, ends[k], ends[k + 1], grey, width_px, cv2.LINE_AA, _SHIFT)
         np.maximum(part, layer.astype(np.float32) / 255, out=part)
 
 

@@ -120,7 +120,7 @@ def test_noise_is_the_same_on_any_number_of_threads():
 MAPS = ("diffuse_albedo", "specular_albedo", "roughness", "translucency", "relief_mm")
 
 
-@settings(max_examples=8, deadline=None, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=5, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(st.integers(0, 2**32 - 1))
 def test_skin_is_physical_for_any_seed(seed):
     skin = skin_of(seed, 96)
