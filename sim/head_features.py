@@ -17,7 +17,7 @@ from sim.head_grid import (
 
 # Lip profile: rows from the mouth line (negative upward) against mm outward and mm upward.
 _PROFILE_ROWS = (-11, -8, -6, -5, -4, -2.5, -1, 0, 1, 2.5, 4, 5, 6.5, 9, 12)
-_PROFILE_OUT = (0, 0.2, 0.9, 1.9, 2.8, 3.3, 2.6, -0.8, 2.5, 4.0, 3.8, 2.4, 0.5, -0.8, 0)
+_PROFILE_OUT = (0, 0.2, 0.9, 1.9, 2.8, 3.3, 2.5, 0.0, 2.4, 4.0, 3.8, 2.4, 0.5, -0.8, 0)
 _PROFILE_UP = (0, 0, 0, 0, -0.2, -0.5, -0.9, 0, 0.9, 0.5, 0.2, 0, 0, 0, 0)
 
 

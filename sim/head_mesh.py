@@ -28,7 +28,7 @@ from sim.head_shape import cast
 
 HALF = COLUMNS // 2
 
-HAIR_MM = 4.0
+HAIR_MM = 3.0
 """How thick the average head's short hair is."""
 
 # Places of landmarks that lie on no row, x >= 0: mm in the head frame.
@@ -165,7 +165,7 @@ def regions() -> dict[str, np.ndarray]:
 def _hair_share(points: np.ndarray) -> np.ndarray:
     """(rows + 1, columns + 1) 0..1: how much of the hair's thickness a place has."""
     # Behind and above the ear hair starts thin, so that the ear keeps its place.
-    return np.asarray(smoothstep(-1.0, 16.0, hairline_mm(points)) * beside_ears())
+    return np.asarray(smoothstep(-1.0, 22.0, hairline_mm(points)) * beside_ears())
 
 
 @functools.cache
