@@ -38,7 +38,8 @@ BLENDS: dict[str, dict[str, float]] = {
 }
 CLOSING = "eyeBlink"
 WIDER_RANGE = (0.7, 1.6)
-LID_MM = 0.8
+LID_MM = (0.2, 1.5)
+"""How far above the eyeball a lid's margin and its outer skin stay at least."""
 LEAST_MOVE_MM = 0.8
 # iBUG's upper and lower lid points of the right and the left eye.
 _LID_PAIRS = (((37, 41), (38, 40)), ((43, 47), (44, 46)))
@@ -211,18 +212,25 @@ def over_eyeballs(vertices: np.ndarray, neutral: np.ndarray, model: IctModel) ->
     out = vertices.copy()
     for eye in (LEFT_EYE, RIGHT_EYE):
         corners = parts.faces[parts.part == eye]
-        ball = vertices[parts.vertices[np.unique(corners[corners >= 0])]]
-        centre = (ball.min(axis=0) + ball.max(axis=0)) / 2
-        radius = np.linalg.norm(ball - centre, axis=1)
-        away = vertices[skin] - centre
-        distance = np.linalg.norm(away, axis=1)
-        near = (distance < radius.max() + LID_MM) & (away[:, 2] > 0)
-        lid, away, distance = skin[near], away[near], distance[near]
-        # The ball's radius in a lid's direction, from its vertices in the nearest directions.
-        _, nearest = cKDTree((ball - centre) / radius[:, None]).query(away / distance[:, None], k=3)
-        least = radius[nearest].max(axis=1) + LID_MM
-        out[lid] = centre + away * np.maximum(1.0, least / distance)[:, None]
+        ball = parts.vertices[np.unique(corners[corners >= 0])]
+        away, distance, radius = _from_ball(vertices[skin], vertices[ball])
+        near = (distance < radius + LID_MM[1]) & (away[:, 2] > 0)
+        _, rest, rest_radius = _from_ball(neutral[skin], neutral[ball])
+        # The lid's margin stays below its outer skin, or the two would cut through each other.
+        least = radius + np.clip(rest - rest_radius, *LID_MM)
+        pushed = away * np.maximum(0.0, least / distance - 1.0)[:, None]
+        out[skin[near]] += pushed[near]
     return out
+
+
+def _from_ball(points: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """From an eyeball's middle to points: (n, 3), its length, and the ball's radius that way."""
+    centre = (ball.min(axis=0) + ball.max(axis=0)) / 2
+    away, out = points - centre, ball - centre
+    distance, radius = np.linalg.norm(away, axis=1), np.linalg.norm(out, axis=1)
+    tree = cKDTree(out / radius[:, None])
+    nearest = np.asarray(tree.query(away / distance[:, None], k=3)[1])
+    return away, distance, radius[nearest].max(axis=1)
 
 
 def _draw(seed: int, count: int, traits: Traits | None) -> _Draws:
