@@ -167,6 +167,8 @@ def _paint(
     shaded = np.array(c.hair, np.float32) * (1 + 0.6 * strands)[..., None]
     albedo += scalp[..., None] * (shaded - albedo)
     hair = np.maximum(np.maximum(brow, scalp), lash)
+    mouth = patch.mouth_inside()
+    albedo += 0.9 * mouth[..., None] * (MOUTH_ALBEDO - albedo)
     paint_eyes(albedo, patch, c.iris, c.age)
     specular *= 1 - 0.45 * np.maximum(hair, 0.5 * beard)
     specular += eyes * (0.026 - specular)
@@ -175,6 +177,7 @@ def _paint(
     roughness += eyes * (EYE_ROUGHNESS - roughness)
     relief = relief + scalp * (0.09 * strands) + 0.05 * brow + 0.03 * beard
     free = (patch.mask("skin") + patch.mask("lips") > 0.5) & (np.maximum(hair, beard) < 0.3)
+    free &= mouth < 0.3
     return (
         np.clip(albedo, 0.004, 0.95),
         np.clip(specular, *SPECULAR_RANGE),

@@ -12,7 +12,6 @@ from sim.head_grid import (
     EYE_HALF_DEG,
     ROW_LID_LOW,
     ROW_LID_UP,
-    face_azimuth_deg,
     smoothstep,
 )
 from sim.skin_chart import Chart, curve, draw_lines, empty, signed_place
@@ -107,9 +106,7 @@ def brow_share(patch: Patch, charts: HairCharts) -> np.ndarray:
 
 def eye_place(patch: Patch) -> tuple[np.ndarray, np.ndarray]:
     """Across an eye (-1 inner to 1 outer corner) and the grid's row: (h, columns) each."""
-    table = np.abs(face_azimuth_deg()).astype(np.float32)
-    azimuth = np.interp(patch.column, np.arange(len(table)), table)
-    across = (azimuth - EYE_AZIMUTH_DEG) / EYE_HALF_DEG
+    across = (patch.azimuth_deg() - EYE_AZIMUTH_DEG) / EYE_HALF_DEG
     return across.astype(np.float32), patch.row
 
 

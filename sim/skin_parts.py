@@ -15,7 +15,14 @@ import numpy as np
 from scipy import ndimage
 
 from sim.errors import SimError
-from sim.head_grid import COLUMNS, ROWS
+from sim.head_grid import (
+    COLUMNS,
+    MOUTH_HALF_DEG,
+    ROW_MOUTH,
+    ROWS,
+    face_azimuth_deg,
+    smoothstep,
+)
 from sim.head_maps import to_window
 from sim.head_mesh import grid_vertices, neutral_mesh
 from sim.head_noise import cell_noise, octaves
@@ -107,6 +114,19 @@ class Patch:
         if self._place is None:
             self._place = canonical(self.reference)
         return self._place
+
+    def azimuth_deg(self) -> np.ndarray:
+        """(h, columns) float32 how far from the middle of the face the grid's column lies."""
+        table = np.abs(face_azimuth_deg())
+        found = np.interp(self.column, np.arange(len(table)), table)
+        return np.asarray(found, np.float32)
+
+    def mouth_inside(self) -> np.ndarray:
+        """(h, columns) 0..1, what lies between the lips: a line when they are closed."""
+        between = smoothstep(0.95, 0.3, np.abs(self.row - ROW_MOUTH))
+        if not between.any():
+            return between
+        return between * smoothstep(0.96, 0.86, self.azimuth_deg() / MOUTH_HALF_DEG)
 
     def mask(self, name: str) -> np.ndarray:
         """(h, columns) float32, one of `skin_places.place_masks`."""
