@@ -10,7 +10,7 @@ from scipy import ndimage, sparse
 
 from sim.errors import SimError
 from sim.reference.points import Points, Skin, unit
-from sim.texture import raster_uv, sample
+from sim.texture import raster_uv
 
 MAX_TEXELS = 64_000_000
 MULTIPLE = 16
@@ -116,7 +116,16 @@ class Texels:
 
     def sample(self, values: np.ndarray, uv: np.ndarray) -> np.ndarray:
         """Texels' values (n, c) at places (m, 2), bilinear; (m, c) float32."""
-        return sample(np.asarray(values, np.float32)[self._nearest], uv)
+        rows, columns = self.shape
+        x = np.clip(uv[:, 0] * columns - 0.5, 0, columns - 1)
+        y = np.clip((1.0 - uv[:, 1]) * rows - 0.5, 0, rows - 1)
+        left, top = x.astype(int), y.astype(int)
+        right, below = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
+        x, y = (x - left)[:, None], (y - top)[:, None]
+        near = np.asarray(values, np.float32)
+        upper = near[self._nearest[top, left]] * (1 - x) + near[self._nearest[top, right]] * x
+        lower = near[self._nearest[below, left]] * (1 - x) + near[self._nearest[below, right]] * x
+        return (upper * (1 - y) + lower * y).astype(np.float32)
 
     def nodes(self, step: int) -> Nodes:
         """The layer whose nodes are `step` texels apart; kept once made."""
