@@ -173,7 +173,7 @@ def render(
     expression: str | None = typer.Option(None, help="Neutral, or what a folder's face does."),
     camera: str = typer.Option("cam0", help="View: a camera of the rig."),
     width: int = typer.Option(480, min=16, max=6016, help="Pixels across."),
-    lights: int = typer.Option(512, help="Lights that stand for an environment, at most."),
+    lights: int = typer.Option(256, help="Lights that stand for an environment, at most."),
     rotate: float = typer.Option(0.0, help="Degrees that an environment turns, +z toward +x."),
     exposure: float | None = typer.Option(None, help="Stops of a .png; automatic where absent."),
     reference: bool = typer.Option(

@@ -40,7 +40,7 @@ class RelightConfig:
         rotate_deg: turns it about +y, from +z toward +x.
     """
 
-    lights: int = 512
+    lights: int = 256
     rotate_deg: float = 0.0
 
     def __post_init__(self) -> None:
