@@ -123,7 +123,7 @@ class Patch:
 
     def mouth_inside(self) -> np.ndarray:
         """(h, columns) 0..1, what lies between the lips: a line when they are closed."""
-        between = smoothstep(0.95, 0.3, np.abs(self.row - ROW_MOUTH))
+        between = smoothstep(1.05, 0.75, np.abs(self.row - ROW_MOUTH))
         if not between.any():
             return between
         return between * smoothstep(0.96, 0.86, self.azimuth_deg() / MOUTH_HALF_DEG)
