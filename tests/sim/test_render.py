@@ -15,7 +15,7 @@ from sim.errors import SimError
 from sim.facets import SKIN_F0, beckmann_lambda, fresnel_dielectric, ggx_lambda
 from sim.lamps import LampConfig, Lamps, lamps_of, light_weights, point_lamps
 from sim.olat import shade
-from sim.render import ROUND, Lobe
+from sim.render import ROUND, TILE, Lobe
 from sim.transmittance import transmittance
 
 
@@ -188,11 +188,11 @@ def test_a_tangent_along_the_normal_leaves_the_lobe_round():
 
 
 def test_points_beyond_a_tile_are_shaded_as_those_within():
-    surface = list(some_surface(np.random.default_rng(7), count=9000, lights=3, states=2))
+    surface = list(some_surface(np.random.default_rng(7), count=TILE + 700, lights=3, states=2))
     whole = call(tuple(surface))
-    last = [np.asarray(part)[8900:] for part in surface[:8]]
+    last = [np.asarray(part)[TILE + 600 :] for part in surface[:8]]
     for part, known in zip(call((*last, *surface[8:])), whole, strict=True):
-        np.testing.assert_array_equal(part, known[:, 8900:])
+        np.testing.assert_array_equal(part, known[:, TILE + 600 :])
 
 
 def test_an_unknown_distribution_is_refused():
