@@ -94,7 +94,9 @@ def states(
         for part, factor in zip(parts, (colour, gloss), strict=True):
             weigh_kernel(part, columns, light[: len(part)])
             each = light[: len(part)].reshape(-1, count, 3).transpose(1, 0, 2)
-            found.append(each * factor)
+            # A broken albedo may make its own pixel NaN, without a word on stderr.
+            with np.errstate(invalid="ignore", over="ignore"):
+                found.append(each * factor)
         yield tile, found[0], found[1]
 
 

@@ -97,6 +97,7 @@ def kept_share(bsdf: dict[str, Any]) -> float:
     facets, so that some light is lost.
     """
     mi = pytest.importorskip("mitsuba", reason="needs the extra `reference`")
+    mi.set_variant("scalar_rgb")
     made = mi.load_dict(bsdf)
     nodes, weights = np.polynomial.legendre.leggauss(64)
     cosines, context, seen = (nodes + 1) / 2, mi.BSDFContext(), mi.SurfaceInteraction3f()
