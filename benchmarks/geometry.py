@@ -35,7 +35,7 @@ from processing.reconstruction.stereo import focus_point, match_views
 from processing.reconstruction.views import Level, View, pyramid
 from processing.separation import SeparateConfig, separate
 from sim.errors import SimError
-from sim.subjects import load_subject
+from sim.people.subjects import load_subject
 
 NOISE = 0.001
 # Neighbours whose epipolar lines cover the head from all sides, as PEERS' figure used.

@@ -28,13 +28,13 @@ from lightstage.leds.serial_controller import SerialLeds, parse_url
 from lightstage.rig import Rig, default_rig
 from lightstage.sequence import SafetyConfig, plan_shots
 from lightstage.session import SessionWriter
-from sim.dng import Exif, dng_bytes
-from sim.fault_names import LEDS, NAMES
-from sim.faults import Fault, FaultLog, Story
-from sim.led_device import LedDevice
-from sim.optics import own_rng
-from sim.sensor import SensorConfig, make_sensor
-from sim.simulated_camera import DRIVER, SimulatedCameras
+from sim.camera.dng import Exif, dng_bytes
+from sim.camera.optics import own_rng
+from sim.camera.sensor import SensorConfig, make_sensor
+from sim.devices.fault_names import LEDS, NAMES
+from sim.devices.faults import Fault, FaultLog, Story
+from sim.devices.led_device import LedDevice
+from sim.devices.simulated_camera import DRIVER, SimulatedCameras
 
 CAPTURES = 6
 PATTERNS = ("full", "x+", "x-", "full@parallel", "full@cross")

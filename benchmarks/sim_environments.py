@@ -9,13 +9,13 @@ import numpy as np
 
 from benchmarks.record import record
 from lightstage.rig import default_rig
-from sim.environments import Panorama, directions, panorama_lights, solid_angles
-from sim.environments_street import street
-from sim.relight import SKIES, relit
-from sim.scan import scan_folder
-from sim.scene import Scene
-from sim.sky import mitsuba_sky
-from sim.subjects import load_subject
+from sim.light.environments import Panorama, directions, panorama_lights, solid_angles
+from sim.light.relight import SKIES, relit
+from sim.light.scene import Scene
+from sim.light.sky import mitsuba_sky
+from sim.light.street import street
+from sim.people.subjects import load_subject
+from sim.scans.lps import scan_folder
 
 WIDTH_PX = 160
 COUNTS = (16, 64, 256, 1024)

@@ -20,15 +20,15 @@ from scipy.spatial.transform import Rotation
 from benchmarks.record import record
 from lightstage.formats.exr import write_exr
 from lightstage.formats.mesh import Mesh, write_obj
-from sim.head_mesh import landmarks, neutral_mesh
-from sim.ict import ict_folder
-from sim.ict_subject import ict_subject
-from sim.import_checks import CheckConfig
-from sim.import_folder import load_subject_folder, save_subject
-from sim.import_gltf import read_gltf
-from sim.import_match import SMOOTHING, carried, own_uv
-from sim.import_scan import WORLD_SHIFT_MM, ScanConfig, import_scan
-from sim.subdivide import loop_subdivide
+from sim.head.mesh import landmarks, neutral_mesh
+from sim.scans.checks import CheckConfig
+from sim.scans.folder import load_subject_folder, save_subject
+from sim.scans.gltf import read_gltf
+from sim.scans.ict import ict_folder
+from sim.scans.ict_subject import ict_subject
+from sim.scans.match import SMOOTHING, carried, own_uv
+from sim.scans.scan import WORLD_SHIFT_MM, ScanConfig, import_scan
+from sim.scans.subdivide import loop_subdivide
 
 T = TypeVar("T")
 ROWS = 1536

@@ -11,17 +11,17 @@ from scipy.optimize import least_squares
 
 from benchmarks.record import record
 from lightstage.formats.mesh import vertex_normals
-from sim.chart import CHART_SRGB
-from sim.head_grid import COLUMNS, ROWS
-from sim.head_maps import surface_normals, to_tile
-from sim.head_mesh import neutral_mesh
-from sim.head_modes import EXPRESSIONS
-from sim.normals import bend_normals
-from sim.person import person_expressions, person_skin
-from sim.pigments import PigmentConfig, lab, paint_pigments, skin_rgb, tone_angle_deg
-from sim.skin import make_skin, random_complexion
-from sim.skin_parts import face_from, to_tile_at
-from sim.traits import Traits
+from sim.camera.chart import CHART_SRGB
+from sim.head.grid import COLUMNS, ROWS
+from sim.head.maps import surface_normals, to_tile
+from sim.head.mesh import neutral_mesh
+from sim.head.modes import EXPRESSIONS
+from sim.people.person import person_expressions, person_skin
+from sim.people.traits import Traits
+from sim.skin.normals import bend_normals
+from sim.skin.paint import make_skin, random_complexion
+from sim.skin.parts import face_from, to_tile_at
+from sim.skin.pigments import PigmentConfig, lab, paint_pigments, skin_rgb, tone_angle_deg
 
 SIZES = (1536, 3072, 6144)
 WHO = Traits("male", 60.0, 2)

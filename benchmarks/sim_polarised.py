@@ -13,29 +13,29 @@ from benchmarks.record import record
 from lightstage.formats.mesh import Mesh
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Camera, Light, Rig, default_rig
-from sim.facets import SKIN_INDEX
-from sim.lamps import Lamps
-from sim.olat import shade
-from sim.polarised import (
+from sim.light.facets import SKIN_INDEX
+from sim.light.lamps import Lamps
+from sim.light.olat import shade
+from sim.light.polarised import (
     PolarisedWorld,
     PolariserConfig,
     facet_shares,
     filters,
     lamp_axes,
 )
-from sim.polarised_factors import polarised_factors
-from sim.polarised_reference import (
+from sim.light.polarised_factors import polarised_factors
+from sim.light.polarised_reference import (
     PlainSkin,
     StokesConfig,
     analysed,
     polarised_variant,
     stokes_picture,
 )
-from sim.scan import scan_folder
-from sim.scene import Scene
-from sim.subject import Subject
-from sim.subjects import load_subject
-from sim.world import World
+from sim.light.scene import Scene
+from sim.light.world import World
+from sim.people.subject import Subject
+from sim.people.subjects import load_subject
+from sim.scans.lps import scan_folder
 
 T = TypeVar("T")
 Row = tuple[object, ...]

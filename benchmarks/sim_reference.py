@@ -15,14 +15,14 @@ import numpy as np
 from benchmarks.record import record
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig, default_rig
-from sim.lamps import LampConfig, Lamps, lamps_of
-from sim.person import parametric_subject
+from sim.light.lamps import LampConfig, Lamps, lamps_of
+from sim.light.world import World
+from sim.people.person import parametric_subject
+from sim.people.subject import Subject
+from sim.people.traits import Traits
 from sim.reference.config import ReferenceConfig
 from sim.reference.world import ReferenceWorld
-from sim.scan import load_scan, scan_folder
-from sim.subject import Subject
-from sim.traits import Traits
-from sim.world import World
+from sim.scans.lps import load_scan, scan_folder
 
 SMALL = 0.1
 """Share of the rig's pixels a side, 402 x 602."""

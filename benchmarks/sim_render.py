@@ -21,16 +21,16 @@ from benchmarks.record import record
 from lightstage.commands import quiet
 from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import Rig, default_rig
-from sim.facets import SKIN_F0
-from sim.lamps import Lamps, lamps_of
-from sim.olat import shade
-from sim.scan import scan_folder
-from sim.scene import Scene, Surface
+from sim.light.facets import SKIN_F0
+from sim.light.lamps import Lamps, lamps_of
+from sim.light.olat import shade
+from sim.light.scene import Scene, Surface
+from sim.light.transmittance import transmittance
+from sim.light.world import World
+from sim.people.subject import Subject
+from sim.people.subjects import load_subject
+from sim.scans.lps import scan_folder
 from sim.session import SessionConfig, write_direct
-from sim.subject import Subject
-from sim.subjects import load_subject
-from sim.transmittance import transmittance
-from sim.world import World
 
 T = TypeVar("T")
 SCALE = 1080 / 6016

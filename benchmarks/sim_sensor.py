@@ -12,10 +12,10 @@ import scipy.stats
 
 from benchmarks.record import record
 from lightstage.rig import default_rig
-from sim.dng import Exif, dng_bytes
-from sim.flaws import PRESETS
-from sim.optics import make_lens
-from sim.sensor import Sensor, SensorConfig, make_sensor
+from sim.camera.dng import Exif, dng_bytes
+from sim.camera.flaws import PRESETS
+from sim.camera.optics import make_lens
+from sim.camera.sensor import Sensor, SensorConfig, make_sensor
 
 T = TypeVar("T")
 SIZES = {"1.5 MP": (1500, 1000), "24 MP": (6016, 4016)}

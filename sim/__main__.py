@@ -9,7 +9,7 @@ import typer
 
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
 from sim.errors import SimError
-from sim.import_commands import add_import_commands
+from sim.scans.commands import add_import_commands
 
 SUBJECT_HELP = (
     "lps (the scanned head), ict (a head of ICT Face Model Light), a subject folder, or any other "
@@ -45,14 +45,16 @@ def session(
 
     from lightstage.patterns import pattern_levels, sequence_patterns
     from lightstage.rig import default_rig, load_rig
-    from sim.capture import capture_session
-    from sim.faults import Story
-    from sim.flaws import load_flaws
-    from sim.lamps import lamps_of
-    from sim.optics import distorted
-    from sim.polarised import is_polarised
+    from sim.camera.flaws import load_flaws
+    from sim.camera.optics import distorted
+    from sim.camera.room import even_levels
+    from sim.devices.capture import capture_session
+    from sim.devices.faults import Story
+    from sim.light.lamps import lamps_of
+    from sim.light.polarised import is_polarised
+    from sim.light.world import World
+    from sim.people.subjects import check_subject, load_subject
     from sim.reference.world import ReferenceWorld
-    from sim.room import even_levels
     from sim.session import (
         SessionConfig,
         require_new,
@@ -60,9 +62,7 @@ def session(
         write_direct,
         write_landmarks,
     )
-    from sim.subjects import check_subject, load_subject
     from sim.truth import write_truth
-    from sim.world import World
 
     begun = time.monotonic()
     check_subject(subject)
@@ -135,8 +135,8 @@ def dataset(
     as_json: bool = JsonFlag,
 ) -> None:
     """Make many parametric people, as maps or as sessions; go on where a run stopped."""
-    from sim.dataset import make_plan, write_people, write_sessions
-    from sim.people import load_table
+    from sim.people.dataset import make_plan, write_people, write_sessions
+    from sim.people.table import load_table
 
     table = load_table(people)
     _require_own(out, "person-", ".person-", "people.")
@@ -184,9 +184,9 @@ def render(
 ) -> None:
     """Render a person under a pattern of the stage or under an environment."""
     from lightstage.rig import default_rig, load_rig
-    from sim.portrait import portrait, write_portrait
-    from sim.relight import RelightConfig, require_picture
-    from sim.subjects import check_subject, load_subject
+    from sim.light.portrait import portrait, write_portrait
+    from sim.light.relight import RelightConfig, require_picture
+    from sim.people.subjects import check_subject, load_subject
 
     begun = time.monotonic()
     check_subject(subject)
@@ -227,10 +227,10 @@ def targets(
 ) -> None:
     """Photograph calibration targets: boards, chart, mirror and grey ball, flats and darks."""
     from lightstage.rig import default_rig, load_rig
-    from sim.flaws import load_flaws
-    from sim.optics import distorted
+    from sim.camera.flaws import load_flaws
+    from sim.camera.optics import distorted
     from sim.session import require_new, truth_path
-    from sim.targets import TargetsConfig, write_targets
+    from sim.targets.photographs import TargetsConfig, write_targets
 
     begun = time.monotonic()
     require_new(out)
@@ -265,9 +265,9 @@ def gallery(
 ) -> None:
     """Make a contact sheet of people in several expressions under several lights."""
     from lightstage.rig import default_rig
-    from sim.dataset import make_plan
-    from sim.gallery import CAMERA, write_gallery
-    from sim.people import load_table
+    from sim.people.dataset import make_plan
+    from sim.people.gallery import CAMERA, write_gallery
+    from sim.people.table import load_table
 
     begun = time.monotonic()
     plan = make_plan(out.parent, load_table(people), subjects, 1, seed, rows)
@@ -287,7 +287,7 @@ def template(
     out: Path = typer.Option(..., help="Template folder."), as_json: bool = JsonFlag
 ) -> None:
     """Write our own template: mesh, UV, landmarks, regions, modes, skin maps."""
-    from sim.template import write_template
+    from sim.head.template import write_template
 
     _require_own(out, "template.json", "mesh.obj", "modes.npz", "maps")
     begun = time.monotonic()

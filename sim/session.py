@@ -16,13 +16,13 @@ from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.session import Driven, Frame, SessionFile, save_session, session_id
 from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import save_rig
+from sim.camera.flaws import CaptureFlaws
+from sim.camera.shooting import Shooting
 from sim.errors import SimError
-from sim.flaws import CaptureFlaws
-from sim.polarised import behind_polarisers, is_polarised
+from sim.light.polarised import behind_polarisers, is_polarised
+from sim.light.world import World
 from sim.reference.world import ReferenceWorld
-from sim.shooting import Shooting
 from sim.truth import landmarks_px
-from sim.world import World
 
 
 @dataclasses.dataclass(frozen=True)

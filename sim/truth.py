@@ -16,11 +16,11 @@ from lightstage.formats.landmarks import write_points_mm
 from lightstage.formats.mesh import write_obj, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera, Rig
+from sim.light.scene import Scene, Surface
+from sim.light.texture import raster_uv, texture_of
+from sim.light.world import World
+from sim.people.subject import Subject
 from sim.reference.world import ReferenceWorld
-from sim.scene import Scene, Surface
-from sim.subject import Subject
-from sim.texture import raster_uv, texture_of
-from sim.world import World
 
 OCCLUSION_DIRECTIONS = 256
 OCCLUSION_START_MM = 0.2

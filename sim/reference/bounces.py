@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from sim.lamps import Lamps
+from sim.light.lamps import Lamps
 from sim.reference.config import ReferenceConfig
 from sim.reference.direct import direct_light
 from sim.reference.lobes import interface_of

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim.lamps import Lamps
+from sim.light.lamps import Lamps
 from sim.reference.lobes import (
     BODY,
     F0,

@@ -8,8 +8,8 @@ import numpy as np
 
 from lightstage.formats.mesh import vertex_normals
 from sim.errors import SimError
-from sim.subject import Subject
-from sim.texture import sample
+from sim.light.texture import sample
+from sim.people.subject import Subject
 
 START_MM = 0.02
 """A ray that leaves the surface starts this far above it."""

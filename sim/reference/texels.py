@@ -9,8 +9,8 @@ import numpy as np
 from scipy import ndimage, sparse
 
 from sim.errors import SimError
+from sim.light.texture import raster_uv
 from sim.reference.points import Points, Skin, unit
-from sim.texture import raster_uv
 
 MAX_TEXELS = 64_000_000
 MULTIPLE = 16

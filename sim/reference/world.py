@@ -1,4 +1,4 @@
-"""A subject photographed by the reference: the same questions as `sim.world.World` answers."""
+"""A subject photographed by the reference, which answers what `sim.light.world.World` does."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.rig import Camera, Rig
 from sim.errors import SimError
-from sim.lamps import Lamps, lamps_of
+from sim.light.lamps import Lamps, lamps_of
+from sim.light.scene import Scene, Surface
+from sim.people.subject import Subject
 from sim.reference.basis import combine, independent
 from sim.reference.bounces import bounced_light, exits
 from sim.reference.config import ReferenceConfig
@@ -20,8 +22,6 @@ from sim.reference.rays import Rays
 from sim.reference.subsurface import diffuse_inside
 from sim.reference.texels import Texels
 from sim.reference.variant import find_variant
-from sim.scene import Scene, Surface
-from sim.subject import Subject
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera, Light, Rig, look_at
-from sim.subject import Subject
+from sim.people.subject import Subject
 
 
 def ball_mesh(radius_mm: float = 80.0, rows: int = 48, columns: int = 96) -> Mesh:

@@ -17,13 +17,13 @@ from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import changed_frames, load_session, missing_frames
 from lightstage.patterns import pattern_levels, sequence_patterns
-from sim.camera_device import CameraFolders
-from sim.capture import Photographer, capture_session
+from sim.devices.camera_device import CameraFolders
+from sim.devices.capture import Photographer, capture_session
 from sim.errors import SimError
-from sim.scene import Scene
+from sim.light.scene import Scene
+from sim.light.world import World
 from sim.session import SessionConfig, require_new, truth_path, write_direct, write_landmarks
 from sim.truth import relit_sets, vertex_occlusion, write_truth
-from sim.world import World
 
 CONFIG = SessionConfig(click_noise_px=0.0)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera, Light, Rig, look_at
-from sim.subject import Subject
+from sim.people.subject import Subject
 
 
 def grid_mesh(places: np.ndarray) -> Mesh:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+from sim.people.subject import Subject
 from sim.reference.points import Skin
 from sim.reference.subsurface import FINEST, PROFILE, VARIANCES_MM2, diffuse_inside, layer_step
 from sim.reference.texels import Texels
-from sim.subject import Subject
 from tests.sim.reference.surfaces import corner, plane
 
 

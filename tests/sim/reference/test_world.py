@@ -11,13 +11,13 @@ import pytest
 from lightstage.commands import quiet
 from lightstage.formats.exr import read_exr
 from sim.errors import SimError
-from sim.lamps import LampConfig, Lamps, lamps_of
+from sim.light.lamps import LampConfig, Lamps, lamps_of
+from sim.people.subject import Subject
 from sim.reference.config import ReferenceConfig
 from sim.reference.direct import lamp_strength
 from sim.reference.variant import SCALAR, find_variant
 from sim.reference.world import ReferenceWorld
 from sim.session import SessionConfig, write_direct
-from sim.subject import Subject
 from tests.sim.conftest import ball_subject, small_rig
 from tests.sim.reference.surfaces import corner, plane, stage
 

@@ -1,0 +1,1 @@
+"""Virtual lamps and cameras at the far ends of the wires, and how they misbehave."""

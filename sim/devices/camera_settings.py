@@ -1,0 +1,84 @@
+"""What can be read from a simulated camera, and changed."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from sim.camera.exposure import exposure_gain
+from sim.errors import SimError
+
+SUFFIXES = {"RAW": (".DNG",), "JPEG": (".JPG",), "RAW+JPEG": (".DNG", ".JPG")}
+"""Files of one shot, by image format."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraSettings:
+    """What can be read from a camera, and changed by hand.
+
+    Attributes:
+        serial: of the body.
+        model: maker and name.
+        iso: sensitivity, a number.
+        shutter: seconds.
+        aperture: f-number.
+        white_balance: name of the preset.
+        image_format: ``RAW``, ``JPEG`` or ``RAW+JPEG``.
+        exposure_mode: ``Manual``, or an automatic one.
+        focus_mode: ``Manual``, or an automatic one.
+        battery_percent: charge.
+        card_files: how many files the card can hold.
+        clock_offset_s: the camera's clock less the true time.
+    """
+
+    serial: str
+    model: str
+    iso: str = "100"
+    shutter: str = "1/60"
+    aperture: str = "f/8"
+    white_balance: str = "Daylight"
+    image_format: str = "RAW"
+    exposure_mode: str = "Manual"
+    focus_mode: str = "Manual"
+    battery_percent: int = 100
+    card_files: int = 1000
+    clock_offset_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no camera can be set to."""
+        self.gain()
+        if self.image_format not in SUFFIXES:
+            raise SimError(
+                "camera settings",
+                field="image_format",
+                found=repr(self.image_format),
+                expected=f"one of {', '.join(SUFFIXES)}",
+            )
+
+    def gain(self) -> float:
+        """Counts for one unit of light, up to a constant; SimError on a text without meaning."""
+        return exposure_gain(self.iso, self.shutter, self.aperture)
+
+    def suffixes(self) -> tuple[str, ...]:
+        """Of the files that one shot makes, in the order in which they are written."""
+        return SUFFIXES[self.image_format]
+
+
+def changed(settings: CameraSettings, name: str, value: Any) -> CameraSettings:
+    """Settings with another value.
+
+    Raises:
+        SimError: no such setting, or a value of another kind or without meaning.
+    """
+    known = dataclasses.asdict(settings)
+    if name not in known:
+        raise SimError(
+            "camera settings", field=name, found="unknown", expected=f"one of {', '.join(known)}"
+        )
+    kind = type(known[name])
+    try:
+        return dataclasses.replace(settings, **{name: kind(value)})
+    except ValueError:
+        raise SimError(
+            "camera settings", field=name, found=repr(value), expected=kind.__name__
+        ) from None

@@ -1,0 +1,1 @@
+"""The parametric head: shape, identity, expressions, template."""

@@ -1,0 +1,60 @@
+"""Our own template: the parametric head's mean, landmarks, regions, modes and skin maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lightstage.formats.files import atomic_path
+from lightstage.formats.template import Modes, Template, save_template
+from sim.head.maps import region_map
+from sim.head.mesh import landmarks, neutral_mesh, regions
+from sim.head.modes import EXPRESSIONS, expression_modes, identity_modes
+
+MAP_ROWS, MAP_COLUMNS = 768, 512
+
+# Blinn-Phong exponent and translucency by region, smooth in between.
+_SHININESS = {"skin": 24.0, "lips": 40.0, "eyes": 160.0, "ears": 20.0, "hair": 12.0}
+_TRANSLUCENCY = {"skin": 0.6, "lips": 0.8, "eyes": 0.1, "ears": 1.0, "hair": 0.3}
+
+
+def build_template() -> Template:
+    """The template, made anew from the parametric head."""
+    return Template(
+        name="lightstage parametric head",
+        mesh=neutral_mesh(),
+        landmarks=landmarks(),
+        regions=regions(),
+        licence="Apache-2.0",
+        source="lightstage-sim template",
+        modes=Modes(identity_modes(), expression_modes(), EXPRESSIONS),
+        maps={"shininess": _blend(_SHININESS), "translucency": _blend(_TRANSLUCENCY)},
+    )
+
+
+def write_template(out: Path) -> Path:
+    """Write the template folder (FORMATS: template.json, mesh.obj, modes.npz, maps/).
+
+    Args:
+        out: folder, made where absent.
+
+    Returns:
+        `out`.
+    """
+    save_template(build_template(), out)
+    skin = region_map("skin", MAP_ROWS, MAP_COLUMNS) + region_map("lips", MAP_ROWS, MAP_COLUMNS)
+    with atomic_path(out / "maps" / "skin.png") as beside:
+        cv2.imwrite(str(beside), np.where(skin > 0.5, 255, 0).astype(np.uint8))
+    return out
+
+
+def _blend(values: dict[str, float]) -> np.ndarray:
+    total = np.zeros((MAP_ROWS, MAP_COLUMNS))
+    weight = np.full((MAP_ROWS, MAP_COLUMNS), 1e-6)
+    for name, value in values.items():
+        share = region_map(name, MAP_ROWS, MAP_COLUMNS)
+        total += share * value
+        weight += share
+    return (total / weight).astype(np.float32)

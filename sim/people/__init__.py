@@ -1,0 +1,1 @@
+"""People: who they are, one by one or by the table."""

@@ -1,0 +1,1 @@
+"""Procedural skin: pigments, relief, gloss, hair, on our own tile or any head's texture."""

@@ -1,0 +1,1 @@
+"""Calibration targets, photographed in the stage."""

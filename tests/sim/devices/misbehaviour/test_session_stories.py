@@ -1,0 +1,130 @@
+"""Stories of whole sessions: `lightstage capture` and its cameras as processes of their own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from lightstage.cameras.binding import close_cameras, open_cameras
+from lightstage.cameras.process import CameraProcess
+from lightstage.errors import DeviceError
+from lightstage.formats.session import load_session
+from sim.devices.camera_device import PORT, CameraFolders
+from sim.devices.capture import Photographer, capture_session
+from sim.devices.faults import Fault, FaultLog, Story, read_fault_log
+from sim.errors import SimError
+from sim.light.world import World
+from sim.session import faults_path
+
+
+@pytest.fixture(scope="module")
+def world(ball, tiny_rig):
+    return World(ball, tiny_rig)
+
+
+def test_a_day_with_a_bad_cable_and_a_slow_camera_ends_in_a_whole_session(
+    world, tmp_path, tiny_rig
+):
+    story = Story(
+        [
+            Fault("duplicate", at=3),
+            Fault("corrupt", at=6, way="answer", bits=2),
+            Fault("slow", camera="cam0", at=1, seconds=0.4),
+            Fault("event-storm", camera="cam1", at=2),
+        ]
+    )
+    out = tmp_path / "s"
+    capture_session(world, out, 5, "full,x+", story=story)
+    told = read_fault_log(faults_path(out))
+    assert sorted(each.name for each in told) == ["corrupt", "duplicate", "event-storm", "slow"]
+    session = load_session(out)
+    photographer = Photographer(world, 5)
+    for frame in session.file.frames:
+        levels = session.levels(frame.pattern)
+        known = photographer.photograph(tiny_rig.camera(frame.camera), levels)
+        assert session.frame_path(frame).read_bytes() == known
+
+
+def test_a_day_on_which_a_camera_dies_says_so_and_leaves_no_finished_session(
+    world, tmp_path, capfd
+):
+    story = Story([Fault("battery-empty", camera="cam1", at=2)])
+    with pytest.raises(SimError, match="exit code 2"):
+        capture_session(world, tmp_path / "s", 5, "full,x+", story=story)
+    said = capfd.readouterr().err
+    assert "pattern x+: 1 of 2 photographs kept" in said
+    assert "camera cam1" in said
+    assert "its battery is empty" in said
+    assert not (tmp_path / "s" / "session.json").exists()
+    (told,) = read_fault_log(faults_path(tmp_path / "s"))
+    assert (told.device, told.name, told.counted, told.count) == (
+        *("cam1", "battery-empty", "shot", 2),
+    )
+
+
+def test_a_story_that_cannot_be_told_is_refused_before_anything_is_made(tmp_path):
+    path = tmp_path / "faults.toml"
+    path.write_text("[[fault]]\nname = 'fail'\ncamera = 'cam99'")
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "sim", "session", "--subject", "P1", "--faults", str(path)),
+            *("--out", str(tmp_path / "s")),
+        ],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert "found 'cam99', expected one of cam0" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert [each.name for each in tmp_path.iterdir()] == ["faults.toml"]
+
+
+def test_libgphoto2s_virtual_cameras_fail_hang_and_repeat_themselves_as_told(tmp_path):
+    """What files can do to them, and that they are well again with the next light."""
+    pytest.importorskip("gphoto2")
+    names = ["fail", "hang", "stale", "truncated"]
+    log = FaultLog()
+    folders = CameraFolders(
+        tmp_path, names, Story([Fault(name, camera=name, at=2) for name in names]), log
+    )
+    rng = np.random.default_rng(3)
+    seen: list[bytes] = []
+
+    def change_light():
+        seen.append(rng.bytes(50_000))
+        for name in names:
+            folders.put(name, seen[-1])
+
+    cameras = [CameraProcess(name, PORT, folders.folder(name), 20.0) for name in names]
+    try:
+        change_light()
+        assert open_cameras(cameras)[1] == []
+        change_light()
+        assert {camera.capture(0.0).data for camera in cameras} == {seen[1]}
+        change_light()
+        fail, hang, stale, truncated = cameras
+        with pytest.raises(DeviceError, match="error -1"):
+            fail.capture(0.0)
+        hang.deadline_s = 0.4
+        with pytest.raises(DeviceError, match=r"no answer within 0\.4 s"):
+            hang.capture(0.0)
+        assert stale.capture(0.0).data == seen[1]
+        with pytest.raises(DeviceError, match="truncated"):
+            truncated.capture(0.0)
+        change_light()
+        hang.deadline_s = 20.0
+        hang.open()
+        assert hang.capture(0.0).data == fail.capture(0.0).data == stale.capture(0.0).data
+        assert sorted(log.names()) == names
+    finally:
+        close_cameras(cameras)
+
+
+def test_what_files_cannot_do_to_a_virtual_camera_is_refused(tmp_path):
+    with pytest.raises(SimError, match=r"fault wrong-iso: .* expected one of fail, hang, stale"):
+        CameraFolders(tmp_path, ["cam0"], Story([Fault("wrong-iso")]))
+    with pytest.raises(SimError, match="found 'cam7', expected one of cam0"):
+        CameraFolders(tmp_path, ["cam0"], Story([Fault("stale", camera="cam7")]))
