@@ -28,7 +28,8 @@ def write_gallery(
 ) -> Path:
     """Write a picture with a row for each person and a column for each expression and light.
 
-    All pictures under one light have one exposure, as on a stage: dark skin stays darker.
+    All pictures under one light have one exposure, as on a stage: dark skin stays darker. All are
+    cut to the box that holds everyone.
 
     Args:
         persons: who.
@@ -54,8 +55,10 @@ def write_gallery(
                 seen[light].append(portrait(subject, rig, CAMERA, light))
                 done += 1
                 progress(done, count)
+    box = _box(np.concatenate([pictures for pictures in seen.values()]))
     columns = []
-    for pictures in seen.values():
+    for uncut in seen.values():
+        pictures = [picture[box] for picture in uncut]
         exposed = np.concatenate(pictures) * auto_exposure(np.concatenate(pictures))
         height = pictures[0].shape[0] * len(expressions)
         people = [exposed[first : first + height] for first in range(0, len(exposed), height)]
@@ -65,3 +68,15 @@ def write_gallery(
             )
         )
     return write_picture(np.concatenate(columns, axis=1), out, 1.0)
+
+
+def _box(pictures: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of (n, h, w, 3) pictures in which anyone is seen, and a little margin."""
+    lit = pictures.max(axis=(0, 3)) > 0
+    sides = []
+    for axis in (1, 0):
+        at = np.flatnonzero(lit.any(axis=axis))
+        margin = lit.shape[1] // 40
+        first, last = (at[0], at[-1]) if len(at) else (0, lit.shape[1 - axis] - 1)
+        sides.append(slice(max(0, first - margin), last + margin + 1))
+    return sides[0], sides[1]
