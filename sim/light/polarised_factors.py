@@ -133,17 +133,17 @@ def factors_kernel(
                 lamps[k, 1] - position[i, 1],
                 lamps[k, 2] - position[i, 2],
             )
-            l = _unit_or(ray, v)  # noqa: E741
-            e = _projected((lamp_axes[k, 0], lamp_axes[k, 1], lamp_axes[k, 2]), l)
-            f = _cross(l, e)
-            in_e, in_f, in_mean = _refracted(e, l, n, index)
+            to = _unit_or(ray, v)
+            e = _projected((lamp_axes[k, 0], lamp_axes[k, 1], lamp_axes[k, 2]), to)
+            f = _cross(to, e)
+            in_e, in_f, in_mean = _refracted(e, to, n, index)
             enters = (lamp_share * in_e + (1.0 - lamp_share) * in_f) / max(in_mean, TINY)
             diffuse[i, k] = enters * leaves
             # Light straight back has no plane of incidence, and every one gives the same.
-            s = _unit_or(_cross(l, v), _across(v))
-            p_in = _cross((-l[0], -l[1], -l[2]), s)
+            s = _unit_or(_cross(to, v), _across(v))
+            p_in = _cross((-to[0], -to[1], -to[2]), s)
             p_out = _cross(v, s)
-            r_s, r_p = fresnel_amplitudes(index, math.sqrt(max(0.5 * (1.0 + _dot(l, v)), 0.0)))
+            r_s, r_p = fresnel_amplitudes(index, math.sqrt(max(0.5 * (1.0 + _dot(to, v)), 0.0)))
             s_a, p_a = r_s * _dot(s, a), r_p * _dot(p_out, a)
             s_b, p_b = r_s * _dot(s, b), r_p * _dot(p_out, b)
             s_e, p_e, s_f, p_f = _dot(e, s), _dot(e, p_in), _dot(f, s), _dot(f, p_in)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -159,7 +160,7 @@ def _flat(value: float) -> dict[str, object]:
 
 
 def _frame(
-    mi: object, place: np.ndarray, axis: np.ndarray, ahead: np.ndarray, half_mm: float
+    mi: Any, place: np.ndarray, axis: np.ndarray, ahead: np.ndarray, half_mm: float
 ) -> object:
     """A rectangle's transform: its x along `axis`, its front toward `ahead`."""
     matrix = np.eye(4)
@@ -167,10 +168,10 @@ def _frame(
     matrix[:3, 1] = half_mm * np.cross(ahead, axis)
     matrix[:3, 2] = ahead
     matrix[:3, 3] = place
-    return mi.ScalarTransform4f(matrix.tolist())  # type: ignore[attr-defined]
+    return mi.ScalarTransform4f(matrix.tolist())
 
 
-def _camera(mi: object, camera: Camera) -> dict[str, object]:
+def _camera(mi: Any, camera: Camera) -> dict[str, object]:
     centre = camera.centre_mm
     forward, down = camera.cam_from_world[2, :3], camera.cam_from_world[1, :3]
     fov = 2 * np.degrees(np.arctan(0.5 * camera.width_px / camera.fx_px))
@@ -180,7 +181,7 @@ def _camera(mi: object, camera: Camera) -> dict[str, object]:
         "fov_axis": "x",
         "near_clip": 10.0,
         "far_clip": 10000.0,
-        "to_world": mi.ScalarTransform4f().look_at(  # type: ignore[attr-defined]
+        "to_world": mi.ScalarTransform4f().look_at(
             centre.tolist(), (centre + forward).tolist(), (-down).tolist()
         ),
         "film": {
@@ -194,14 +195,12 @@ def _camera(mi: object, camera: Camera) -> dict[str, object]:
     }
 
 
-def _write_ply(mi: object, mesh: Mesh, path: Path) -> None:
+def _write_ply(mi: Any, mesh: Mesh, path: Path) -> None:
     """A mesh with smooth normals as Mitsuba's own PLY."""
     triangles = mesh.triangles()
     normals = vertex_normals(np.asarray(mesh.vertices, float), triangles)
-    made = mi.Mesh(  # type: ignore[attr-defined]
-        "skin", len(mesh.vertices), len(triangles), has_vertex_normals=True
-    )
-    values = mi.traverse(made)  # type: ignore[attr-defined]
+    made = mi.Mesh("skin", len(mesh.vertices), len(triangles), has_vertex_normals=True)
+    values = mi.traverse(made)
     values["vertex_positions"] = np.asarray(mesh.vertices, np.float32).ravel()
     values["vertex_normals"] = np.asarray(normals, np.float32).ravel()
     values["faces"] = np.asarray(triangles, np.uint32).ravel()

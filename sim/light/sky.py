@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+from typing import Any
 
 import numpy as np
 
@@ -157,12 +158,12 @@ def mitsuba_sky(config: SkyConfig, name: str) -> Panorama:
         sky = mi.load_dict({**shared, "sun_scale": 0.0})
         disc = mi.load_dict({**shared, "sky_scale": 0.0})
 
-        def light(emitter: object, toward: np.ndarray) -> np.ndarray:
+        def light(emitter: Any, toward: np.ndarray) -> np.ndarray:
             place = mi.SurfaceInteraction3f()
             out = np.empty_like(toward)
             for i, (x, y, z) in enumerate(toward.tolist()):
                 place.wi = mi.Vector3f(-z, -x, -y)
-                out[i] = np.array(emitter.eval(place, True)).ravel()  # type: ignore[attr-defined]
+                out[i] = np.array(emitter.eval(place, True)).ravel()
             return np.maximum(out, 0.0)
 
         rows = config.rows

@@ -147,15 +147,7 @@ class World:
         for camera_id, surface in self.surfaces.items():
             chosen = np.flatnonzero(surface.skin)[::16]
             light.append(self.pixels(camera_id, self.lamps.weights[None], chosen)[0])
-        seen = np.concatenate(light)
-        if not len(seen):
-            raise SimError(
-                f"subject {self.subject.name}",
-                found="no skin in any camera",
-                expected="a face",
-                hint="Do the rig's cameras look at the sphere's centre?",
-            )
-        return np.quantile(seen, quantile, axis=0)
+        return brightest(light, self.subject.name, quantile)
 
     def pictures(
         self, camera_id: str, weights: np.ndarray, lamps: Lamps, optics: Optics | None = None
@@ -202,3 +194,16 @@ def _states(
         surface.lobe.of(chosen),
         optics,
     )
+
+
+def brightest(light: list[np.ndarray], name: str, quantile: float) -> np.ndarray:
+    """(3,) the quantile of light (n, 3) of all cameras; SimError where none sees any skin."""
+    seen = np.concatenate(light)
+    if not len(seen):
+        raise SimError(
+            f"subject {name}",
+            found="no skin in any camera",
+            expected="a face",
+            hint="Do the rig's cameras look at the sphere's centre?",
+        )
+    return np.quantile(seen, quantile, axis=0)

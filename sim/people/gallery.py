@@ -55,7 +55,7 @@ def write_gallery(
                 seen[light].append(portrait(subject, rig, CAMERA, light))
                 done += 1
                 progress(done, count)
-    box = _box(np.concatenate([pictures for pictures in seen.values()]))
+    box = _box(np.concatenate(list(seen.values())))
     columns = []
     for uncut in seen.values():
         pictures = [picture[box] for picture in uncut]

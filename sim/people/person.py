@@ -69,11 +69,7 @@ def person_expressions(
         )
     who = random_traits(_stream(seed, 3)) if traits is None else traits
     heads = [random_head(_stream(seed, 0), expression, who) for expression in expressions]
-    pose_rng = _stream(seed, 2)
-    turn = Rotation.from_rotvec(np.radians(np.clip(pose_rng.normal(0, 2.0, 3), -4, 4))).as_matrix()
-    place = np.clip(pose_rng.normal(0, 3.0, 3), -6, 6) + np.array([0.0, 0.0, 6.0])
-    # world = turn (head - middle) + place
-    shift = place - turn @ FACE_MIDDLE_MM
+    turn, shift = sitting(_stream(seed, 2))
     skin = person_skin(seed, who, texture_rows)
     for head, expression in zip(heads, expressions, strict=True):
         mesh = head.with_vertices(head.vertices @ turn.T + shift)
@@ -93,6 +89,17 @@ def person_expressions(
             distribution=skin.distribution,
             anisotropy=skin.anisotropy,
         )
+
+
+def sitting(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """How someone sits in the stage, a few mm and degrees off.
+
+    Returns:
+        (3, 3) turn and (3,) mm shift: world = turn @ head + shift.
+    """
+    turn = Rotation.from_rotvec(np.radians(np.clip(rng.normal(0, 2.0, 3), -4, 4))).as_matrix()
+    place = np.clip(rng.normal(0, 3.0, 3), -6, 6) + np.array([0.0, 0.0, 6.0])
+    return turn, place - turn @ FACE_MIDDLE_MM
 
 
 def person_skin(seed: int, traits: Traits, texture_rows: int) -> Skin:

@@ -9,9 +9,9 @@ import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.rig import Camera, Rig
-from sim.errors import SimError
 from sim.light.lamps import Lamps, lamps_of
 from sim.light.scene import Scene, Surface
+from sim.light.world import brightest
 from sim.people.subject import Subject
 from sim.reference.basis import combine, independent
 from sim.reference.bounces import bounced_light, exits
@@ -138,15 +138,7 @@ class ReferenceWorld:
             self.pixels(camera_id, full, np.flatnonzero(surface.skin)[::16])[0]
             for camera_id, surface in self.surfaces.items()
         ]
-        seen = np.concatenate(light)
-        if not len(seen):
-            raise SimError(
-                f"subject {self.subject.name}",
-                found="no skin in any camera",
-                expected="a face",
-                hint="Do the rig's cameras look at the sphere's centre?",
-            )
-        return np.quantile(seen, quantile, axis=0)
+        return brightest(light, self.subject.name, quantile)
 
     def light_at(self, points: Points, weights: np.ndarray) -> np.ndarray:
         """(s, n, 3) float32 light leaving n points toward their view, under (s, m, 3) weights."""

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from lightstage.formats.mesh import Mesh, vertex_normals
 from sim.errors import SimError
 from sim.head.modes import EXPRESSIONS
 from sim.light.texture import raster_uv, texture_of
-from sim.people.person import FACE_MIDDLE_MM
+from sim.people.person import sitting
 from sim.people.subject import Subject
 from sim.people.traits import Traits, random_traits
 from sim.scans.ict import SOURCE, IctModel, load_ict
@@ -51,7 +50,7 @@ class _Draws:
 
     identity: np.ndarray
     turn: np.ndarray
-    place_mm: np.ndarray
+    shift_mm: np.ndarray
     traits: Traits
 
 
@@ -98,7 +97,7 @@ def ict_subject(
     neutral = person @ motion[:, :3].T + motion[:, 3]
     moved = over_eyeballs(person + blend(model, expression, person), person, model)
     moved = moved @ motion[:, :3].T + motion[:, 3]
-    shift = drawn.place_mm - drawn.turn @ FACE_MIDDLE_MM
+    shift = drawn.shift_mm
     world = moved @ drawn.turn.T + shift
     mesh = parts.mesh(world[parts.vertices])
     resting = parts.mesh(neutral[parts.vertices])
@@ -235,12 +234,11 @@ def _from_ball(points: np.ndarray, ball: np.ndarray) -> tuple[np.ndarray, np.nda
 
 def _draw(seed: int, count: int, traits: Traits | None) -> _Draws:
     identity_rng, pose_rng, traits_rng = (np.random.default_rng([seed, k]) for k in (0, 2, 3))
-    turn = Rotation.from_rotvec(np.radians(np.clip(pose_rng.normal(0, 2.0, 3), -4, 4))).as_matrix()
-    place = np.clip(pose_rng.normal(0, 3.0, 3), -6, 6) + np.array([0.0, 0.0, 6.0])
+    turn, shift = sitting(pose_rng)
     return _Draws(
         np.clip(identity_rng.normal(size=count), -LARGEST_DRAW, LARGEST_DRAW),
         turn,
-        place,
+        shift,
         random_traits(traits_rng) if traits is None else traits,
     )
 

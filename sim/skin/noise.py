@@ -59,6 +59,30 @@ def gradient_noise(points: np.ndarray, cell_mm: float, seed: int) -> np.ndarray:
     return out
 
 
+@numba.njit(cache=True, inline="always")
+def _two_nearest(point: np.ndarray, cell_mm: float, seed: int) -> tuple[float, float, int]:
+    """Squared distances in cells to the two nearest scattered points, and the nearest one's hash.
+
+    Infinite and -1 where there is none, as around a NaN.
+    """
+    px, py, pz = point[0] / cell_mm, point[1] / cell_mm, point[2] / cell_mm
+    x0, y0, z0 = int(np.floor(px)), int(np.floor(py)), int(np.floor(pz))
+    best, second, found = np.inf, np.inf, -1
+    for dx in range(-1, 2):
+        for dy in range(-1, 2):
+            for dz in range(-1, 2):
+                h = _hash(x0 + dx, y0 + dy, z0 + dz, seed)
+                ex = x0 + dx + 0.1 + 0.8 * (h & 1023) / 1023 - px
+                ey = y0 + dy + 0.1 + 0.8 * ((h >> 10) & 1023) / 1023 - py
+                ez = z0 + dz + 0.1 + 0.8 * ((h >> 20) & 1023) / 1023 - pz
+                d = ex * ex + ey * ey + ez * ez
+                if d < best:
+                    best, second, found = d, best, _hash(h, dx + x0, dy + y0, seed)
+                elif d < second:
+                    second = d
+    return best, second, found
+
+
 @numba.njit(cache=True, parallel=True)
 def cell_noise(points: np.ndarray, cell_mm: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Distance to the nearest of scattered points, one a cell [Worley1996].
@@ -75,19 +99,7 @@ def cell_noise(points: np.ndarray, cell_mm: float, seed: int) -> tuple[np.ndarra
     distance = np.empty(len(points), np.float32)
     label = np.empty(len(points), np.float32)
     for i in numba.prange(len(points)):
-        px, py, pz = points[i, 0] / cell_mm, points[i, 1] / cell_mm, points[i, 2] / cell_mm
-        x0, y0, z0 = int(np.floor(px)), int(np.floor(py)), int(np.floor(pz))
-        best, found = np.inf, -1
-        for dx in range(-1, 2):
-            for dy in range(-1, 2):
-                for dz in range(-1, 2):
-                    h = _hash(x0 + dx, y0 + dy, z0 + dz, seed)
-                    ex = x0 + dx + 0.1 + 0.8 * (h & 1023) / 1023 - px
-                    ey = y0 + dy + 0.1 + 0.8 * ((h >> 10) & 1023) / 1023 - py
-                    ez = z0 + dz + 0.1 + 0.8 * ((h >> 20) & 1023) / 1023 - pz
-                    d = ex * ex + ey * ey + ez * ez
-                    if d < best:
-                        best, found = d, _hash(h, dx + x0, dy + y0, seed)
+        best, _, found = _two_nearest(points[i], cell_mm, seed)
         distance[i] = np.sqrt(best) * cell_mm
         label[i] = found / _MASK if found >= 0 else np.nan
     return distance, label
@@ -130,21 +142,7 @@ def cell_edges(points: np.ndarray, cell_mm: float, seed: int) -> np.ndarray:
     """
     out = np.empty(len(points), np.float32)
     for i in numba.prange(len(points)):
-        px, py, pz = points[i, 0] / cell_mm, points[i, 1] / cell_mm, points[i, 2] / cell_mm
-        x0, y0, z0 = int(np.floor(px)), int(np.floor(py)), int(np.floor(pz))
-        best, second = np.inf, np.inf
-        for dx in range(-1, 2):
-            for dy in range(-1, 2):
-                for dz in range(-1, 2):
-                    h = _hash(x0 + dx, y0 + dy, z0 + dz, seed)
-                    ex = x0 + dx + 0.1 + 0.8 * (h & 1023) / 1023 - px
-                    ey = y0 + dy + 0.1 + 0.8 * ((h >> 10) & 1023) / 1023 - py
-                    ez = z0 + dz + 0.1 + 0.8 * ((h >> 20) & 1023) / 1023 - pz
-                    d = ex * ex + ey * ey + ez * ez
-                    if d < best:
-                        best, second = d, best
-                    elif d < second:
-                        second = d
+        best, second, _ = _two_nearest(points[i], cell_mm, seed)
         out[i] = (np.sqrt(second) - np.sqrt(best)) * cell_mm if second < np.inf else np.nan
     return out
 
