@@ -23,15 +23,12 @@ class Evidence:
     power: np.ndarray
 
 
-def specular_evidence(
-    mean: np.ndarray, irradiance: np.ndarray, offset: np.ndarray, lobe: np.ndarray
-) -> Evidence:
-    """Eliminate the diffuse albedo from mean_k = rho E_k + A_k + s B_k and leave s.
+def specular_evidence(mean: np.ndarray, irradiance: np.ndarray, lobe: np.ndarray) -> Evidence:
+    """Eliminate the diffuse albedo from mean_k = rho E_k + s B_k and leave s.
 
     Args:
         mean: (n, P) mean channel of the readings, in the lights' own colour.
         irradiance: (n, P) E_k.
-        offset: (n, P) A_k.
         lobe: (n, P) B_k.
 
     Returns:
@@ -41,7 +38,7 @@ def specular_evidence(
     power = np.einsum("np,np->n", e, e)
     lit = power > 0
     e = e / np.sqrt(np.where(lit, power, 1))[:, None]
-    reading = mean.astype(np.float64) - offset
+    reading = mean.astype(np.float64)
     across = lobe - e * np.einsum("np,np->n", e, lobe)[:, None]
     weighed = np.einsum("np,np->n", across, reading)
     weight = np.einsum("np,np->n", across, across)
@@ -51,17 +48,13 @@ def specular_evidence(
 
 
 def diffuse_light(
-    rgb: np.ndarray,
-    irradiance: np.ndarray,
-    offset: np.ndarray,
-    lobe: np.ndarray,
-    specular: np.ndarray,
+    rgb: np.ndarray, irradiance: np.ndarray, lobe: np.ndarray, specular: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Least squares of the diffuse albedo with the specular part taken off: lit / power.
 
     Args:
         rgb: (n, P, 3) readings, in the lights' own colour.
-        irradiance, offset, lobe: (n, P) E_k, A_k, B_k.
+        irradiance, lobe: (n, P) E_k and B_k.
         specular: (n,) s.
 
     Returns:
@@ -69,7 +62,7 @@ def diffuse_light(
     """
     e = irradiance.astype(np.float64)
     power = np.einsum("np,np->n", e, e)
-    mirror = offset + lobe * specular[:, None]
+    mirror = lobe * specular[:, None]
     lit = np.einsum("np,npc->nc", e, rgb) - np.einsum("np,np->n", e, mirror)[:, None]
     good = np.isfinite(lit).all(axis=1) & np.isfinite(power)
     return np.where(good[:, None], lit, 0), np.where(good, power, 0)

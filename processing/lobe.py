@@ -1,8 +1,8 @@
 """What a point reflects under each pattern: the Lambertian part and skin's mirror lobe.
 
-A pattern k gives a point of albedo rho and specular albedo s the radiance
-rho E_k + A_k + s B_k: E_k its irradiance, A_k + s B_k the microfacet lobe summed over the lights,
-with Fresnel's reflectance, which is not proportional to s, taken as linear in s near skin's.
+A pattern k gives a point of albedo rho and specular albedo s the radiance rho E_k + s B_k: E_k its
+irradiance, s B_k the microfacet lobe summed over the lights. The lobe is that of a dielectric of
+n = 1.4, scaled so that it reflects s at normal incidence.
 """
 
 from __future__ import annotations
@@ -48,11 +48,8 @@ def fresnel(f0: np.ndarray | float, cosine: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def fresnel_table() -> np.ndarray:
-    """(FRESNEL_STEPS + 1, 2): a and b of F = a + b s near skin, for cosines 0, 1/steps .. 1."""
-    cosine = np.linspace(0, 1, FRESNEL_STEPS + 1)
-    step = 0.004
-    slope = (fresnel(SKIN_F0 + step, cosine) - fresnel(SKIN_F0 - step, cosine)) / (2 * step)
-    return np.stack([fresnel(SKIN_F0, cosine) - slope * SKIN_F0, slope], axis=1)
+    """(FRESNEL_STEPS + 1,) skin's F over its F at normal incidence, for cosines 0, 1/steps .. 1."""
+    return fresnel(SKIN_F0, np.linspace(0, 1, FRESNEL_STEPS + 1)) / SKIN_F0
 
 
 def transport(
@@ -63,8 +60,8 @@ def transport(
     roughness: np.ndarray | float,
     shadows: Shadows,
     interface: Interface = BARE,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """E_k, A_k and B_k of pixels.
+) -> tuple[np.ndarray, np.ndarray]:
+    """E_k and B_k of pixels.
 
     Args:
         lights: of P patterns.
@@ -76,12 +73,12 @@ def transport(
         interface: that light passes on its way into the diffuse layer and out; E_k holds both.
 
     Returns:
-        Three (n, P) float32.
+        Two (n, P) float32.
 
     Source: [Walter2007] for Beckmann's distribution and Smith's shadowing.
     """
     count = len(points_mm)
-    out = np.zeros((3, count, len(lights.patterns)), np.float32)
+    out = np.zeros((2, count, len(lights.patterns)), np.float32)
     _transport(
         np.ascontiguousarray(points_mm, np.float32),
         np.ascontiguousarray(normals, np.float32),
@@ -100,7 +97,7 @@ def transport(
         interface.mean,
         out,
     )
-    return out[0], out[1], out[2]
+    return out[0], out[1]
 
 
 @njit(cache=True)
@@ -146,7 +143,7 @@ def _transport(
         c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
         first = 0
         for group in range(len(group_end)):
-            e = first_part = second_part = np.float32(0)
+            e = mirror = np.float32(0)
             for j in range(first, group_end[group]):
                 seen = (
                     weights[i, 0] * visible[c0, j]
@@ -180,12 +177,8 @@ def _transport(
                 place = min(1.0, (vx * hx + vy * hy + vz * hz) / length) * steps
                 below = min(steps - 1, int(place))
                 rest = place - below
-                a = table[below, 0] * (1 - rest) + table[below + 1, 0] * rest
-                b = table[below, 1] * (1 - rest) + table[below + 1, 1] * rest
-                first_part += lobe * a
-                second_part += lobe * b
+                mirror += lobe * (table[below] * (1 - rest) + table[below + 1] * rest)
             first = group_end[group]
             for k in range(levels.shape[1]):
                 out[0, i, k] += levels[group, k] * e
-                out[1, i, k] += levels[group, k] * first_part
-                out[2, i, k] += levels[group, k] * second_part
+                out[1, i, k] += levels[group, k] * mirror

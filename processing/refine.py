@@ -269,8 +269,8 @@ def add_detail(
     length = np.linalg.norm(smooth, axis=1, keepdims=True)
     smooth = np.where(solved[:, None] & (length > 1e-6), smooth / np.maximum(length, 1e-6), 0)
     middle = config.roughness[len(config.roughness) // 2]
-    _, a, b = transport(lights, sight.points_mm, smooth, sight.views, middle, sight.shadows)
-    matte = mean - a - np.float32(config.specular_prior) * b
+    _, lobe = transport(lights, sight.points_mm, smooth, sight.views, middle, sight.shadows)
+    matte = mean - np.float32(config.specular_prior) * lobe
     sharp = solve_normals(matte, vectors)
     return merged_detail(
         normal,
@@ -303,7 +303,7 @@ def solve_albedo(
     corners, weights = sight.shadows.corners, sight.shadows.weights
     roughness = (gloss.roughness[corners] * weights).sum(axis=1)
     specular = (gloss.specular[corners] * weights).sum(axis=1)
-    e, a, b = transport(
+    e, lobe = transport(
         lights,
         sight.points_mm,
         normal,
@@ -313,7 +313,7 @@ def solve_albedo(
         skin_interface(),
     )
     specular[~solved] = 0
-    lit, power = diffuse_light(rgb, e, a, b, specular)
+    lit, power = diffuse_light(rgb, e, lobe, specular)
     lit[~solved], power[~solved] = 0, 0
     albedo = diffuse_albedo(lit, power, mask, view.px_per_mm, config.albedo_prior_power)
     albedo[~solved] = 0

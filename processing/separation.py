@@ -128,8 +128,8 @@ def separate_pixels(
     rgb = rgb / lights.colour.astype(np.float32)
     open_sky = no_shadows(len(rgb), lights)
     centre = np.zeros_like(normal)
-    e, a, b = transport(lights, centre, normal, views, config.roughness, open_sky)
-    each = specular_evidence(rgb.mean(axis=2), e, a, b)
+    e, lobe = transport(lights, centre, normal, views, config.roughness, open_sky)
+    each = specular_evidence(rgb.mean(axis=2), e, lobe)
     sigma = config.specular_pool_mm * px_per_mm
     weight = np.where(solved, each.weight, 0)
     typical = float(np.median(weight[solved])) if solved.any() else 0.0
@@ -140,7 +140,7 @@ def separate_pixels(
         config.specular_prior_share * typical,
     )
     specular = np.where(solved, specular, 0)
-    lit, power = diffuse_light(rgb, e, a, b, specular)
+    lit, power = diffuse_light(rgb, e, lobe, specular)
     lit[~solved], power[~solved] = 0, 0
     albedo = diffuse_albedo(lit, power, mask, px_per_mm, config.albedo_prior_power)
     albedo[~solved] = 0

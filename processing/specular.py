@@ -80,10 +80,10 @@ def add_view(
 
     sums.count += summed(np.ones(len(mean)))
     for index, roughness in enumerate(sums.roughness):
-        e, a, b = transport(
+        e, lobe = transport(
             lights, points_mm, normals, views, float(roughness), shadows, skin_interface()
         )
-        evidence = specular_evidence(mean, e, a, b)
+        evidence = specular_evidence(mean, e, lobe)
         sums.weighed[index] += summed(evidence.weighed)
         sums.weight[index] += summed(evidence.weight)
         sums.power[index] += summed(evidence.power)

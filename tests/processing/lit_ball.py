@@ -133,7 +133,8 @@ def shade(ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray) -> tuple[np.nd
         nh = (sight.normals * half).sum(axis=1)
         tan2 = (1 - nh**2) / nh**2
         spread = np.exp(-tan2 / m**2) / (np.pi * m**2 * nh**4)
-        f = exact_fresnel(ball.specular, (sight.views * half).sum(axis=1))
+        skin = (0.4 / 2.4) ** 2
+        f = ball.specular / skin * exact_fresnel(skin, (sight.views * half).sum(axis=1))
         brdf_nl = spread * f * smith(nv, m) * smith(np.maximum(nl, 1e-9), m) / (4 * nv)
         mirror += np.where(nl > 0, weight * np.pi * brdf_nl, 0)
     return irradiance, mirror
