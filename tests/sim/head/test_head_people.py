@@ -17,7 +17,8 @@ from sim.people.traits import SEXES, Traits
 PEOPLE = 60
 
 # Mean and standard deviation in mm of young adults, women then men: [Farkas1994] (North American
-# whites), the distance of the pupils [Dodgson2004].
+# whites), the distance of the pupils [Dodgson2004]. Quoted from memory, the books were not at hand:
+# check them before citing these figures elsewhere.
 ADULTS = {
     "face width": ((129.9, 5.3), (137.1, 4.3)),
     "face height": ((111.4, 4.8), (121.3, 6.8)),
