@@ -15,7 +15,7 @@ SUBJECT_HELP = (
     "lps (the scanned head), ict (a head of ICT Face Model Light), a subject folder, or any other "
     "name: a parametric person."
 )
-app = make_app("A light stage without the hardware: sessions, data sets and the template.")
+app = make_app("A light stage without the hardware: people, light, sessions, targets, data sets.")
 add_import_commands(app)
 
 
