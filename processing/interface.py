@@ -13,6 +13,8 @@ import functools
 import numpy as np
 from numba import njit
 
+from processing.fresnel import fresnel
+
 INDEX = 1.4
 ROUGHNESS_RANGE = (0.15, 0.35)
 """Beckmann's m of the table's first and last row; a row for each .05."""
@@ -69,11 +71,9 @@ def mirrored(cosine: float, roughness: float, steps: int = 72) -> float:
     length = np.sqrt(hx**2 + y**2 + hz**2)
     nh2 = (hz / length) ** 2
     c = (cosine * hz - np.sqrt(1 - cosine**2) * hx) / length
-    g = np.sqrt(INDEX**2 - 1 + c**2)
-    fresnel = 0.5 * ((g - c) / (g + c)) ** 2
-    fresnel *= 1 + ((c * (g + c) - 1) / (c * (g - c) + 1)) ** 2
     density = np.exp((nh2 - 1) / (nh2 * roughness**2)) / (np.pi * roughness**2 * nh2**2)
-    lobe = density * fresnel / (1 + smith(z, roughness) + smith(np.array(cosine), roughness))
+    share = fresnel(((INDEX - 1) / (INDEX + 1)) ** 2, c)
+    lobe = density * share / (1 + smith(z, roughness) + smith(np.array(cosine), roughness))
     solid = np.sin(theta) * (np.pi / 2 / steps) * (2 * np.pi / steps)
     return float((lobe * solid).sum() / (4 * cosine))
 

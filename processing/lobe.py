@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from processing.fresnel import fresnel
 from processing.interface import BARE, Interface, let_through, row_of
 from processing.lights import PatternLights, Shadows
 
@@ -23,27 +24,6 @@ FARTHEST_TAN = 9.0
 """The lobe is cut where tan^2 of the half angle is this many times roughness squared (1e-4)."""
 GRAZING = 0.05
 """Smallest cosine to the camera that the lobe is divided by."""
-
-
-def fresnel(f0: np.ndarray | float, cosine: np.ndarray) -> np.ndarray:
-    """Exact unpolarised reflectance of a dielectric.
-
-    Args:
-        f0: reflectance at normal incidence, 0..1, broadcast against `cosine`.
-        cosine: of the angle of incidence, 0..1.
-
-    Returns:
-        Reflectance, 0..1.
-
-    Source: [BornWolf1999].
-    """
-    root = np.sqrt(f0)
-    index = (1 + root) / (1 - root)
-    c = np.asarray(cosine, float)
-    g = np.sqrt(index**2 - 1 + c**2)
-    first = ((g - c) / (g + c)) ** 2
-    second = ((c * (g + c) - 1) / (c * (g - c) + 1)) ** 2
-    return np.asarray(0.5 * first * (1 + second))
 
 
 @functools.cache

@@ -9,13 +9,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 
 from lightstage.formats.mesh import Mesh, read_obj
 from sim.errors import SimError
+from sim.scans.head_data import head_data_folder
 
 SOURCE = (
     "ICT Face Model Light, Copyright (c) 2020 USC Institute for Creative Technologies (MIT "
@@ -50,9 +50,7 @@ class IctModel:
 
 def ict_folder() -> Path | None:
     """The model among the optional head data, None where it is absent."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    folder = Path(os.environ.get("LIGHTSTAGE_DATA", beside)) / "ict_facekit"
-    return folder if (folder / "FaceXModel").is_dir() else None
+    return head_data_folder("ict_facekit", "FaceXModel")
 
 
 def load_ict(path: Path) -> IctModel:

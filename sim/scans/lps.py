@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from sim.light.texture import raster_uv, tangent_frames
 from sim.people.subject import Subject
 from sim.scans.file import read_picture
 from sim.scans.gltf import read_gltf
+from sim.scans.head_data import head_data_folder
 from sim.scans.subdivide import loop_subdivide
 
 SOURCE = (
@@ -42,9 +42,7 @@ ANNOTATIONS = Path(__file__).parents[1] / "data" / "lps_landmarks.json"
 
 def scan_folder() -> Path | None:
     """Folder of the scan, None where it is absent."""
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    folder = Path(os.environ.get("LIGHTSTAGE_DATA", beside)) / "lps_head"
-    return folder if (folder / "LeePerrySmith.glb").is_file() else None
+    return head_data_folder("lps_head", "LeePerrySmith.glb")
 
 
 def load_scan(folder: Path, texture_rows: int = 1536) -> Subject:

@@ -16,6 +16,7 @@ from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig
 from processing.albedo import specular_evidence
 from processing.errors import ProcessingError
+from processing.fresnel import fresnel
 from processing.interface import skin_interface
 from processing.lights import (
     PatternLights,
@@ -26,7 +27,7 @@ from processing.lights import (
     octahedral_normals,
     pattern_lights,
 )
-from processing.lobe import fresnel, transport
+from processing.lobe import transport
 from processing.normals import misfit, ratio_normals, solve_far_normals, solve_normals
 from processing.refine import RefineConfig, View, solve_albedo, solve_pixels
 from processing.separation import SeparateConfig, px_per_mm, separate_pixels
