@@ -24,11 +24,23 @@ class Hello:
 
 
 class LedController(Protocol):
-    """Lights that acknowledge. Every method raises DeviceError when the device does not."""
+    """Lights. Every method raises DeviceError when the device fails. Several threads may call.
+
+    A controller that does not acknowledge says so: what it lights is then what was sent, and every
+    photograph taken under it is recorded as unacknowledged.
+    """
 
     @property
     def hello(self) -> Hello:
-        """Who is there."""
+        """Who is there; without acknowledgement, what is known from its address."""
+
+    @property
+    def acknowledged(self) -> bool:
+        """Whether the device tells what is lit."""
+
+    @property
+    def pulse_hz(self) -> float | None:
+        """How often a second the lights are switched to dim them; None where it is not known."""
 
     def light(self, levels: np.ndarray) -> np.ndarray:
         """Set all lights and wait until they are acknowledged as settled.

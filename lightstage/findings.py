@@ -1,0 +1,39 @@
+"""What a look at a device or a photograph found: in plain words, with what to do."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+Severity = Literal["refuse", "retake", "warn", "note"]
+"""``refuse``: no light goes on; ``retake``: this photograph or pattern does not do; ``warn``: the
+operator should know; ``note``: for the record."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One thing found.
+
+    Attributes:
+        severity: what follows from it.
+        code: its kind, such as ``clipped``, for programs.
+        where: device or photograph, as in errors.
+        found: what is so.
+        expected: what should be.
+        hint: what to do.
+        pattern: whose light, where it is a matter of one.
+        camera: whose photograph or settings, where it is a matter of one.
+    """
+
+    severity: Severity
+    code: str
+    where: str
+    found: str
+    expected: str
+    hint: str = ""
+    pattern: str | None = None
+    camera: str | None = None
+
+    def __str__(self) -> str:
+        text = f"{self.where}: found {self.found}, expected {self.expected}"
+        return f"{text}. {self.hint}" if self.hint else text

@@ -1,0 +1,71 @@
+"""Named steps of a photograph's life, where a test may stop a real process and kill it.
+
+``LIGHTSTAGE_STOP_FILE`` names a file of one line, ``STEP PATTERN CAMERA`` (``*`` stands for any).
+The first process that comes to that step removes the file and stops (SIGSTOP), as if its machine
+stood still; whoever wrote the file may look, and continue or kill it. Without the variable a step
+does nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+STEPS = (
+    # one shot, in the capture's process
+    "lit",
+    "intended",
+    "exposed",
+    # one photograph, in the camera's process
+    "triggering",
+    "triggered",
+    "downloading",
+    "downloaded",
+    # one photograph, in the capture's process
+    "sized",
+    "parsed",
+    "hashed",
+    "flushed",
+    "named",
+    "folder-flushed",
+    "line-half-written",
+    "journaled",
+    "checked",
+    "deleting",
+    "deleted",
+    # the session
+    "shot-done",
+    "session-written",
+    "manifest-written",
+    "ended",
+)
+"""Steps in their order, as docs/capture.md tells them."""
+
+_FILE = os.environ.get("LIGHTSTAGE_STOP_FILE")
+
+
+def step(name: str, pattern: str = "*", camera: str = "*") -> None:
+    """Say that a step is done; stops the process where a test waits for it.
+
+    Args:
+        name: of STEPS; at its end, unless it ends in -ing or is called half.
+        pattern: whose photograph, ``*`` where it is no matter of one.
+        camera: whose photograph, ``*`` where it is no matter of one.
+    """
+    if _FILE is None:
+        return
+    assert name in STEPS, name
+    path = Path(_FILE)
+    try:
+        wanted = path.read_text().split()
+    except OSError:
+        return
+    here = (name, pattern, camera)
+    if len(wanted) != 3 or any(w not in ("*", h) for w, h in zip(wanted, here, strict=True)):
+        return
+    try:
+        path.unlink()  # only one process or thread gets it
+    except FileNotFoundError:
+        return
+    os.kill(os.getpid(), signal.SIGSTOP)
