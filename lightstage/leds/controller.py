@@ -7,6 +7,12 @@ from typing import Protocol
 
 import numpy as np
 
+from lightstage.errors import DeviceError
+
+
+class LightLostError(DeviceError):
+    """What is lit is not what was set, or is not known: after `recover` take the shot again."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Hello:
@@ -57,6 +63,13 @@ class LedController(Protocol):
 
     def dark(self) -> None:
         """All lights off, acknowledged."""
+
+    def recover(self) -> Hello:
+        """After LightLostError: open what was closed, greet the device again, all lights off.
+
+        What was lit is not lit again: the shot is, by whoever takes it again. DeviceError when
+        nobody answers, or somebody else does.
+        """
 
     def close(self) -> None:
         """Give the port back; lights stay as they are."""

@@ -39,6 +39,11 @@ class SerialAddress:
     timeout_s: float = 2.0
     attempts: int = 3
 
+    @property
+    def worst_s(self) -> float:
+        """After which silence counts as failure."""
+        return self.timeout_s * self.attempts
+
 
 def parse_url(url: str) -> SerialAddress:
     """Read ``serial:///dev/ttyX?baud=..&timeout_s=..&attempts=..`` or ``pty:///dev/pts/N?..``.
@@ -127,6 +132,23 @@ class SerialLeds:
         """All lights off, acknowledged."""
         off = np.zeros(self._hello.light_count, "<u2")
         self._expect_lit(Kind.DARK, b"", wire.lit_payload(off))
+
+    @property
+    def acknowledged(self) -> bool:
+        """Whether the device tells what is lit: it does."""
+        return True
+
+    @property
+    def pulse_hz(self) -> float | None:
+        """Not known."""
+        return None
+
+    def recover(self) -> Hello:
+        """Greet again, dark."""
+        self._boot_id = None
+        self._hello = self._ask_hello()
+        self.dark()
+        return self._hello
 
     def close(self) -> None:
         """Close the port; lights stay as they are."""
