@@ -1,0 +1,226 @@
+"""Who decides during a capture, and what they ask for until the capture takes it up."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import dataclasses
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, Protocol, get_args
+
+from lightstage.errors import LightstageError
+from lightstage.findings import Finding
+
+Wish = Literal["abort", "retake", "pause", "resume"]
+"""``retake`` is of the last pattern that is done; ``resume`` ends a pause."""
+Decision = Literal["retake", "accept", "abort"]
+Request = Literal["retake", "accept", "abort", "pause", "resume"]
+
+NOT_TAKEN = "not-taken"
+"""Code of a finding without a photograph: there is nothing to accept."""
+
+
+@dataclasses.dataclass(frozen=True)
+class OperatorConfig:
+    """What is decided where nobody is asked.
+
+    Attributes:
+        retakes: of each pattern, before a capture that nobody attends gives up.
+        then: what it does then: ``abort`` (a later --resume goes on there), or ``accept`` (keeps the
+            photograph as it is, with its finding in the journal, where there is one).
+    """
+
+    retakes: int = 2
+    then: Literal["abort", "accept"] = "abort"
+
+
+class Operator(Protocol):
+    """Somebody, or a rule, who decides. Several threads may call ``told`` and ``request``."""
+
+    def command(self) -> Wish | None:
+        """What is wished now; polled. An abort is said again and again."""
+
+    def decide(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
+        """What to do with photographs that do not do; may wait for an answer for ever."""
+
+    def told(self, line: dict[str, Any]) -> None:
+        """A line that is in the journal now; never waits."""
+
+    def request(self, do: str) -> str | None:
+        """Somebody asks for something from elsewhere; why not, or None where it is accepted."""
+
+    def at_abort(self, act: Callable[[], None]) -> None:
+        """Have this done at once when somebody aborts, in the thread that hears it."""
+
+
+def may_accept(findings: Sequence[Finding]) -> bool:
+    """Whether there is a photograph to accept in spite of these findings."""
+    return all(finding.code != NOT_TAKEN for finding in findings)
+
+
+def by_rule(findings: Sequence[Finding], retakes_left: int, config: OperatorConfig) -> Decision:
+    """What is decided without asking: again while it may, then what the configuration says."""
+    if not any(finding.severity in ("retake", "refuse") for finding in findings):
+        return "accept"
+    if retakes_left > 0:
+        return "retake"
+    return "accept" if config.then == "accept" and may_accept(findings) else "abort"
+
+
+class Requests:
+    """What keys and clients ask for; none is lost, and an abort acts at once.
+
+    ``request`` may be called from any thread, the rest is the capture's.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._wishes: collections.deque[Wish] = collections.deque()
+        self._acts: list[Callable[[], None]] = []
+        self._question: tuple[Decision, ...] = ()
+        self._answer: Decision | None = None
+        self._aborted = self._paused = self._over = self._shot = False
+
+    @property
+    def aborted(self) -> bool:
+        """Whether somebody aborted."""
+        return self._aborted
+
+    @property
+    def question(self) -> tuple[Decision, ...]:
+        """What may be answered now; empty where nothing is asked."""
+        return self._question
+
+    def told(self, line: dict[str, Any]) -> None:
+        """Know what can be asked for."""
+        event = line.get("event")
+        if event == "shot":
+            self._shot = True
+        elif event in ("aborted", "end"):
+            self._over = True
+
+    def at_abort(self, act: Callable[[], None]) -> None:
+        """Do this when somebody aborts; at once where somebody did."""
+        with self._changed:
+            self._acts.append(act)
+            late = self._aborted
+        if late:
+            _do(act)
+
+    def request(self, do: str) -> str | None:
+        """Ask for something; why not, or None where it is accepted."""
+        if do not in get_args(Request):
+            return f"unknown: {do[:40]!r}; there are {', '.join(get_args(Request))}"
+        if do == "abort":
+            return self._abort()
+        with self._changed:
+            if self._over or self._aborted:
+                return "the capture is ending"
+            if self._question:
+                return self._take_answer(do)
+            why = self._why_not(do)
+            if why is None:
+                self._wishes.extend(wish for wish in get_args(Wish) if wish == do)
+            return why
+
+    def command(self) -> Wish | None:
+        """The oldest wish that was not taken up yet."""
+        with self._changed:
+            if self._aborted:
+                return "abort"
+            if not self._wishes:
+                return None
+            wish = self._wishes.popleft()
+            if wish in ("pause", "resume"):
+                self._paused = wish == "pause"
+            return wish
+
+    def ask(self, choices: tuple[Decision, ...]) -> Decision:
+        """Wait until somebody answers; an abort always does."""
+        with self._changed:
+            self._answer, self._question = None, choices
+            try:
+                while self._answer is None and not self._aborted:
+                    self._changed.wait()
+                return "abort" if self._aborted or self._answer is None else self._answer
+            finally:
+                self._question = ()
+
+    def _abort(self) -> str | None:
+        with self._changed:
+            if self._over:
+                return "the capture is over"
+            acts = [] if self._aborted else list(self._acts)
+            self._aborted = True
+        for act in acts:  # before anybody waiting is told: the lights come first
+            _do(act)
+        with self._changed:
+            self._changed.notify_all()
+        return None
+
+    def _take_answer(self, do: str) -> str | None:
+        for choice in self._question:
+            if choice == do:
+                if self._answer is not None:
+                    return "it is answered already"
+                self._answer = choice
+                self._changed.notify_all()
+                return None
+        if do == "accept":
+            return "there is no photograph to accept"
+        return "a question waits for its answer"
+
+    def _why_not(self, do: str) -> str | None:
+        """Why a wish cannot be had now, besides a question that waits."""
+        waits = "pause" in self._wishes or self._paused
+        ends = "resume" in self._wishes
+        if do == "accept":
+            return "nothing waits to be accepted"
+        if do == "resume":
+            return None if waits and not ends else "it is not paused"
+        if waits and not ends:
+            return "it is paused already" if do == "pause" else "it is paused; continue first"
+        if do == "retake" and not self._shot:
+            return "no pattern is done yet"
+        return "it is asked for already" if do in self._wishes else None
+
+
+def _do(act: Callable[[], None]) -> None:
+    # What fails here is done again, and said, on the capture's own way out.
+    with contextlib.suppress(LightstageError):
+        act()
+
+
+class Unattended:
+    """Nobody is asked: retakes while there are any left, then as the configuration says.
+
+    Args:
+        config: the rule.
+    """
+
+    def __init__(self, config: OperatorConfig | None = None) -> None:
+        self._config = config or OperatorConfig()
+        self._requests = Requests()
+
+    def command(self) -> Wish | None:
+        """What clients of the event stream ask for."""
+        return self._requests.command()
+
+    def decide(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
+        """By the rule, at once."""
+        if self._requests.aborted:
+            return "abort"
+        return by_rule(findings, retakes_left, self._config)
+
+    def told(self, line: dict[str, Any]) -> None:
+        """Know what can be asked for."""
+        self._requests.told(line)
+
+    def request(self, do: str) -> str | None:
+        """Asked from elsewhere; why not, or None where it is accepted."""
+        return self._requests.request(do)
+
+    def at_abort(self, act: Callable[[], None]) -> None:
+        """Do this when somebody aborts."""
+        self._requests.at_abort(act)

@@ -1,0 +1,268 @@
+"""Events of a running capture on a local socket, for terminals and pages of the same user.
+
+A client sends lines of JSON. ``{"after": ID}`` asks for every line of the journal with a larger id,
+those that are written already and then each new one, as they stand in the journal.
+``{"do": "retake" | "accept" | "abort" | "pause" | "resume"}`` asks the operator's place for that, and
+is answered by ``{"answer": "retake", "accepted": true}`` or ``{..., "accepted": false, "why": TEXT}``;
+answers have no id. Socket and folder belong to the user who captures (modes 0600 and 0700).
+
+Nothing is queued for anybody: the journal on the disk is the queue, and each client is a place in
+it. So a slow client costs a buffer of its own and no more, and a capture only says that there is
+something new.
+"""
+
+from __future__ import annotations
+
+import array
+import bisect
+import contextlib
+import dataclasses
+import json
+import os
+import selectors
+import socket
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from lightstage.operator.lines import JournalTail
+from lightstage.operator.runtime import new_socket_path
+
+ANSWER_LIMIT_BYTES = 4096
+"""Longest request line; a client that sends a longer one is let go."""
+BUFFER_BYTES = 1 << 16
+"""What waits in memory for one client; where it is more, it is read from the journal later."""
+
+
+@dataclasses.dataclass(frozen=True)
+class EventConfig:
+    """How events are served.
+
+    Attributes:
+        look_s: the journal is looked at this often even when nobody said that it grew.
+        clients: at most so many at a time, so that files are left for the capture itself.
+        last_words_s: at the end, clients that still read get this long to come to the last line.
+    """
+
+    look_s: float = 0.25
+    clients: int = 128
+    last_words_s: float = 1.0
+
+
+class _Client:
+    """One connection: what it asked for so far, and what is on its way to it."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.connection = connection
+        self.asked = b""
+        self.waiting = bytearray()
+        self.next: int | None = None  # place in the index; None before it asked for lines
+
+
+class EventServer:
+    """Serves a journal's lines and passes on what clients ask for.
+
+    Args:
+        journal: journal.jsonl, which exists.
+        request: called with what a client wants done, from the server's thread; returns why not, or
+            None where it is accepted.
+        config: limits.
+
+    Raises:
+        FormatError: no journal.
+        CaptureError: no folder for the socket.
+    """
+
+    def __init__(
+        self,
+        journal: Path,
+        request: Callable[[str], str | None],
+        config: EventConfig | None = None,
+    ) -> None:
+        self._config = config or EventConfig()
+        self._request = request
+        self._tail = JournalTail(journal)
+        self._file = -1
+        self._ids = array.array("q")  # plain numbers: a capture may have very many lines
+        self._begins = array.array("q")
+        self._ends = array.array("q")
+        self._clients: dict[int, _Client] = {}
+        self._closing = threading.Event()
+        try:
+            self._file = os.open(journal, os.O_RDONLY)
+            self.path = new_socket_path()
+            self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            self._listener.bind(str(self.path))
+            os.chmod(self.path, 0o600)
+            self._listener.listen(16)
+        except BaseException:
+            self._tail.close()
+            if self._file >= 0:
+                os.close(self._file)
+            raise
+        self._listener.setblocking(False)
+        self._woken, self._waker = os.pipe()
+        os.set_blocking(self._woken, False)
+        os.set_blocking(self._waker, False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._selector.register(self._woken, selectors.EVENT_READ)
+        self._thread = threading.Thread(target=self._serve, name="events", daemon=True)
+        self._thread.start()
+
+    def told(self, line: dict[str, Any]) -> None:
+        """Say that the journal grew; never waits."""
+        del line  # it is read from the disk, as everyone's
+        self._wake()
+
+    def close(self) -> None:
+        """Give what is left to those who read, let them go, and remove the socket."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        self._wake()
+        self._thread.join()
+        for client in list(self._clients.values()):
+            self._drop(client)
+        self._selector.close()
+        self._listener.close()
+        self.path.unlink(missing_ok=True)
+        self._tail.close()
+        for handle in (self._file, self._woken, self._waker):
+            os.close(handle)
+
+    def __enter__(self) -> EventServer:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _wake(self) -> None:
+        with contextlib.suppress(OSError):  # full: it is awake already
+            os.write(self._waker, b"!")
+
+    def _serve(self) -> None:
+        until_s = float("inf")
+        while True:
+            if self._closing.is_set() and until_s == float("inf"):
+                until_s = time.monotonic() + self._config.last_words_s
+                self._selector.unregister(self._listener)
+            self._index()
+            for client in list(self._clients.values()):
+                self._feed(client)
+            done = all(self._is_served(client) for client in self._clients.values())
+            if self._closing.is_set() and (done or time.monotonic() >= until_s):
+                return
+            wait_s = max(0.0, min(self._config.look_s, until_s - time.monotonic()))
+            for key, events in self._selector.select(wait_s):
+                if key.fileobj is self._listener:
+                    self._accept()
+                elif key.fileobj == self._woken:
+                    with contextlib.suppress(OSError):
+                        os.read(self._woken, 4096)
+                elif events & selectors.EVENT_READ:
+                    self._hear(self._clients[key.fd])
+
+    def _index(self) -> None:
+        for line, begin, end in self._tail.entries():
+            if not self._ids or line["id"] > self._ids[-1]:
+                self._ids.append(line["id"])
+                self._begins.append(begin)
+                self._ends.append(end)
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:
+            return
+        connection.setblocking(False)
+        if len(self._clients) >= self._config.clients:
+            with contextlib.suppress(OSError):
+                connection.send(_line({"answer": None, "accepted": False, "why": "too many"}))
+            connection.close()
+            return
+        self._clients[connection.fileno()] = _Client(connection)
+        self._selector.register(connection, selectors.EVENT_READ)
+
+    def _hear(self, client: _Client) -> None:
+        """Take what a client sends; a broken one is let go."""
+        try:
+            piece = client.connection.recv(4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            piece = b""
+        if not piece:
+            self._drop(client)
+            return
+        *whole, client.asked = (client.asked + piece).split(b"\n")
+        for raw in whole:
+            answer = self._answer(client, raw) if raw.strip() else None
+            client.waiting += b"" if answer is None else _line(answer)
+        if max(len(client.asked), len(client.waiting) - BUFFER_BYTES) > ANSWER_LIMIT_BYTES:
+            self._drop(client)  # endless, or asks without ever reading the answers
+
+    def _answer(self, client: _Client, raw: bytes) -> dict[str, Any] | None:
+        try:
+            asked = json.loads(raw)
+        except (ValueError, RecursionError):
+            asked = None
+        if isinstance(asked, dict):
+            after, do = asked.get("after"), asked.get("do")
+            if isinstance(after, int) and not isinstance(after, bool):
+                client.next = bisect.bisect_right(self._ids, after)
+                return None
+            if isinstance(do, str):
+                why = self._request(do)
+                no = {} if why is None else {"why": why}
+                return {"answer": do, "accepted": why is None, **no}
+        return {
+            "answer": None,
+            "accepted": False,
+            "why": 'expected {"after": ID} or {"do": "retake"}',
+        }
+
+    def _feed(self, client: _Client) -> None:
+        """Send what a client can take now; the rest stays in the journal."""
+        try:
+            while True:
+                self._fill(client)
+                if not client.waiting:
+                    break
+                sent = client.connection.send(client.waiting)
+                del client.waiting[:sent]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._drop(client)
+            return
+        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if client.waiting else 0)
+        self._selector.modify(client.connection, wanted)
+
+    def _fill(self, client: _Client) -> None:
+        while client.next is not None and client.next < len(self._ids):
+            if len(client.waiting) >= BUFFER_BYTES:
+                return
+            begin, end = self._begins[client.next], self._ends[client.next]
+            client.waiting += os.pread(self._file, end - begin, begin)
+            client.next += 1
+
+    def _is_served(self, client: _Client) -> bool:
+        return not client.waiting and client.next in (None, len(self._ids))
+
+    def _drop(self, client: _Client) -> None:
+        if self._clients.pop(client.connection.fileno(), None) is not None:
+            self._selector.unregister(client.connection)
+            client.connection.close()
+
+
+def _line(value: dict[str, Any]) -> bytes:
+    return json.dumps(value).encode() + b"\n"

@@ -1,0 +1,246 @@
+"""Every word that the operator reads about an event: one line, and what to do where one must.
+
+The one place for these words; a line of the journal that lacks something still reads well. Texts
+that come from devices are shown without control characters.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Literal
+
+Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
+"""``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
+
+Line = Mapping[str, Any]
+
+SIGNS: dict[Tone, str] = {
+    "quiet": " ",
+    "plain": " ",
+    "good": "+",
+    "warning": "!",
+    "problem": "X",
+    "stop": "#",
+}
+"""Before a line, so that no colour is needed to tell it."""
+
+LOOK = "Look at the photograph; press r to take it again."
+AGAIN = "It is taken again, or you are asked."
+FINDING: dict[str, tuple[Tone, str, str]] = {
+    "refuse": ("stop", "Not started", "Mend this, then start again."),
+    "retake": ("problem", "Not good", AGAIN),
+    "warn": ("warning", "Look at this", LOOK),
+    "note": ("plain", "Noted", ""),
+}
+"""By severity: tone, how the line begins, what to do where the finding does not say."""
+
+FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
+RESUME = "Nothing that was kept is lost. Go on with: lightstage capture --resume --out {session}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Said:
+    """One line for the operator.
+
+    Attributes:
+        tone: how much it matters.
+        text: what happened.
+        todo: what to do; empty where nothing must be done.
+    """
+
+    tone: Tone
+    text: str
+    todo: str = ""
+
+    def __str__(self) -> str:
+        text = f"{SIGNS[self.tone]} {self.text}".strip()
+        return f"{text}{'' if text.endswith(('.', '?', '!', ':')) else '.'} {self.todo}".strip()
+
+
+def clean(value: object, longest: int = 300) -> str:
+    """A text without control characters, of bounded length."""
+    text = "".join(c if c.isprintable() else " " for c in str(value))
+    text = " ".join(text.split())
+    return text if len(text) <= longest else text[: longest - 1] + "…"
+
+
+def text_of(line: Line, name: str) -> str:
+    """A field as clean text; empty where it is missing."""
+    value = line.get(name)
+    return "" if value is None or isinstance(value, (dict, list)) else clean(value)
+
+
+def number_of(line: Line, name: str) -> float | None:
+    """A finite number, or None."""
+    value = line.get(name)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    try:
+        return float(value) if math.isfinite(value) else None
+    except OverflowError:
+        return None
+
+
+def names_of(line: Line, name: str) -> list[str]:
+    """A list of names (or the keys of a table), as clean texts."""
+    value = line.get(name)
+    return [clean(item) for item in value] if isinstance(value, (list, dict)) else []
+
+
+def said(line: Line, session: str = "SESSION") -> Said:
+    """What to show for a line of the journal.
+
+    Args:
+        line: as read; any field may be missing.
+        session: the session's folder, for what to type.
+    """
+    event = text_of(line, "event")
+    make = _WORDS.get(event)
+    if make is None:
+        return Said("quiet", f"{event or 'something'} {_place(line)}".strip())
+    words = make(line)
+    return dataclasses.replace(words, todo=words.todo.replace("{session}", clean(session)))
+
+
+def _place(line: Line) -> str:
+    """Pattern and camera, as far as they are told: ``x+, cam0``."""
+    places = (text_of(line, "pattern"), text_of(line, "camera"))
+    return ", ".join(place for place in places if place)
+
+
+def _at(line: Line) -> str:
+    place = _place(line)
+    return f"{place}: " if place else ""
+
+
+def _begin(line: Line) -> Said:
+    patterns, cameras = len(names_of(line, "sequence")), len(names_of(line, "cameras"))
+    who = " ".join(filter(None, (text_of(line, "subject"), text_of(line, "expression"))))
+    return Said("plain", f"Session of {who or 'nobody'}: {patterns} patterns, {cameras} cameras")
+
+
+def _resume(line: Line) -> Said:
+    return Said("plain", "The session goes on where it stopped")
+
+
+def _devices(line: Line) -> Said:
+    return Said("plain", "Lights and cameras are checked")
+
+
+def _lit(line: Line) -> Said:
+    how = "lit, not acknowledged by the lights" if line.get("acknowledged") is False else "lit"
+    return Said("quiet", f"{_at(line)}{how}")
+
+
+def _frame(line: Line) -> Said:
+    return Said("quiet", f"{_at(line)}kept")
+
+
+def _failed(line: Line) -> Said:
+    why = text_of(line, "said") or text_of(line, "found") or "no photograph"
+    return Said("warning", f"{_at(line)}{why}", FAILED)
+
+
+def _finding(line: Line) -> Said:
+    severity = text_of(line, "severity")
+    tone, begins, todo = FINDING.get(severity, FINDING["warn"])
+    where = text_of(line, "where") or _place(line)
+    found, expected = text_of(line, "found"), text_of(line, "expected")
+    what = f"{found or text_of(line, 'code') or 'something'}"
+    wanted = f" (wanted: {expected})" if expected else ""
+    text = f"{begins}: {where + ': ' if where else ''}{what}{wanted}"
+    return Said(tone, text, text_of(line, "hint") or todo)
+
+
+def _rejected(line: Line) -> Said:
+    why = text_of(line, "why")
+    return Said("plain", f"{_at(line)}taken again{' since ' + why if why else ''}")
+
+
+def _recovered(line: Line) -> Said:
+    where = text_of(line, "path") or "recovered/"
+    return Said(
+        "warning",
+        f"{_at(line)}a photograph whose light is not certain is kept apart in {where}",
+        "Nothing to do: the pattern is taken again.",
+    )
+
+
+def _shot(line: Line) -> Said:
+    return Said("good", f"{text_of(line, 'pattern') or 'A pattern'} done")
+
+
+def _calibration(line: Line) -> Said:
+    return Said("plain", "Calibration is kept with the session")
+
+
+def _note(line: Line) -> Said:
+    if text_of(line, "socket"):
+        return Said("quiet", f"Others can follow: {text_of(line, 'socket')}")
+    return Said("plain", f"{_at(line)}{text_of(line, 'said') or 'noted'}")
+
+
+def _aborted(line: Line) -> Said:
+    why = text_of(line, "said") or text_of(line, "why") or "at the operator's wish"
+    return Said("stop", f"Stopped: {why}", RESUME)
+
+
+def _end(line: Line) -> Said:
+    frames = number_of(line, "frames")
+    count = "" if frames is None else f": {frames:.0f} photographs"
+    return Said("good", f"The session is complete{count}")
+
+
+def _quiet(line: Line) -> Said:
+    return Said("quiet", f"{_at(line)}{text_of(line, 'event')}")
+
+
+_WORDS: dict[str, Callable[[Line], Said]] = {
+    "begin": _begin,
+    "resume": _resume,
+    "devices": _devices,
+    "lit": _lit,
+    "trigger": _quiet,
+    "exposed": _quiet,
+    "frame": _frame,
+    "failed": _failed,
+    "finding": _finding,
+    "rejected": _rejected,
+    "recovered": _recovered,
+    "deleted": _quiet,
+    "shot": _shot,
+    "calibration": _calibration,
+    "note": _note,
+    "aborted": _aborted,
+    "end": _end,
+}
+
+STATES = {
+    "idle": "waits",
+    "triggering": "triggering",
+    "downloading": "downloading",
+    "kept": "kept",
+    "failed": "FAILED",
+    "restarting": "starting again",
+}
+"""What a camera does now."""
+
+QUESTION = "What now?"
+KEYS = {
+    "retake": ("r", "take again"),
+    "accept": ("a", "accept as it is"),
+    "pause": ("p", "pause (dark)"),
+    "resume": ("c", "continue"),
+    "abort": ("q", "stop (dark at once)"),
+}
+"""Key and words of each request."""
+HEARD = {
+    "retake": "The last pattern is taken again after this one.",
+    "accept": "Accepted.",
+    "pause": "It pauses, dark, after this pattern.",
+    "resume": "It goes on.",
+    "abort": "STOPPING: lights out; photographs on their way are not lost.",
+}
+"""Said when a key is heard."""
