@@ -1,0 +1,284 @@
+"""What a photograph says of its own taking: settings, body, time, and whether it names a person.
+
+Read from the headers alone, and never written: a RAW is not rewritten. Looked at are
+
+* the picture's directories: Artist, Copyright, ImageDescription, HostComputer, the XP fields,
+  an XMP packet and an IPTC record;
+* the EXIF directory: settings, BodySerialNumber, DateTimeOriginal, CameraOwnerName, UserComment;
+* the GPS directory;
+* of makers' notes the serial number and owner's name of Nikon and Canon.
+
+A TIFF-like file (DNG, NEF, CR2, ARW, PEF) has them in its directories [TIFF1992], a CR3 in boxes of
+its header, a RAF in the EXIF part of its preview.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import re
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+from lightstage.tiff import MAX_VALUE_BYTES, Directory, Reader, directories, directory_at
+
+EXPOSURE, F_NUMBER, ISO, ISO_SPEED = 33434, 33437, 34855, 34867
+TAKEN, OFFSET, SUBSECONDS = 36867, 36881, 37521
+MAKER_NOTE, USER_COMMENT, OWNER, BODY_SERIAL, DNG_SERIAL = 37500, 37510, 42032, 42033, 50735
+MAKE, MODEL, XMP, IPTC = 271, 272, 700, 33723
+NAMES = {
+    315: "Artist",
+    33432: "Copyright",
+    270: "ImageDescription",
+    316: "HostComputer",
+    40091: "XPTitle",
+    40092: "XPComment",
+    40093: "XPAuthor",
+}
+"""Fields of a picture's directory that may name a person."""
+GPS_FIELDS = (2, 4, 6, 20, 22, 27, 28)
+"""Latitude, longitude, altitude, those of the destination, method and area; not the version."""
+XMP_NAMES = {
+    rb"dc:creator": "XMP creator",
+    rb"dc:rights": "XMP rights",
+    rb"dc:description": "XMP description",
+    rb"\w+:OwnerName": "XMP OwnerName",
+    rb"exif:GPS(?:Latitude|Longitude)": "XMP GPS",
+    rb"photoshop:(?:Credit|AuthorsPosition|City)": "XMP photoshop",
+    rb"Iptc4xmp\w+:\w+": "XMP IPTC",
+}
+IPTC_NAMES = {25: "IPTC keywords", 80: "IPTC by-line", 90: "IPTC city", 105: "IPTC headline"}
+IPTC_NAMES |= {110: "IPTC credit", 116: "IPTC copyright", 120: "IPTC caption"}
+_CR3_UUID = bytes.fromhex("85c0b687820f11e08111f4ce462b6a48")
+_CR3_PARTS = {b"CMT1": "picture", b"CMT2": "exif", b"CMT3": "canon", b"CMT4": "gps"}
+_MAX_BOXES = 64
+
+
+@dataclasses.dataclass(frozen=True)
+class Exif:
+    """What a photograph tells; None where it does not.
+
+    Attributes:
+        make: the maker's name.
+        model: maker and name, as the file says.
+        serial: of the body.
+        iso: sensitivity.
+        exposure_s: exposure time.
+        f_number: aperture.
+        taken: DateTimeOriginal, without a zone unless the file tells it.
+        private: names of the fields that may tell who or where; never what they say.
+    """
+
+    make: str | None = None
+    model: str | None = None
+    serial: str | None = None
+    iso: int | None = None
+    exposure_s: float | None = None
+    f_number: float | None = None
+    taken: datetime.datetime | None = None
+    private: tuple[str, ...] = ()
+
+
+def read_exif(path: Path) -> Exif:
+    """Read a photograph's headers.
+
+    Args:
+        path: of a RAW or DNG; another file (OpenEXR) tells nothing.
+
+    Raises:
+        OSError: the file cannot be opened. Damaged headers tell less; they are no error.
+    """
+    with path.open("rb", buffering=1 << 14) as file:
+        return _collect(list(_parts(Reader(file))))
+
+
+def _parts(reader: Reader) -> Iterator[Directory]:
+    """Every directory of a photograph, whatever its container."""
+    head = reader.bytes_at(0, 16)
+    if head[4:11] == b"ftypcrx":
+        yield from _cr3_parts(reader)
+    elif head[:15] == b"FUJIFILMCCD-RAW":
+        yield from _raf_parts(reader)
+    else:
+        yield from _tiff_parts(reader)
+
+
+def _tiff_parts(reader: Reader) -> Iterator[Directory]:
+    """A TIFF's directories, with the makers' notes that stand in EXIF's."""
+    order = "<" if reader.bytes_at(0, 2) == b"II" else ">"
+    make = ""
+    for directory in directories(reader):
+        make = make or directory.text(MAKE)
+        yield directory
+        note = directory.tags.get(MAKER_NOTE)
+        if not isinstance(note, bytes):
+            continue
+        place = directory.places[MAKER_NOTE] - reader.base
+        if note[:6] == b"Nikon\0":
+            # A TIFF of its own behind ten bytes.
+            inner = reader.at(place + 10)
+            yield from (dataclasses.replace(d, kind="nikon") for d in directories(inner))
+        elif make.startswith("Canon"):
+            # Canon's is a directory without a head, whose places count from the file's.
+            yield directory_at(reader, place, order, "canon")[0]
+
+
+def _cr3_parts(reader: Reader) -> Iterator[Directory]:
+    """The four TIFF parts in a CR3's header box (ISO base media file format)."""
+    for kind, place, size in _boxes(reader, 0, None):
+        if kind != b"moov":
+            continue
+        for inner, start, length in _boxes(reader, place, place + size):
+            if inner != b"uuid" or reader.bytes_at(start, 16) != _CR3_UUID:
+                continue
+            for name, at, _ in _boxes(reader, start + 16, start + length):
+                if name in _CR3_PARTS:
+                    for directory in directories(reader.at(at)):
+                        yield dataclasses.replace(directory, kind=_CR3_PARTS[name])
+
+
+def _boxes(reader: Reader, place: int, end: int | None) -> Iterator[tuple[bytes, int, int]]:
+    """Boxes in a part of a file: kind, where the content begins, its size."""
+    for _ in range(_MAX_BOXES):
+        head = reader.bytes_at(place, 16) if end is None or place < end else b""
+        if len(head) < 8:
+            return
+        size, kind = struct.unpack(">I4s", head[:8])
+        start = 8
+        if size == 1 and len(head) == 16:
+            (size,) = struct.unpack(">Q", head[8:])
+            start = 16
+        if size < start:
+            return
+        yield kind, place + start, size - start
+        place += size
+
+
+def _raf_parts(reader: Reader) -> Iterator[Directory]:
+    """The EXIF part of the JPEG to which a RAF's header points."""
+    place = reader.bytes_at(84, 4)
+    if len(place) < 4:
+        return
+    at = struct.unpack(">I", place)[0] + 2
+    for _ in range(_MAX_BOXES):
+        head = reader.bytes_at(at, 10)
+        if len(head) < 10 or head[0] != 0xFF or head[1] in (0xD9, 0xDA):
+            return
+        if head[1] == 0xE1 and head[4:] == b"Exif\0\0":
+            yield from _tiff_parts(reader.at(at + 10))
+        at += 2 + struct.unpack(">H", head[2:4])[0]
+
+
+def _collect(parts: list[Directory]) -> Exif:
+    """What directories say, the first one that says it."""
+
+    def text(*tags: int, kind: str = "") -> str | None:
+        said = (d.text(t) for t in tags for d in parts if not kind or d.kind == kind)
+        return next((each for each in said if each), None)
+
+    def number(*tags: int) -> float | None:
+        said = (d.number(t) for t in tags for d in parts if d.kind in ("exif", "picture"))
+        return next((each for each in said if each is not None and each > 0), None)
+
+    iso = number(ISO)
+    if iso == 65535:  # what does not fit in 16 bits stands in another field
+        iso = number(ISO_SPEED) or iso
+    return Exif(
+        make=text(MAKE, kind="picture"),
+        model=text(MODEL, kind="picture"),
+        serial=text(BODY_SERIAL, kind="exif") or _maker_serial(parts) or text(DNG_SERIAL),
+        iso=None if iso is None else round(iso),
+        exposure_s=number(EXPOSURE),
+        f_number=number(F_NUMBER),
+        taken=_moment(text(TAKEN), text(SUBSECONDS), text(OFFSET)),
+        private=tuple(dict.fromkeys(_private(parts))),
+    )
+
+
+def _maker_serial(parts: list[Directory]) -> str | None:
+    for part in parts:
+        if part.kind == "nikon" and part.text(0x1D):
+            return part.text(0x1D)
+        if part.kind == "canon" and part.number(0x0C):
+            return str(int(part.number(0x0C) or 0))
+    return None
+
+
+def _moment(
+    text: str | None, subseconds: str | None, offset: str | None
+) -> datetime.datetime | None:
+    try:
+        taken = datetime.datetime.strptime(text or "", "%Y:%m:%d %H:%M:%S")
+        if subseconds is not None and re.fullmatch(r"\d{1,6}", subseconds, re.ASCII):
+            taken = taken.replace(microsecond=int(subseconds.ljust(6, "0")))
+        if offset is not None and re.fullmatch(r"[+-]\d\d:\d\d", offset, re.ASCII):
+            sign = -1 if offset[0] == "-" else 1
+            ahead = datetime.timedelta(hours=int(offset[1:3]), minutes=int(offset[4:]))
+            taken = taken.replace(tzinfo=datetime.timezone(sign * ahead))
+    except ValueError:
+        return None
+    return taken
+
+
+def _private(parts: list[Directory]) -> Iterator[str]:
+    """Names of fields that are not empty and may say who or where."""
+    for part in parts:
+        if part.kind == "picture":
+            for tag, name in NAMES.items():
+                if _says_something(part.tags.get(tag)):
+                    yield name
+        if part.kind == "exif":
+            if _says_something(part.tags.get(OWNER)):
+                yield "CameraOwnerName"
+            comment = part.tags.get(USER_COMMENT)
+            # Its first eight bytes name the letters' code.
+            if isinstance(comment, bytes) and _says_something(comment[8:]):
+                yield "UserComment"
+        if part.kind == "canon" and _says_something(part.tags.get(9)):
+            yield "Canon OwnerName"
+        if part.kind == "gps" and any(_is_placed(part.tags.get(tag)) for tag in GPS_FIELDS):
+            yield "GPS"
+        packet = part.tags.get(XMP, b"")
+        if part.kind == "picture":
+            yield from _xmp_names(_bytes(packet))
+            yield from _iptc_names(_bytes(part.tags.get(IPTC, b"")))
+
+
+def _says_something(value: object) -> bool:
+    return any(c not in b" \0\t\r\n" for c in _bytes(value))
+
+
+def _is_placed(value: object) -> bool:
+    if isinstance(value, tuple):
+        return any(v == v for v in value)
+    return _says_something(value)
+
+
+def _bytes(value: object) -> bytes:
+    """A value as bytes: some writers give XMP and XP fields as numbers of one byte."""
+    if isinstance(value, bytes):
+        return value
+    if isinstance(value, tuple):
+        return bytes(int(v) & 255 for v in value if v == v and abs(v) < 2**32)
+    return b""
+
+
+def _xmp_names(packet: bytes) -> Iterator[str]:
+    """Fields of an XMP packet (of its first part, where it is long) that have content."""
+    packet = packet[:MAX_VALUE_BYTES]
+    for pattern, name in XMP_NAMES.items():
+        attribute = rb"(?<![\w:/])" + pattern + rb'\s{0,9}=\s{0,9}["\'][^"\'\s]'
+        element = rb"<" + pattern + rb"(?:\s[^<>]{0,200})?>(?:\s|<[^/!][^<>]{0,200}>){0,20}[^<\s]"
+        if re.search(attribute, packet) or re.search(element, packet):
+            yield name
+
+
+def _iptc_names(record: bytes) -> Iterator[str]:
+    """Fields of an IPTC record that have content."""
+    place = 0
+    while place + 5 <= len(record) and record[place] == 0x1C:
+        set_, field, size = struct.unpack_from(">BBH", record, place + 1)
+        if set_ == 2 and field in IPTC_NAMES and _says_something(record[place + 5 :][:size]):
+            yield IPTC_NAMES[field]
+        place += 5 + size

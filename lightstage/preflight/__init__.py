@@ -1,0 +1,1 @@
+"""What is made sure before a light goes on, and that it stays so."""

@@ -1,0 +1,169 @@
+"""Directories of a TIFF-like file, read where they lie: headers only, never the picture.
+
+Damaged offsets lead nowhere: what cannot be read is left out, and the count of directories, of
+entries and of bytes read is limited, so that no file makes a reader slow.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+from collections.abc import Iterator
+from typing import BinaryIO
+
+SUB_IFDS, EXIF_IFD, GPS_IFD = 330, 34665, 34853
+MAX_DIRECTORIES = 32
+MAX_ENTRIES = 2000
+MAX_VALUE_BYTES = 1 << 18
+MAX_READ_BYTES = 1 << 22
+
+MAGIC = (42, 0x55, 0x4F52, 0x5352)
+"""TIFF's own number, and what Panasonic and Olympus write in its place."""
+
+_LETTERS = {1: "B", 2: "s", 3: "H", 4: "I", 6: "b", 7: "s", 8: "h", 9: "i", 11: "f", 12: "d"}
+_LETTERS |= {13: "I"}
+_PAIRS = {5: "I", 10: "i"}
+
+Value = bytes | tuple[float, ...]
+"""Text and undefined bytes as bytes; whole numbers, and quotients of rationals (NaN of x/0)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Directory:
+    """One directory.
+
+    Attributes:
+        kind: ``picture`` (the chain from the header, and SubIFDs), ``exif`` or ``gps``.
+        tags: number to what stands there.
+        places: number to the byte of the file at which its value begins.
+    """
+
+    kind: str
+    tags: dict[int, Value]
+    places: dict[int, int]
+
+    def text(self, tag: int) -> str:
+        """A tag as text without padding; empty where there is none."""
+        value = self.tags.get(tag, b"")
+        if not isinstance(value, bytes):
+            return ""
+        return value.decode("utf-8", "replace").replace("\0", " ").strip()
+
+    def number(self, tag: int) -> float | None:
+        """A tag's first number; None where there is none or it is not finite."""
+        value = self.tags.get(tag)
+        if not isinstance(value, tuple) or not value or not abs(value[0]) < float("inf"):
+            return None
+        return value[0]
+
+
+class Reader:
+    """Reads few bytes here and there.
+
+    Args:
+        file: seekable.
+        base: where the TIFF header stands in it.
+    """
+
+    def __init__(self, file: BinaryIO, base: int = 0) -> None:
+        self.base = base
+        self._file = file
+        self._left = [MAX_READ_BYTES]
+
+    def bytes_at(self, place: int, size: int) -> bytes:
+        """So many bytes at a place after the base; fewer where the file or the limit ends."""
+        size = max(0, min(size, self._left[0]))
+        try:
+            self._file.seek(self.base + place)
+            data = self._file.read(size)
+        except (OSError, ValueError, OverflowError):
+            return b""
+        self._left[0] -= len(data)
+        return data
+
+    def at(self, place: int) -> Reader:
+        """The same file from another byte of it on, under the same limit."""
+        other = Reader(self._file, self.base + place)
+        other._left = self._left
+        return other
+
+
+def directories(reader: Reader) -> Iterator[Directory]:
+    """Every directory from the TIFF header on, first things first; none where there is no header.
+
+    [TIFF1992]; SubIFDs, EXIF and GPS directories are followed, a directory twice seen is not.
+    """
+    head = reader.bytes_at(0, 8)
+    order = {b"II": "<", b"MM": ">"}.get(head[:2])
+    if order is None or len(head) < 8:
+        return
+    if struct.unpack(order + "H", head[2:4])[0] not in MAGIC:
+        return
+    pending = [("picture", struct.unpack(order + "I", head[4:])[0])]
+    seen: set[int] = set()
+    while pending and len(seen) < MAX_DIRECTORIES:
+        kind, place = pending.pop(0)
+        if place == 0 or place in seen:
+            continue
+        seen.add(place)
+        directory, following = directory_at(reader, place, order, kind)
+        yield directory
+        for tag, inner in ((EXIF_IFD, "exif"), (GPS_IFD, "gps"), (SUB_IFDS, "picture")):
+            value = directory.tags.get(tag, ())
+            if isinstance(value, tuple):
+                pending += [(inner, int(v)) for v in value[:MAX_DIRECTORIES] if 0 < v < 1 << 32]
+        if kind == "picture":
+            pending.append(("picture", following))
+
+
+def directory_at(reader: Reader, place: int, order: str, kind: str) -> tuple[Directory, int]:
+    """One directory, and where the next of its chain is (0: nowhere).
+
+    Args:
+        reader: of the file.
+        place: byte after the base.
+        order: ``<`` or ``>``.
+        kind: for the directory's name.
+    """
+    tags: dict[int, Value] = {}
+    places: dict[int, int] = {}
+    head = reader.bytes_at(place, 2)
+    count = struct.unpack(order + "H", head)[0] if len(head) == 2 else 0
+    if count > MAX_ENTRIES:
+        return Directory(kind, tags, places), 0
+    table = reader.bytes_at(place + 2, 12 * count + 4)
+    for index in range(min(count, len(table) // 12)):
+        tag, type_, length = struct.unpack_from(order + "HHI", table, 12 * index)
+        inline = place + 2 + 12 * index + 8
+        size = _size(type_) * length
+        if size == 0 or size > MAX_VALUE_BYTES:
+            # Long tables (strip offsets) and unknown types say nothing that is looked for.
+            continue
+        where = inline
+        if size > 4:
+            (where,) = struct.unpack_from(order + "I", table, 12 * index + 8)
+        # Inline values lie in the table that was read.
+        data = table[12 * index + 8 :][:size] if size <= 4 else reader.bytes_at(where, size)
+        if len(data) == size:
+            tags[tag] = _value(type_, length, data, order)
+            places[tag] = reader.base + where
+    rest = table[12 * count :]
+    following = struct.unpack(order + "I", rest)[0] if len(rest) == 4 else 0
+    return Directory(kind, tags, places), following
+
+
+def _size(type_: int) -> int:
+    if type_ in _PAIRS:
+        return 8
+    return struct.calcsize("<" + _LETTERS[type_]) if type_ in _LETTERS else 0
+
+
+def _value(type_: int, length: int, data: bytes, order: str) -> Value:
+    if type_ in _PAIRS:
+        parts = struct.unpack(f"{order}{2 * length}{_PAIRS[type_]}", data)
+        pairs = zip(parts[::2], parts[1::2], strict=True)
+        return tuple(a / b if b else float("nan") for a, b in pairs)
+    letter = _LETTERS[type_]
+    if letter == "s":
+        return data
+    return tuple(struct.unpack(f"{order}{length}{letter}", data))
