@@ -1,0 +1,1 @@
+"""Calibration shots: photographs by which sessions can be measured, and how long they hold."""

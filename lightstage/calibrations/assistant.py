@@ -1,0 +1,83 @@
+"""Who is asked for each pose: the operator at the terminal, or nobody."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from lightstage.calibrations.run import Verdict
+from lightstage.findings import Finding
+
+Meaning = TypeVar("Meaning")
+
+
+class TerminalAssistant:
+    """Asks in plain words and waits for a line.
+
+    Args:
+        say: prints a line.
+        ask: prints a question and returns the answer; EOFError where nobody is there.
+    """
+
+    def __init__(self, say: Callable[[str], None], ask: Callable[[str], str]) -> None:
+        self._say = say
+        self._ask = ask
+
+    def ready(self, number: int, count: int, asked: str) -> bool:
+        """Ask for a pose; any answer but ``q`` takes it."""
+        self._say(f"Pose {number} of {count}: {asked}")
+        return self._answer("Enter takes it, q stops: ", {"": True, "q": False})
+
+    def judge(self, number: int, findings: Sequence[Finding]) -> Verdict:
+        """Tell what is amiss and ask what to do."""
+        for finding in findings:
+            self._say(f"  {finding}")
+        answers: dict[str, Verdict] = {"": "again", "k": "keep", "q": "stop"}
+        return self._answer(f"Pose {number}: Enter takes it again, k keeps it, q stops: ", answers)
+
+    def _answer(self, question: str, answers: dict[str, Meaning]) -> Meaning:
+        while True:
+            try:
+                said = self._ask(question).strip().lower()
+            except EOFError:
+                said = "q"  # nobody is there
+            if said in answers:
+                return answers[said]
+
+
+class UnattendedAssistant:
+    """Takes pose after pose with a pause between them, and again while any retakes are left.
+
+    Args:
+        say: prints a line.
+        pause_s: seconds before each pose, to change what is held.
+        retakes: of each pose.
+        sleep: waits.
+    """
+
+    def __init__(
+        self,
+        say: Callable[[str], None],
+        pause_s: float,
+        retakes: int,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._say = say
+        self._pause_s = pause_s
+        self._retakes = retakes
+        self._sleep = sleep
+        self._taken: dict[int, int] = {}
+
+    def ready(self, number: int, count: int, asked: str) -> bool:
+        """Tell what will be taken, and wait."""
+        self._say(f"Pose {number} of {count} in {self._pause_s:g} s: {asked}")
+        self._sleep(self._pause_s)
+        return True
+
+    def judge(self, number: int, findings: Sequence[Finding]) -> Verdict:
+        """Again while any retakes are left, then stop: what does not do is not kept unseen."""
+        for finding in findings:
+            self._say(f"  {finding}")
+        self._taken[number] = self._taken.get(number, 0) + 1
+        return "again" if self._taken[number] <= self._retakes else "stop"

@@ -1,0 +1,47 @@
+"""Who took the shots, so that it shows when the stage is no longer the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from lightstage.cameras.camera import Summary
+from lightstage.leds.controller import Hello
+from lightstage.rig import Rig, rig_to_json
+
+SETTINGS = (
+    "serial",
+    "model",
+    "firmware",
+    "iso",
+    "shutter",
+    "aperture",
+    "white_balance",
+    "image_format",
+    "focus",
+)
+"""Fields of a camera's Summary that are kept with calibration shots."""
+
+
+def rig_sha256(rig: Rig) -> str:
+    """SHA-256 of a rig's content, however its file is laid out."""
+    text = json.dumps(rig_to_json(rig), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def devices(told: Mapping[str, Summary], leds: Hello) -> dict[str, Any]:
+    """What calibration.json keeps of the devices, JSON-ready.
+
+    Args:
+        told: camera id to what it tells.
+        leds: the LED device.
+    """
+    return {
+        "cameras": {
+            camera_id: {name: getattr(summary, name) for name in SETTINGS}
+            for camera_id, summary in told.items()
+        },
+        "leds": {"firmware": leds.firmware, "light_count": leds.light_count},
+    }

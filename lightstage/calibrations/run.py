@@ -1,0 +1,233 @@
+"""Calibration shots pose by pose: asked for, taken as a session, looked at, kept or taken again."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from lightstage.calibrations.config import CalibrationConfig
+from lightstage.calibrations.fingerprint import devices, rig_sha256
+from lightstage.calibrations.folder import (
+    MANIFEST,
+    CalibrationFile,
+    Pose,
+    Shots,
+    new_shots,
+    newest_unfinished,
+    shots_id,
+)
+from lightstage.calibrations.kinds import Drive, Kind
+from lightstage.calibrations.pose import PoseLook, look_at_pose
+from lightstage.calibrations.stale import changes
+from lightstage.cameras.camera import Summary
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import CaptureError
+from lightstage.findings import Finding
+from lightstage.formats.files import sha256_file
+from lightstage.leds.controller import Hello
+from lightstage.rig import Rig, save_rig
+
+Verdict = Literal["keep", "again", "stop"]
+
+
+class PoseTaker(Protocol):
+    """Takes one pose as a session folder, by the same capture as a face."""
+
+    def __call__(self, root: Path, patterns: Sequence[str], drive: Drive) -> None:
+        """Take all patterns into `root`, or go on with what lies in it; whole when it returns.
+
+        Raises:
+            LightstageError: it could not be finished; what was taken is kept in `root`.
+        """
+
+
+class Assistant(Protocol):
+    """Who puts the target before the cameras."""
+
+    def ready(self, number: int, count: int, asked: str) -> bool:
+        """Ask for pose `number` of `count` and wait until it is held; False: stop here."""
+
+    def judge(self, number: int, findings: Sequence[Finding]) -> Verdict:
+        """What to do with a pose that does not show what it must."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CalibrationReport:
+    """What was done.
+
+    Attributes:
+        shots: the folder.
+        poses: taken in all.
+        now: of these, taken now.
+        again: poses that were taken again.
+        warnings: what was amiss and accepted.
+    """
+
+    shots: Shots
+    poses: int
+    now: int
+    again: int
+    warnings: int
+
+
+def begin_shots(
+    kind: Kind,
+    lab: Path,
+    rig: Rig,
+    told: Mapping[str, Summary],
+    leds: Hello,
+    config: CalibrationConfig,
+    now: datetime.datetime,
+    poses: int | None = None,
+    every_light: bool = False,
+) -> Shots:
+    """Make the folder of new shots, with its plan.
+
+    Args:
+        kind: which.
+        lab: the lab's folder.
+        rig: saved beside.
+        told: camera id to what it tells.
+        leds: the LED device.
+        config: how many poses, how long they hold.
+        now: with its zone.
+        poses: in place of the kind's own number.
+        every_light: see Kind.shown.
+    """
+    created = now.astimezone(datetime.UTC)
+    expires = created + datetime.timedelta(days=getattr(config.days, kind.name))
+    sha256 = rig_sha256(rig)
+    value: dict[str, Any] = {
+        "id": shots_id(kind.name, created.isoformat(), sha256),
+        "kind": kind.name,
+        "created_utc": created.isoformat(timespec="milliseconds"),
+        "expires_utc": expires.isoformat(timespec="milliseconds"),
+        "rig_sha256": sha256,
+        "devices": devices(told, leds),
+        "patterns": list(kind.shown(rig, every_light)),
+        "poses_wanted": poses or kind.poses(rig, config),
+        "target": dataclasses.asdict(config.board) if kind.name == "charuco" else {},
+    }
+    shots = new_shots(lab, CalibrationFile.model_validate(value))
+    save_rig(rig, shots.root / "rig.json")
+    return shots
+
+
+def resume_shots(
+    kind: Kind, lab: Path, rig: Rig, told: Mapping[str, Summary], leds: Hello
+) -> Shots:
+    """The newest unfinished shots of a kind, to go on with.
+
+    Raises:
+        FormatError: there are none.
+        CaptureError: the stage is another than when they were begun.
+    """
+    shots = newest_unfinished(lab, kind.name)
+    other = changes(shots, rig, told, leds)
+    if other:
+        raise CaptureError(
+            shots.root,
+            found="; ".join(found for _, found, _ in other),
+            expected="; ".join(expected for _, _, expected in other),
+            hint="Begin new shots: leave out --resume.",
+        )
+    return shots
+
+
+def take_poses(
+    kind: Kind,
+    shots: Shots,
+    rig: Rig,
+    take: PoseTaker,
+    assistant: Assistant,
+    config: CalibrationConfig,
+    progress: ProgressCallback = quiet,
+) -> CalibrationReport:
+    """Take the poses that are missing, and finish.
+
+    Args:
+        kind: which.
+        shots: begun, or gone on with.
+        rig: the stage.
+        take: the capture.
+        assistant: asked before each pose, and about poses that do not do.
+        config: limits.
+        progress: of poses.
+
+    Raises:
+        CaptureError: stopped before the end; what was taken is kept, and can be gone on with.
+        LightstageError: what the capture of a pose says.
+    """
+    again = now = 0
+    count = shots.file.poses_wanted
+    done = {pose.index for pose in shots.file.poses}
+    progress(len(done), count)
+    for index in range(count):
+        if index in done:
+            continue
+        while True:
+            if not assistant.ready(index + 1, count, kind.asks(rig, index)):
+                raise _stopped(shots, kind)
+            folder = _folder(shots, index)
+            take(shots.root / folder, shots.file.patterns, kind.drive)
+            look = look_at_pose(shots.root / folder, kind, index, config)
+            verdict: Verdict = "keep" if look.does else assistant.judge(index + 1, look.findings)
+            if verdict == "stop":
+                raise _stopped(shots, kind, look.findings)
+            if verdict == "keep":
+                break
+            again += 1
+        _keep(shots, kind, rig, index, folder, look)
+        now += 1
+        progress(len(shots.file.poses), count)
+    finished = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+    shots.file = shots.file.model_copy(update={"finished_utc": finished})
+    shots.save()
+    warnings = sum(len(pose.accepted) for pose in shots.file.poses)
+    return CalibrationReport(shots, len(shots.file.poses), now, again, warnings)
+
+
+def _folder(shots: Shots, index: int) -> str:
+    """The folder for a pose's next session, noted before it is made; an unfinished one goes on."""
+    takes = dict(shots.file.takes)
+    number = takes.get(str(index), 0)
+    if number and not (shots.root / _name(index, number) / "session.json").exists():
+        return _name(index, number)
+    takes[str(index)] = number + 1
+    shots.file = shots.file.model_copy(update={"takes": takes})
+    shots.save()
+    return _name(index, number + 1)
+
+
+def _name(index: int, take: int) -> str:
+    return f"pose-{index + 1:02d}" + (f".take{take}" if take > 1 else "")
+
+
+def _keep(shots: Shots, kind: Kind, rig: Rig, index: int, folder: str, look: PoseLook) -> None:
+    manifest = shots.root / folder / MANIFEST
+    pose = Pose(
+        index=index,
+        folder=folder,
+        faces=kind.faced(rig, index),
+        session_sha256=sha256_file(shots.root / folder / "session.json"),
+        manifest_sha256=sha256_file(manifest) if manifest.is_file() else None,
+        figures=look.figures,
+        accepted=[str(finding) for finding in look.findings],
+    )
+    poses = sorted([*shots.file.poses, pose], key=lambda each: each.index)
+    shots.file = shots.file.model_copy(update={"poses": poses})
+    shots.save()
+
+
+def _stopped(shots: Shots, kind: Kind, findings: Sequence[Finding] = ()) -> CaptureError:
+    done, count = len(shots.file.poses), shots.file.poses_wanted
+    said = "".join(f"; {finding.where}: {finding.found}" for finding in findings)
+    return CaptureError(
+        shots.root,
+        found=f"stopped after {done} of {count} poses{said}",
+        expected="all poses",
+        hint=f"Go on with: lightstage calibrate {kind.name} --resume (the same options).",
+    )

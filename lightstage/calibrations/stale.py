@@ -1,0 +1,196 @@
+"""Whether a lab's calibration shots still hold for this stage, and what a session records of them.
+
+Shots end to hold when their days are over, and at once when the rig, a camera, one of the settings
+that matter for their kind, or (where they show the LEDs' light) the LED firmware is another.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from lightstage.calibrations.config import CalibrationConfig, require_kind
+from lightstage.calibrations.fingerprint import rig_sha256
+from lightstage.calibrations.folder import Shots, lab_shots, latest
+from lightstage.calibrations.kinds import KINDS, Kind
+from lightstage.cameras.camera import Summary
+from lightstage.errors import LightstageError, one_error
+from lightstage.findings import Finding, Severity
+from lightstage.leds.controller import Hello
+from lightstage.rig import Rig
+
+
+@dataclasses.dataclass(frozen=True)
+class Used:
+    """What a session is told of its lab's calibration shots.
+
+    Attributes:
+        findings: `refuse` for each kind that is missing or no longer holds, `warn` where that was
+            allowed.
+        facts: for the journal's event ``calibration`` and the manifest, by kind: ``id``,
+            ``path`` (in the lab's folder), ``sha256`` of calibration.json, ``age_days``,
+            ``stale`` (what does not hold and was allowed).
+    """
+
+    findings: list[Finding]
+    facts: dict[str, dict[str, Any]]
+
+
+def use_calibrations(
+    lab: Path,
+    rig: Rig,
+    told: Mapping[str, Summary],
+    leds: Hello,
+    allow_stale: Collection[str] = (),
+    config: CalibrationConfig | None = None,
+    now: datetime.datetime | None = None,
+) -> Used:
+    """What `lightstage capture --calibration LAB --allow-stale KIND` asks before a light goes on.
+
+    Args:
+        lab: the lab's folder.
+        rig: the session's.
+        told: camera id to what it tells now.
+        leds: the LED device.
+        allow_stale: kinds that may be missing or stale; what is so is a warning then.
+        config: which kinds are wanted.
+        now: with its zone; the computer's clock by default.
+
+    Raises:
+        ConfigError: a name in `allow_stale` that is no kind.
+        FormatError: no such folder.
+    """
+    config = config or CalibrationConfig()
+    now = now or datetime.datetime.now(datetime.UTC)
+    for name in allow_stale:
+        require_kind(name, "--allow-stale")
+    findings: list[Finding] = []
+    facts: dict[str, dict[str, Any]] = {}
+    for name in config.wanted:
+        allowed = name in allow_stale
+        own = _findings(lab, KINDS[name], rig, told, leds, now, config, allowed)
+        findings += own
+        shots = latest(lab, name)
+        if shots is None:
+            facts[name] = {"id": None, "stale": [finding.found for finding in own]}
+            continue
+        facts[name] = {
+            "id": shots.file.id,
+            "path": shots.root.relative_to(lab).as_posix(),
+            "sha256": shots.sha256,
+            "age_days": round(shots.file.age_days(now), 3),
+            "stale": [finding.found for finding in own],
+        }
+    return Used(findings, facts)
+
+
+def stale(
+    lab: Path,
+    rig: Rig,
+    told: Mapping[str, Summary],
+    leds: Hello,
+    now: datetime.datetime,
+    config: CalibrationConfig,
+) -> list[Finding]:
+    """Why each wanted kind of shots does not hold for this stage; empty when all do.
+
+    Arguments as in `use_calibrations`; every finding has severity `refuse`.
+    """
+    return use_calibrations(lab, rig, told, leds, (), config, now).findings
+
+
+def changes(
+    shots: Shots, rig: Rig, told: Mapping[str, Summary], leds: Hello
+) -> list[tuple[str, str, str]]:
+    """What of the stage is another than when the shots were taken: code, found, expected."""
+    kind = KINDS[shots.file.kind]
+    out: list[tuple[str, str, str]] = []
+    if shots.file.rig_sha256 != rig_sha256(rig):
+        out.append(("rig-changed", "another rig.json", "the one with which they were taken"))
+    cameras = shots.file.devices.cameras
+    for camera_id, summary in told.items():
+        before = cameras.get(camera_id)
+        if before is None:
+            out.append(("camera-new", f"no photographs of {camera_id}", "some of every camera"))
+            continue
+        for name in kind.settings:
+            was, now = before.get(name), getattr(summary, name)
+            if was != now:
+                code = "camera-changed" if name in ("serial", "model") else "setting-changed"
+                out.append((code, f"{camera_id} with {_value(name, now)}", _value(name, was)))
+    firmware = shots.file.devices.leds.get("firmware")
+    if kind.lit and firmware != leds.firmware:
+        out.append(
+            ("firmware-changed", f"LED firmware {leds.firmware!r}", f"{firmware!r}, as then")
+        )
+    return out
+
+
+def _findings(
+    lab: Path,
+    kind: Kind,
+    rig: Rig,
+    told: Mapping[str, Summary],
+    leds: Hello,
+    now: datetime.datetime,
+    config: CalibrationConfig,
+    allowed: bool,
+) -> list[Finding]:
+    severity: Severity = "warn" if allowed else "refuse"
+    again = f"Take them again (lightstage calibrate {kind.name})"
+    hint = (
+        f"Allowed; {kind.gives} may be wrong in this session."
+        if allowed
+        else f"{again}, or go on without {kind.gives} (--allow-stale {kind.name})."
+    )
+
+    def finding(code: str, found: str, expected: str) -> Finding:
+        return Finding(severity, code, f"calibration {kind.name}", found, expected, hint)
+
+    shots = latest(lab, kind.name)
+    if shots is None:
+        _, damaged = lab_shots(lab)
+        said = f" ({one_error(damaged)})" if damaged else ""
+        return [finding("calibration-missing", f"no finished shots in {lab}{said}", "some")]
+    where = shots.root.name
+    age = shots.file.age_days(now)
+    if age < -config.clock_slack_s / 86400:
+        # Their true age is not known: neither they nor the clock can be trusted.
+        return [
+            finding(
+                "clock-backward",
+                f"{where}, made {duration(-age)} after now",
+                "shots made before now; is the computer's clock right?",
+            )
+        ]
+    out = []
+    if now >= shots.file.expires:
+        held = (shots.file.expires - shots.file.created).total_seconds() / 86400
+        out.append(
+            finding(
+                "calibration-expired", f"{where}, {duration(age)} old", f"at most {duration(held)}"
+            )
+        )
+    out += [
+        finding(code, f"{found}, since {where}", expected)
+        for code, found, expected in changes(shots, rig, told, leds)
+    ]
+    problems: list[LightstageError] = shots.changed()
+    if problems:
+        out.append(finding("calibration-damaged", str(one_error(problems)), f"{where} unchanged"))
+    return out
+
+
+def duration(days: float) -> str:
+    """Days in plain words."""
+    if days >= 2:
+        return f"{days:.0f} days"
+    hours = days * 24
+    return f"{hours:.0f} hours" if hours >= 2 else f"{hours * 60:.0f} minutes"
+
+
+def _value(name: str, value: str | None) -> str:
+    return f"{name.replace('_', ' ')} {value if value is not None else 'not told'}"
