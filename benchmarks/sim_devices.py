@@ -26,7 +26,8 @@ from lightstage.errors import LightstageError
 from lightstage.formats.session import load_session
 from lightstage.leds.serial_controller import SerialLeds, parse_url
 from lightstage.rig import Rig, default_rig
-from lightstage.sequence import SafetyConfig, plan_shots
+from lightstage.safety import SafetyConfig
+from lightstage.sequence import plan_shots
 from lightstage.session import SessionWriter
 from sim.camera.dng import Exif, dng_bytes
 from sim.camera.optics import own_rng

@@ -23,7 +23,8 @@ from lightstage.importing import import_session
 from lightstage.leds.serial_controller import SerialLeds, parse_url
 from lightstage.patterns import sequence_patterns
 from lightstage.rig import load_rig
-from lightstage.sequence import check_shots, plan_shots
+from lightstage.safety import check_shots
+from lightstage.sequence import plan_shots
 from lightstage.session import SessionWriter, check_pseudonym, read_colour, require_new
 
 app = make_app("Drive the light stage: capture a session, check it, import one taken elsewhere.")

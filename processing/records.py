@@ -19,7 +19,7 @@ from lightstage.formats.files import read_json, sha256_file, write_json
 
 SCHEMA = "processing.stages/1"
 REPORTED = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "pycolmap")
-CODE = ("processing", "lightstage/formats", "lightstage/rig.py", "lightstage/patterns.py")
+CODE = ("processing", "lightstage/formats", "lightstage/rig.py", "lightstage/patterns/names.py")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,7 +21,8 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import CaptureError, DeviceError, LightstageError, one_error
 from lightstage.leds.controller import LedController
 from lightstage.rig import Rig
-from lightstage.sequence import SafetyConfig, Shot
+from lightstage.safety import SafetyConfig
+from lightstage.sequence import Shot
 from lightstage.session import SessionWriter
 
 KEEP_AWAKE_S = 0.5

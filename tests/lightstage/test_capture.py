@@ -18,7 +18,8 @@ from lightstage.errors import CaptureError, DeviceError
 from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.session import load_session, state_hash
 from lightstage.leds.controller import Hello
-from lightstage.sequence import SafetyConfig, plan_shots
+from lightstage.safety import SafetyConfig
+from lightstage.sequence import plan_shots
 from lightstage.session import SessionWriter, read_journal
 
 FAST = CaptureConfig(trigger_lead_s=0.0, safety=SafetyConfig(light_interval_s=0.0))

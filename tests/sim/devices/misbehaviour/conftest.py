@@ -21,7 +21,8 @@ from lightstage.errors import LightstageError
 from lightstage.formats.session import load_session
 from lightstage.leds.serial_controller import SerialLeds, parse_url
 from lightstage.rig import Camera, Light, Rig, look_at
-from lightstage.sequence import SafetyConfig, plan_shots
+from lightstage.safety import SafetyConfig
+from lightstage.sequence import plan_shots
 from lightstage.session import SessionWriter, read_journal
 from sim.devices.faults import Fault, FaultLog, Story, read_fault_log
 from sim.devices.led_device import LedDevice

@@ -1,0 +1,142 @@
+"""Light from everywhere, as the stage's lights can show it: each gets what its directions send."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lightstage.errors import PatternError
+from lightstage.formats.environment import read_lights
+from lightstage.formats.exr import read_exr
+from lightstage.patterns.weights import shared_directions, solid_angles_sr
+from lightstage.rig import Rig
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Of linear sRGB, ITU-R BT.709."""
+SAMPLES_PER_LIGHT = 64
+MOST_SAMPLES = 2_000_000
+MOST_TEXELS = 2**26
+
+
+def surroundings_flux(path: Path, rig: Rig, rotate_deg: float = 0.0) -> np.ndarray:
+    """What each light of the stage must send for the stage to look like these surroundings.
+
+    A latitude-longitude picture's luminance is summed over each light's Voronoi cell, the
+    directions nearest to it; lights in one direction share it. Nothing of the picture is lost:
+    the sum over the lights is that over the picture. Row 0 looks up (+y), the middle column along
+    +z, and columns grow toward +x. A light set (`lightstage.environment/1`) gives each of its
+    lights to the cell it stands in, and its ambient light to all by their solid angles.
+
+    Args:
+        path: .exr or .hdr, twice as wide as high; or a light set, .json.
+        rig: the lights.
+        rotate_deg: turn of the surroundings about +y, +z toward +x.
+
+    Returns:
+        (n,) luminance times steradians, at least 0.
+
+    Raises:
+        PatternError: another kind of file or shape; NaN, infinite or negative values, with the
+            first one's place; no light at all.
+        FormatError: a damaged OpenEXR file, or a malformed light set.
+    """
+    kind = path.suffix.lower()
+    if kind not in (".exr", ".hdr", ".json"):
+        raise PatternError(path, found=kind or "no suffix", expected=".exr, .hdr or .json")
+    alone, cell = shared_directions(rig)
+    if kind == ".json":
+        lights = read_lights(path)
+        places = lights.position_mm / np.linalg.norm(lights.position_mm, axis=1, keepdims=True)
+        # A diffuser that faces a light of this much reads 1 / pi of what falls on it.
+        flux, ambient = np.pi * lights.rgb @ LUMINANCE, float(lights.ambient_rgb @ LUMINANCE)
+    else:
+        radiance = _read_picture(path)
+        flux, places = _samples(radiance @ LUMINANCE, SAMPLES_PER_LIGHT * len(alone))
+        ambient = 0.0
+    seen: np.ndarray = np.zeros(len(alone))
+    if len(places):
+        turn = np.radians(rotate_deg)
+        x, y, z = places.T
+        turned = np.stack(
+            [x * np.cos(turn) + z * np.sin(turn), y, z * np.cos(turn) - x * np.sin(turn)], axis=1
+        )
+        nearest = cKDTree(alone).query(turned)[1]
+        seen = np.bincount(nearest, weights=flux, minlength=len(alone))
+    total = seen[cell] / np.bincount(cell)[cell] + ambient * solid_angles_sr(rig)
+    if not total.any():
+        raise PatternError(path, found="no light at all", expected="surroundings that shine")
+    return np.asarray(total)
+
+
+def _read_picture(path: Path) -> np.ndarray:
+    """(h, 2 h, 3) float64 of a latitude-longitude picture, all of it at least 0."""
+    if not path.is_file():
+        raise PatternError(path, found="no such file", expected="a latitude-longitude picture")
+    if path.suffix.lower() == ".exr":
+        pixels = read_exr(path)
+    else:
+        read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if read is None or read.dtype != np.float32 or read.ndim != 3:
+            raise PatternError(
+                path, found="something else", expected="a whole Radiance HDR picture (RGBE)"
+            )
+        pixels = np.asarray(read)[:, :, ::-1]
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[:, :, None], 3, axis=2)
+    rows, columns = pixels.shape[:2]
+    if columns != 2 * rows or rows * columns > MOST_TEXELS:
+        raise PatternError(
+            path,
+            field="shape",
+            found=f"{columns} x {rows} pixels",
+            expected=f"twice as wide as high, at most {MOST_TEXELS} pixels",
+            hint="Is it a latitude-longitude picture? Convert cubes and mirror balls first.",
+        )
+    for bad, found in ((~np.isfinite(pixels), "NaN or infinite"), (pixels < 0, "negative")):
+        if bad.any():
+            row, column, channel = (int(i) for i in np.argwhere(bad)[0])
+            raise PatternError(
+                path,
+                field=f"row {row}, column {column}, {'RGB'[channel]}",
+                found=f"{int(bad.sum())} values that are {found}",
+                expected="light of at least 0",
+                hint="Clamp or repair the picture; no value is left out silently.",
+            )
+    return np.asarray(pixels, float)
+
+
+def _samples(luminance: np.ndarray, wanted: int) -> tuple[np.ndarray, np.ndarray]:
+    """A (h, 2 h) picture as points of light: (k,) luminance times steradians, (k, 3) directions.
+
+    Texels are cut into so many alike parts, or gathered into so many blocks, that there are
+    `wanted` points or more; a block's point lies where its light is, so that a small sun stays in
+    its own cell.
+    """
+    rows = len(luminance)
+    cut = int(np.ceil(np.sqrt(max(1.0, wanted / luminance.size))))
+    most = max(wanted, MOST_SAMPLES)
+    gather = next(g for g in range(1, rows + 1) if luminance.size / g**2 <= most or g == rows)
+    if cut > 1:
+        luminance = np.repeat(np.repeat(luminance, cut, axis=0), cut, axis=1)
+        rows *= cut
+    edges = np.cos(np.pi * np.arange(rows + 1) / rows)
+    texel_sr = (edges[:-1] - edges[1:]) * np.pi / rows
+    polar = np.pi * (np.arange(rows) + 0.5) / rows
+    azimuth = 2 * np.pi * ((np.arange(2 * rows) + 0.5) / (2 * rows) - 0.5)
+    fluxes, places = [], []
+    begins = np.arange(0, 2 * rows, gather)
+    for top in range(0, rows, gather):
+        part = slice(top, top + gather)
+        flux = luminance[part] * texel_sr[part, None]
+        sine = np.sin(polar[part])[:, None]
+        parts = [flux, flux * sine * np.sin(azimuth), flux * np.cos(polar[part])[:, None]]
+        parts.append(flux * sine * np.cos(azimuth))
+        sums = np.stack([np.add.reduceat(p.sum(axis=0), begins) for p in parts], axis=1)
+        sums = sums[sums[:, 0] > 0]
+        length = np.linalg.norm(sums[:, 1:], axis=1, keepdims=True)
+        fluxes.append(sums[:, 0])
+        places.append(sums[:, 1:] / np.where(length > 0, length, 1.0))
+    return np.concatenate(fluxes), np.concatenate(places)
