@@ -29,11 +29,13 @@ class CameraEntry:
         virtual_folder: folder of libgphoto2's virtual camera.
         driver: ``package.module:name``, called with the port, of a camera that is not
             libgphoto2's.
+        expect: what this camera must tell, by Summary's names, over what all must.
     """
 
     port: str | None = None
     virtual_folder: Path | None = None
     driver: str | None = None
+    expect: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,10 +44,12 @@ class CamerasFile:
 
     Attributes:
         allow_unverifiable: names of what a camera may be unable to tell (of VERIFIABLE).
+        expect: what every camera must tell, by Summary's names.
         cameras: camera id to where it is.
     """
 
     allow_unverifiable: tuple[str, ...] = ()
+    expect: dict[str, str] = dataclasses.field(default_factory=dict)
     cameras: dict[str, CameraEntry] = dataclasses.field(default_factory=dict)
 
 

@@ -1,1 +1,20 @@
 """What is made sure before a light goes on, and that it stays so."""
+
+from lightstage.preflight.check import preflight, require
+from lightstage.preflight.config import Plan, PreflightConfig
+from lightstage.preflight.drift import drift
+from lightstage.preflight.photograph import photograph_findings
+from lightstage.preflight.privacy import clear_privacy
+from lightstage.preflight.skew import SkewReport, skew_findings
+
+__all__ = [
+    "Plan",
+    "PreflightConfig",
+    "SkewReport",
+    "clear_privacy",
+    "drift",
+    "photograph_findings",
+    "preflight",
+    "require",
+    "skew_findings",
+]

@@ -1,0 +1,92 @@
+"""Everything that is made sure before a light goes on, in one message."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from lightstage.cameras.binding import CamerasFile
+from lightstage.cameras.camera import Summary
+from lightstage.errors import DeviceError, LightstageError, one_error
+from lightstage.findings import Finding
+from lightstage.leds.controller import LedController
+from lightstage.preflight.config import Plan, PreflightConfig
+from lightstage.preflight.disk import card_findings, computer_clock_findings, disk_findings
+from lightstage.preflight.privacy import privacy_findings
+from lightstage.preflight.pulses import pulse_findings
+from lightstage.preflight.settings import settings_findings
+from lightstage.rig import Rig
+
+
+def preflight(
+    rig: Rig,
+    told: Mapping[str, Summary],
+    file: CamerasFile,
+    leds: LedController,
+    out: Path,
+    plan: Plan,
+    config: PreflightConfig,
+) -> list[Finding]:
+    """Look at lights, cameras, disk and clocks; nothing is changed but for a trial file.
+
+    Args:
+        rig: lights and cameras wanted.
+        told: camera id to what it tells now.
+        file: what is expected of the cameras, and what may stay unverified.
+        leds: open.
+        out: the session's folder, new or to be resumed.
+        plan: what is about to be taken.
+        config: limits.
+
+    Returns:
+        All that was found; `require` raises on what forbids a capture.
+    """
+    shutters = {camera_id: summary.shutter for camera_id, summary in told.items()}
+    return [
+        *_led_findings(rig, leds),
+        *pulse_findings(shutters, leds.pulse_hz, plan.lowest_level, config),
+        *settings_findings(told, file, config),
+        *privacy_findings(told),
+        *card_findings(rig, told, plan, config),
+        *disk_findings(rig, out, plan, config),
+        *computer_clock_findings(out, config),
+    ]
+
+
+def require(findings: Sequence[Finding]) -> None:
+    """DeviceError with everything that forbids a capture, in one message."""
+    problems: list[LightstageError] = [
+        DeviceError(f.where, found=f.found, expected=f.expected, hint=f.hint)
+        for f in findings
+        if f.severity == "refuse"
+    ]
+    if problems:
+        raise one_error(problems)
+
+
+def _led_findings(rig: Rig, leds: LedController) -> list[Finding]:
+    findings = []
+    count = leds.hello.light_count
+    if count != len(rig.lights):
+        findings.append(
+            Finding(
+                "refuse",
+                "light-count",
+                "LED device, light count",
+                str(count),
+                f"{len(rig.lights)} (rig.json)",
+                "Is this the rig file of this stage?",
+            )
+        )
+    if not leds.acknowledged:
+        findings.append(
+            Finding(
+                "warn",
+                "unacknowledged",
+                "LED device",
+                "a device that does not acknowledge",
+                "one that tells what is lit",
+                "Every photograph is recorded as taken under unacknowledged light.",
+            )
+        )
+    return findings

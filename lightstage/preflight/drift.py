@@ -1,0 +1,69 @@
+"""What changed between two looks at a camera: its settings must not; its battery does."""
+
+from __future__ import annotations
+
+from lightstage.cameras.camera import Summary
+from lightstage.findings import Finding
+from lightstage.preflight.privacy import FIELDS, is_empty
+from lightstage.preflight.values import same_value
+
+FIXED = (
+    *("serial", "model", "firmware", "mode", "iso", "shutter", "aperture"),
+    *("white_balance", "image_format", "focus"),
+)
+"""What decides how a photograph comes out; a change blocks."""
+BY_THEMSELVES = ("battery_percent", "card_free_bytes", "clock_offset_s")
+"""What changes while a camera works; preflight has limits for them."""
+
+
+def drift(before: Summary, now: Summary, camera_id: str = "") -> list[Finding]:
+    """What is not as it was: before and after a shot, or when a capture is resumed.
+
+    Values compare by meaning. A field that can no longer be told blocks like one that changed; one
+    that only now is told is noted. Battery, card space and clock change by themselves. Owner,
+    artist, copyright and place block when they are no longer empty, and what they say is not told.
+
+    Args:
+        before: what the camera told.
+        now: what it tells.
+        camera_id: for the message.
+    """
+    where = f"camera {camera_id}" if camera_id else "camera"
+    findings = []
+    for name in FIXED:
+        old, new = getattr(before, name), getattr(now, name)
+        if old is None and new is None:
+            continue
+        place, camera = f"{where}, {name}", camera_id or None
+        if old is None:
+            said = f"{new}, which it did not tell before"
+            findings.append(Finding("note", "told-now", place, said, "as before", camera=camera))
+        elif new is None or not same_value(name, old, new):
+            said = "that it no longer tells" if new is None else new
+            was = f"{old}, as before"
+            findings.append(
+                Finding("refuse", "drift", place, said, was, _hint(name, old), camera=camera)
+            )
+    for name in FIELDS:
+        old, new = getattr(before, name), getattr(now, name)
+        if new is not None and not is_empty(name, new) and (old is None or is_empty(name, old)):
+            findings.append(
+                Finding(
+                    "refuse",
+                    "drift",
+                    f"{where}, {name}",
+                    "no longer empty",
+                    "empty, as before",
+                    "Clear it in the camera's menu.",
+                    camera=camera_id or None,
+                )
+            )
+    return findings
+
+
+def _hint(name: str, old: str) -> str:
+    if name in ("serial", "model"):
+        return "Another camera is connected: connect the one that was there."
+    if name == "firmware":
+        return "Its firmware was changed: begin a new session."
+    return f"Set it back to {old}; photographs since then do not compare with those before."
