@@ -1,13 +1,11 @@
-"""What capture costs: acknowledged light over the wire, and nine supervised cameras a shot.
+"""What capture costs: nine supervised cameras a shot.
 
-Peers, in the same run: the same bytes echoed over the same pseudo-terminal without framing; and
-plain python-gphoto2, camera after camera, as a script without this project would take a shot.
+Peer, in the same run: plain python-gphoto2, camera after camera, as a script without this project
+would take a shot. (Acknowledged light over the wire: benchmarks/leds.py.)
 """
 
 from __future__ import annotations
 
-import binascii
-import hashlib
 import os
 import statistics
 import struct
@@ -15,34 +13,19 @@ import subprocess
 import sys
 import tempfile
 import time
-import tty
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-import serial
-from cobs import cobs
 
 from benchmarks.record import record
 from lightstage.cameras.binding import close_cameras, open_cameras
 from lightstage.cameras.process import CameraProcess
-from lightstage.formats.session import state_hash
-from lightstage.leds.serial_controller import SerialAddress, SerialLeds
 from lightstage.rig import default_rig
 from lightstage.session import SessionWriter
 
-LIGHTS = 168
-FRAMES = 1500
 CAMERAS = 9
 PORT = "usb:001,001"
-
-ECHO = """
-import os, sys
-handle = int(sys.argv[1])
-while True:
-    os.write(handle, os.read(handle, 65536))
-"""
 
 PLAIN = """
 import hashlib, os, sys
@@ -61,88 +44,6 @@ for line in sys.stdin:
             hashlib.file_digest(saved, "sha256")
     print("done", flush=True)
 """
-
-
-def far_end(handle: int) -> None:
-    """A device that answers as docs/led_wire.md says, in a process of its own."""
-    pending, counts = b"", b"\0" * (2 * LIGHTS)
-    while True:
-        *frames, pending = (pending + os.read(handle, 65536)).split(b"\0")
-        for frame in frames:
-            packet = cobs.decode(frame)
-            kind, sequence = packet[1], packet[2:4]
-            reply, payload = b"\x20", b""
-            if kind == 0x01:
-                reply, payload = b"\x02", struct.pack("<IH", 1, LIGHTS) + b"bench"
-            else:
-                counts = packet[6:-2] if kind == 0x10 else counts
-                payload = hashlib.sha256(counts).digest()
-            body = b"\x01" + reply + sequence + payload
-            body += struct.pack("<H", binascii.crc_hqx(body, 0xFFFF))
-            os.write(handle, cobs.encode(body) + b"\0")
-
-
-def milliseconds(action: Callable[[int], None], count: int) -> np.ndarray:
-    """(count,) ms that each call took."""
-    took = np.empty(count)
-    for index in range(count):
-        begun = time.perf_counter()
-        action(index)
-        took[index] = 1e3 * (time.perf_counter() - begun)
-    return took
-
-
-def wire_rows() -> list[list[object]]:
-    """Latency of a plain echo and of an acknowledged light state, on pseudo-terminals."""
-    rng = np.random.default_rng(0)
-    states = rng.integers(0, 65536, (FRAMES, LIGHTS)) / 65535
-    size = 2 * LIGHTS + 11
-    results = {}
-    wrong = {"echo": 0, "acknowledged": 0}
-    for name, script in (("echo", ECHO), ("acknowledged", "")):
-        master, slave = os.openpty()
-        for end in (master, slave):
-            tty.setraw(end)
-        command = [sys.executable, "-m", "benchmarks.acquisition", "far-end", str(master)]
-        if script:
-            command = [sys.executable, "-c", script, str(master)]
-        peer = subprocess.Popen(command, pass_fds=[master], cwd=Path(__file__).parents[1])
-        try:
-            if script:
-                with serial.Serial(os.ttyname(slave), timeout=5) as port:
-
-                    def echo(index: int, port: serial.Serial = port) -> None:
-                        data = states[index].tobytes()[:size]
-                        port.write(data)
-                        wrong["echo"] += port.read(size) != data
-
-                    results[name] = milliseconds(echo, FRAMES)
-            else:
-                with SerialLeds(SerialAddress(os.ttyname(slave))) as leds:
-
-                    def light(index: int, leds: SerialLeds = leds) -> None:
-                        driven = leds.light(states[index])
-                        wrong["acknowledged"] += state_hash(driven) != state_hash(states[index])
-
-                    results[name] = milliseconds(light, FRAMES)
-        finally:
-            peer.kill()
-            peer.wait()
-            os.close(master)
-            os.close(slave)
-    base = float(np.median(results["echo"]))
-    said = {"echo": "plain echo of the same bytes", "acknowledged": "SET, CRC, LIT with its hash"}
-    return [
-        [
-            said[name],
-            f"{1e3 / took.mean():.0f}",
-            f"{np.median(took):.3f}",
-            f"{np.percentile(took, 99):.3f}",
-            wrong[name],
-            f"{np.median(took) / base:.2f}",
-        ]
-        for name, took in results.items()
-    ]
 
 
 def photograph(size: int, seed: int) -> bytes:
@@ -255,15 +156,6 @@ def _ours(
 
 
 def main() -> None:
-    if sys.argv[1:2] == ["far-end"]:
-        far_end(int(sys.argv[2]))
-    record(
-        "Acquisition: light over the wire",
-        ["exchange", "per second", "median ms", "99th percentile ms", "wrong", "ratio"],
-        wire_rows(),
-        f"{FRAMES} states of {LIGHTS} lights over a pseudo-terminal, the far end in a process of "
-        "its own.",
-    )
     with tempfile.TemporaryDirectory() as name:
         rows = shot_rows(1_556_000, 12, Path(name)) + shot_rows(25_000_000, 4, Path(name))
     record(

@@ -24,7 +24,7 @@ from lightstage.capture import CaptureConfig, capture, connect
 from lightstage.checks import check_session
 from lightstage.errors import LightstageError
 from lightstage.formats.session import load_session
-from lightstage.leds.serial_controller import SerialLeds, parse_url
+from lightstage.leds.opening import open_leds
 from lightstage.rig import Rig, default_rig
 from lightstage.safety import SafetyConfig
 from lightstage.sequence import plan_shots
@@ -88,7 +88,7 @@ def one_capture(rig: Rig, desk: Path, faults: Sequence[Fault], seed: int) -> tup
     try:
         with (
             LedDevice(len(banks), show, 1, story, log, banks) as device,
-            SerialLeds(parse_url(device.url(0.5, 4))) as lights,
+            open_leds(device.url(0.5, 4), len(banks)) as lights,
         ):
             connect(rig, lights, cameras, [])
             writer = SessionWriter(root, rig, PATTERNS, "card", "neutral", {})

@@ -20,7 +20,8 @@ from lightstage.checks import check_session
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.importing import import_session
-from lightstage.leds.serial_controller import SerialLeds, parse_url
+from lightstage.leds.address import parse_url
+from lightstage.leds.opening import open_leds
 from lightstage.patterns import sequence_patterns
 from lightstage.rig import load_rig
 from lightstage.safety import check_shots
@@ -59,12 +60,12 @@ def capture_command(
     if config is not None:
         settings = make_config(CaptureConfig, read_toml(config), config)
     address = parse_url(leds)
-    worst_s = worst_shot_s(settings, address.timeout_s * address.attempts)
+    worst_s = worst_shot_s(settings, address.worst_s)
     check_shots(shots, the_rig, settings.safety, worst_s)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
     calibration = None if colour is None else read_colour(colour, the_rig)
 
-    with SerialLeds(address) as lights:
+    with open_leds(address, len(the_rig.lights)) as lights:
         devices = find_cameras(the_rig, file, settings.camera_deadline_s, detect_ports)
         try:
             told = connect(the_rig, lights, devices, file.allow_unverifiable)

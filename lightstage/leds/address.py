@@ -1,8 +1,216 @@
-"""Where an LED device is and how it is spoken to: one URL."""
+"""Where an LED device is and how it is spoken to: one URL, read and checked."""
 
 from __future__ import annotations
 
-from lightstage.leds.serial_controller import SerialAddress as Address
-from lightstage.leds.serial_controller import parse_url
+import dataclasses
+import re
+import typing
+import urllib.parse
 
-__all__ = ["Address", "parse_url"]
+from lightstage.errors import ConfigError, LightstageError, one_error
+from lightstage.formats.config import make_config
+
+SACN_PORT = 5568
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What every URL may say.
+
+    Attributes:
+        timeout_s: how long one attempt waits for its answer, or for the port to take the bytes.
+        attempts: how often a request is sent before the device counts as silent; without
+            acknowledgement, how often each state is sent.
+        pulse_hz: how often a second the lights are switched to dim them, where it is known: an
+            exposure should last whole pulses.
+    """
+
+    timeout_s: float = 2.0
+    attempts: int = 3
+    pulse_hz: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class SerialOptions(Options):
+    """Our own protocol on a serial port.
+
+    Attributes:
+        baud: line speed.
+    """
+
+    baud: int = 921600
+
+
+@dataclasses.dataclass(frozen=True)
+class AdalightOptions(Options):
+    """Adalight on a serial port.
+
+    Attributes:
+        baud: line speed.
+        colour: RRGGBB that full level shall have; a white mixed of unequal primaries.
+        order: in which the LEDs take their three bytes.
+        gamma: of the device: its light goes with (value / 255) ** gamma.
+        settle_s: after the last byte is out until the light counts as settled.
+    """
+
+    attempts: int = 2
+    baud: int = 115200
+    colour: str = "ffffff"
+    order: str = "rgb"
+    gamma: float = 1.0
+    settle_s: float = 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class SacnOptions(Options):
+    """E1.31 (sACN) over UDP.
+
+    Attributes:
+        universe: of the first light; the following lights fill those after it.
+        priority: 0 to 200 [ANSI-E131-2018].
+        channels: slots of a light, all driven alike (or pairs of slots, with 16 bits).
+        bits: 8, or 16 as a coarse and a fine slot.
+        gamma: of the device: its light goes with (value / full) ** gamma.
+        settle_s: after the last packet until the light counts as settled.
+        interface: address of the network card by which multicast leaves; the system's choice.
+    """
+
+    universe: int = 1
+    priority: int = 100
+    channels: int = 1
+    bits: int = 8
+    gamma: float = 1.0
+    settle_s: float = 0.05
+    interface: str = ""
+
+
+OPTIONS: dict[str, type[Options]] = {
+    "serial": SerialOptions,
+    "pty": Options,
+    "socket": Options,
+    "adalight": AdalightOptions,
+    "sacn": SacnOptions,
+}
+EXPECTED = (
+    "serial:///dev/ttyX?baud=.., pty:///dev/pts/N, socket://HOST:PORT, "
+    "adalight:///dev/ttyX?baud=.., sacn://HOST or sacn://multicast?universe=.."
+)
+RANGES: dict[str, tuple[float, float]] = {
+    "timeout_s": (1e-3, 3600),
+    "attempts": (1, 100),
+    "pulse_hz": (1, 1e7),
+    "baud": (300, 1e8),
+    "gamma": (0.1, 10),
+    "settle_s": (0, 60),
+    "universe": (1, 63999),
+    "priority": (0, 200),
+    "channels": (1, 16),
+    "bits": (8, 16),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Address:
+    """A URL that was read.
+
+    Attributes:
+        scheme: serial, pty, socket, adalight or sacn.
+        place: device file, or host.
+        port: of the host; 0 for device files.
+        options: what stood behind the question mark.
+    """
+
+    scheme: str
+    place: str
+    port: int
+    options: Options
+
+    @property
+    def worst_s(self) -> float:
+        """After so long a request has failed."""
+        return self.options.timeout_s * self.options.attempts
+
+    def __str__(self) -> str:
+        return self.place if not self.port else f"{self.place}:{self.port}"
+
+
+def parse_url(url: str) -> Address:
+    """Read the URL of an LED device (docs/led_wire.md).
+
+    Raises:
+        ConfigError: another scheme, an unknown key, or values out of range: all in one message.
+    """
+    try:
+        parts = urllib.parse.urlsplit(url)
+        host, port = parts.hostname or "", parts.port
+    except ValueError as error:
+        raise ConfigError("--leds", found=f"{url!r} ({error})", expected=EXPECTED) from None
+    cls = OPTIONS.get(parts.scheme)
+    network = parts.scheme in ("socket", "sacn")
+    path = urllib.parse.unquote(parts.path)
+    empty = not host if network else not path.strip("/")
+    misplaced = path.strip("/") if network else parts.netloc
+    if parts.scheme == "sacn":
+        port = SACN_PORT if port is None else port
+    unported = network and not port
+    if cls is None or empty or misplaced or unported or parts.fragment or "@" in parts.netloc:
+        raise ConfigError("--leds", found=repr(url), expected=EXPECTED)
+    options = _options(cls, parts.query)
+    return Address(parts.scheme, host if network else path, port or 0, options)
+
+
+def _options(cls: type[Options], query: str) -> Options:
+    hints = typing.get_type_hints(cls)
+    known = ", ".join(sorted(hints))
+    problems: list[LightstageError] = []
+    values: dict[str, object] = {}
+
+    def fault(key: str, found: str, expected: str) -> None:
+        problems.append(ConfigError("--leds", field=key, found=found, expected=expected))
+
+    for key, text in urllib.parse.parse_qsl(query, keep_blank_values=True):
+        if key not in hints:
+            fault(key, "an unknown key", f"one of {known}")
+        elif key in values:
+            fault(key, "two values", "one")
+        elif hints[key] is str:
+            values[key] = text
+        else:
+            whole = hints[key] is int
+            number = _number(text, whole)
+            low, high = RANGES[key]
+            if number is None or not low <= number <= high:
+                fault(key, repr(text), f"a {'whole ' * whole}number from {low:g} to {high:g}")
+            values[key] = number
+    if not problems:
+        options = make_config(cls, values, "--leds")
+        problems += _unfit(options)
+    if problems:
+        raise one_error(problems)
+    return options
+
+
+def _number(text: str, whole: bool) -> float | int | None:
+    try:
+        return int(text) if whole else float(text)
+    except ValueError:
+        return None
+
+
+def _unfit(options: Options) -> list[LightstageError]:
+    """What is wrong with values that are not mere numbers."""
+    found: list[tuple[str, str, str]] = []
+    if isinstance(options, AdalightOptions):
+        if not re.fullmatch("[0-9a-fA-F]{6}", options.colour) or not int(options.colour, 16):
+            found.append(("colour", options.colour, "RRGGBB, hexadecimal, not black"))
+        if sorted(options.order) != ["b", "g", "r"]:
+            found.append(("order", options.order, "rgb in any order"))
+    if isinstance(options, SacnOptions):
+        if options.bits not in (8, 16):
+            found.append(("bits", str(options.bits), "8 or 16"))
+        if options.interface and not re.fullmatch(r"\d+(\.\d+){3}", options.interface):
+            found.append(("interface", options.interface, "an IPv4 address of this machine"))
+    return [
+        ConfigError("--leds", field=key, found=repr(value), expected=expected)
+        for key, value, expected in found
+    ]

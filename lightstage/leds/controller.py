@@ -19,14 +19,19 @@ class Hello:
     """Who an LED device says it is.
 
     Attributes:
-        boot_id: changes whenever the device was reset (and went dark).
+        boot_id: changes whenever the device was reset (and went dark); 0 where it cannot tell.
         light_count: how many lights it drives.
         firmware: its version text.
+        watchdog_s: after so long without a packet it goes dark by itself; None where it is not
+            known to do so.
+        pulse_hz: how often a second it switches its lights to dim them; None where not told.
     """
 
     boot_id: int
     light_count: int
     firmware: str
+    watchdog_s: float | None = None
+    pulse_hz: float | None = None
 
 
 class LedController(Protocol):
@@ -59,10 +64,13 @@ class LedController(Protocol):
         """
 
     def confirm(self) -> None:
-        """Ask what is lit (this also keeps the device awake); DeviceError unless as last set."""
+        """Ask what is lit (this also keeps the device awake); DeviceError unless as last set.
+
+        Without acknowledgement the state is sent again; DeviceError where that fails.
+        """
 
     def dark(self) -> None:
-        """All lights off, acknowledged."""
+        """All lights off, acknowledged. Does not wait for another thread's request to fail."""
 
     def recover(self) -> Hello:
         """After LightLostError: open what was closed, greet the device again, all lights off.
@@ -73,3 +81,24 @@ class LedController(Protocol):
 
     def close(self) -> None:
         """Give the port back; lights stay as they are."""
+
+
+def level_steps(levels: np.ndarray, full: int) -> np.ndarray:
+    """Levels in a device's whole steps.
+
+    Args:
+        levels: (n,) in 0..1.
+        full: step of level 1.
+
+    Returns:
+        (n,) int64 in 0..full, rounded to the nearest.
+
+    Raises:
+        DeviceError: NaN or out of range; a level is refused, never clipped.
+    """
+    values = np.asarray(levels, float)
+    if values.ndim != 1 or not ((values >= 0) & (values <= 1)).all():
+        raise DeviceError(
+            "levels", found=f"shape {values.shape}, not all in 0..1", expected="(n,) in 0..1"
+        )
+    return np.round(values * full).astype(np.int64)

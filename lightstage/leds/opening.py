@@ -2,20 +2,86 @@
 
 from __future__ import annotations
 
-from lightstage.leds.serial_controller import SerialLeds, parse_url
+from types import TracebackType
+from typing import Protocol, Self
+
+from lightstage.errors import ConfigError
+from lightstage.leds.adalight import AdalightLeds
+from lightstage.leds.address import (
+    AdalightOptions,
+    Address,
+    SacnOptions,
+    SerialOptions,
+    parse_url,
+)
+from lightstage.leds.controller import LedController
+from lightstage.leds.line import Line, SocketLine
+from lightstage.leds.sacn import SacnLeds
+from lightstage.leds.serial_port import SerialPort
+from lightstage.leds.wire_leds import WireLeds
+
+BITS_A_BYTE = 10
+"""On a serial line, with start and stop bit."""
 
 
-def open_leds(url: str, light_count: int) -> SerialLeds:
+class OpenLeds(LedController, Protocol):
+    """A controller that closes itself at the end of a `with`."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
+    ) -> None: ...
+
+
+def open_leds(url: str | Address, light_count: int) -> OpenLeds:
     """Open the LED device of a URL (docs/led_wire.md); use as a context manager.
 
     Args:
-        url: as `--leds` takes it.
-        light_count: lights that the rig has; a device that tells its own is not believed blindly:
-            a capture compares.
+        url: as `--leds` takes it, or what `parse_url` made of it.
+        light_count: lights of the rig. A device of our own protocol tells how many it has
+            (`hello.light_count`): a capture compares.
 
     Raises:
-        ConfigError: a malformed URL.
+        ConfigError: a malformed URL, or a line too slow for so many lights.
         DeviceError: nobody there, or in use by another program.
     """
-    assert light_count > 0
-    return SerialLeds(parse_url(url))
+    address = parse_url(url) if isinstance(url, str) else url
+    options = address.options
+    where = f"LED device at {address}"
+    if isinstance(options, SacnOptions):
+        return SacnLeds(address.place, address.port, light_count, options)
+    if isinstance(options, AdalightOptions):
+        needed_s = _transfer_s(6 + 3 * light_count, options.baud) * options.attempts
+
+        def port() -> SerialPort:
+            return SerialPort(address.place, options.baud, options.timeout_s + needed_s)
+
+        return AdalightLeds(where, port, light_count, options)
+
+    def line() -> Line:
+        if address.scheme == "socket":
+            return SocketLine(address.place, address.port, options.timeout_s)
+        if isinstance(options, SerialOptions):
+            return SerialPort(address.place, options.baud, options.timeout_s)
+        return SerialPort(address.place, timeout_s=options.timeout_s)
+
+    if isinstance(options, SerialOptions):
+        needed_s = _transfer_s(12 + 2 * light_count, options.baud)
+        if needed_s > options.timeout_s / 2:
+            raise ConfigError(
+                "--leds",
+                field="timeout_s",
+                found=f"{options.timeout_s:g} for {light_count} lights, whose levels alone take "
+                f"{needed_s:.2g} s at {options.baud} baud",
+                expected=f"at least {2 * needed_s:.2g}, or a faster line",
+            )
+    return WireLeds(where, line, options.timeout_s, options.attempts, options.pulse_hz)
+
+
+def _transfer_s(size: int, baud: int) -> float:
+    return size * BITS_A_BYTE / baud

@@ -11,8 +11,7 @@ import struct
 import numpy as np
 from cobs import cobs
 
-from lightstage.errors import DeviceError
-from lightstage.leds.controller import Hello
+from lightstage.leds.controller import Hello, level_steps
 
 VERSION = 1
 FULL = 65535
@@ -115,12 +114,7 @@ def level_counts(levels: np.ndarray) -> np.ndarray:
     Raises:
         DeviceError: NaN or out of range; a level is refused, never clipped.
     """
-    values = np.asarray(levels, float)
-    if values.ndim != 1 or not ((values >= 0) & (values <= 1)).all():
-        raise DeviceError(
-            "levels", found=f"shape {values.shape}, not all in 0..1", expected="(n,) in 0..1"
-        )
-    return np.round(values * FULL).astype("<u2")
+    return level_steps(levels, FULL).astype("<u2")
 
 
 def set_payload(counts: np.ndarray) -> bytes:
@@ -134,14 +128,35 @@ def lit_payload(counts: np.ndarray) -> bytes:
 
 
 def parse_hello(payload: bytes) -> Hello:
-    """HELLO's fields; WireError when it is too short or no UTF-8."""
+    """HELLO's fields; WireError when it is too short, no UTF-8, or a known field is no number.
+
+    What stands behind the firmware's text is divided by zero bytes: ``name=value``. Unknown names
+    are passed over; a device that says nothing there has no watchdog that is known of.
+    """
     if len(payload) < 6:
         raise WireError(f"a HELLO of {len(payload)} bytes")
     boot_id, count = struct.unpack_from("<IH", payload)
     try:
-        return Hello(boot_id, count, payload[6:].decode())
+        firmware, *fields = payload[6:].decode().split("\0")
     except UnicodeDecodeError as error:
         raise WireError(str(error)) from None
+    told = dict(field.split("=", 1) for field in fields if "=" in field)
+    watchdog_ms, pulse_hz = _positive(told, "watchdog_ms"), _positive(told, "pulse_hz")
+    watchdog_s = None if watchdog_ms is None else watchdog_ms / 1e3
+    return Hello(boot_id, count, firmware, watchdog_s, pulse_hz)
+
+
+def _positive(told: dict[str, str], name: str) -> float | None:
+    """A field's number; None where it is not told."""
+    if name not in told:
+        return None
+    try:
+        value = float(told[name])
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e9:
+        raise WireError(f"{name}={told[name]}")
+    return value
 
 
 def parse_refused(payload: bytes) -> str:

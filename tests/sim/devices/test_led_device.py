@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.errors import DeviceError
-from lightstage.leds.serial_controller import SerialLeds, parse_url
+from lightstage.leds.opening import open_leds
 from sim.devices.led_device import LedDevice
 from sim.devices.led_protocol import LedProtocol, Shining
 
@@ -167,7 +167,7 @@ def test_packets_arrive_whole_however_the_line_cuts_them(cuts):
 def test_the_driver_lights_the_device_through_a_pseudo_terminal():
     shown: list[np.ndarray] = []
     with LedDevice(4, shown.append) as device:
-        with SerialLeds(parse_url(device.url(5.0))) as leds:
+        with open_leds(device.url(5.0), 4) as leds:
             assert leds.hello.light_count == 4
             driven = leds.light(np.array([0.0, 0.25, 0.5, 1.0]))
             leds.dark()
@@ -184,7 +184,7 @@ def test_a_lamp_that_fails_is_not_acknowledged():
 
     with LedDevice(2, broken) as device:
         with (
-            SerialLeds(parse_url(device.url(0.3))) as leds,
+            open_leds(device.url(0.3), 2) as leds,
             pytest.raises(DeviceError, match="no answer"),
         ):
             leds.light(np.ones(2))

@@ -19,7 +19,7 @@ from lightstage.cameras.process import CameraProcess
 from lightstage.capture import CaptureConfig, capture, connect
 from lightstage.errors import LightstageError
 from lightstage.formats.session import load_session
-from lightstage.leds.serial_controller import SerialLeds, parse_url
+from lightstage.leds.opening import open_leds
 from lightstage.rig import Camera, Light, Rig, look_at
 from lightstage.safety import SafetyConfig
 from lightstage.sequence import plan_shots
@@ -147,7 +147,7 @@ class Stage:
         said, writer, cameras = "", None, []
         with LedDevice(len(self.rig.lights), show, 1, story, log, banks) as device:
             try:
-                with SerialLeds(parse_url(device.url(timeout_s, attempts))) as lights:
+                with open_leds(device.url(timeout_s, attempts), len(banks)) as lights:
                     ports = {c.id: str(bodies.folder(c.id)) for c in self.rig.cameras}
                     cameras = [Named(name, port) for name, port in ports.items()]
                     if camera_deadline_s is not None:

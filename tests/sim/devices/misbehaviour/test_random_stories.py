@@ -10,13 +10,12 @@ import types
 
 import numpy as np
 import pytest
-import serial
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lightstage.errors import DeviceError
-from lightstage.leds import serial_controller
-from lightstage.leds.serial_controller import SerialLeds, parse_url
+from lightstage.leds import wire_leds
+from lightstage.leds.wire_leds import WireLeds
 from sim.devices.fault_names import LEDS, NAMES
 from sim.devices.faults import Fault, FaultLog, Story
 from sim.devices.led_faults import FaultyLeds, Wait
@@ -25,11 +24,12 @@ LIGHTS = 4
 HIDDEN = ("stuck-on-hidden", "dead-light-hidden", "swapped-bank")
 """Of these the device knows nothing: no wire can tell them."""
 TOLD = [name for name, known in NAMES.items() if known.device == LEDS and name not in HIDDEN]
-ADDRESS = parse_url("pty:///dev/pts/0?timeout_s=0.3&attempts=3")
 
 
 class Port:
-    """A serial port whose far end is a device; time passes only while somebody waits for it."""
+    """A line whose far end is a device; time passes only while somebody waits for it."""
+
+    handles = ()
 
     def __init__(self, story: Story) -> None:
         self.now_s = 0.0
@@ -52,14 +52,10 @@ class Port:
         self._inbox += data
         self._pump()
 
-    @property
-    def in_waiting(self):
-        return len(self._outbox)
-
-    def read(self, size):
+    def read(self, wait_s):
         if not self._outbox:
-            self.wait(serial_controller.POLL_S)
-        data, self._outbox = self._outbox[:size], self._outbox[size:]
+            self.wait(wait_s)
+        data, self._outbox = self._outbox, b""
         return data
 
     def close(self):
@@ -89,16 +85,13 @@ def ports():
     """The driver opens `ports.port` and lives in its time."""
     held = types.SimpleNamespace(port=None)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            serial_controller,
-            "serial",
-            types.SimpleNamespace(
-                Serial=lambda *_, **__: held.port.opened(), SerialException=serial.SerialException
-            ),
-        )
         clock = types.SimpleNamespace(monotonic=lambda: held.port.now_s)
-        patch.setattr(serial_controller, "time", clock)
+        patch.setattr(wire_leds, "time", clock)
         yield held
+
+
+def opened(port, attempts=3):
+    return WireLeds("the line", port.opened, timeout_s=0.3, attempts=attempts)
 
 
 def own_fields(name):
@@ -143,7 +136,7 @@ def same(lamps, driven):
 @example(Story([Fault("drop", at=2, until=3), Fault("reorder", at=4)]), [0])
 def test_no_story_ends_in_a_wrong_state_acknowledged_as_right(ports, story, sequence):
     port = ports.port = Port(story)
-    with contextlib.suppress(DeviceError), SerialLeds(ADDRESS) as leds:
+    with contextlib.suppress(DeviceError), opened(port) as leds:
         try:
             for number in sequence:
                 driven = leds.light(STATES[number])
@@ -166,7 +159,7 @@ def test_a_line_that_loses_one_packet_in_ten_both_ways_still_carries_a_capture(p
         for way in ("request", "answer")
     ]
     port = ports.port = Port(Story(bad, seed))
-    with SerialLeds(parse_url("pty:///dev/pts/0?timeout_s=0.3&attempts=12")) as leds:
+    with opened(port, 12) as leds:
         for state in STATES:
             driven = leds.light(state)
             assert same(port.lamps, driven)

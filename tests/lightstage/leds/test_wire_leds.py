@@ -14,8 +14,10 @@ import pytest
 from cobs import cobs
 from crc import Calculator, Crc16
 
-from lightstage.errors import ConfigError, DeviceError
-from lightstage.leds.serial_controller import SerialAddress, SerialLeds, parse_url
+from lightstage.errors import DeviceError
+from lightstage.leds.opening import open_leds
+from lightstage.leds.serial_port import SerialPort
+from lightstage.leds.wire_leds import WireLeds
 
 CRC = Calculator(Crc16.IBM_3740, optimized=True)
 
@@ -46,11 +48,20 @@ class Conversation:
         self.device, self.host = pty.openpty()
         for end in (self.device, self.host):
             tty.setraw(end)
-        self.address = SerialAddress(os.ttyname(self.host), timeout_s=timeout_s)
+        self.path = os.ttyname(self.host)
+        self.timeout_s = timeout_s
         self.turns = list(turns)
         self.delay_s = delay_s
         self.got = b""
         self.thread = threading.Thread(target=self._serve, daemon=True)
+
+    def opened(self, first_sequence):
+        """A controller at the other end."""
+
+        def line():
+            return SerialPort(self.path)
+
+        return WireLeds("the device", line, self.timeout_s, first_sequence=first_sequence)
 
     def __enter__(self):
         self.thread.start()
@@ -84,7 +95,7 @@ OPENING = (packet(0x01, 5), hello(5))
 @contextlib.contextmanager
 def talking(*turns, **settings):
     """A controller that has greeted and whose next request has number 6."""
-    with Conversation(OPENING, *turns, **settings) as far, SerialLeds(far.address, 5) as leds:
+    with Conversation(OPENING, *turns, **settings) as far, far.opened(5) as leds:
         yield leds
 
 
@@ -133,14 +144,14 @@ def test_answers_to_other_requests_are_passed_over():
 
 def test_a_device_that_boots_late_is_greeted_by_its_unasked_hello():
     turns = ((packet(0x01, 5), hello(0)), (packet(0x11, 6), lit(6, 0, 0, 0)))
-    with Conversation(*turns) as far, SerialLeds(far.address, 5) as leds:
+    with Conversation(*turns) as far, far.opened(5) as leds:
         leds.dark()
 
 
 def test_each_hello_has_a_number_of_its_own():
-    turns = ((packet(0x01, 0xFFFF), b""), (packet(0x01, 1), hello(1)))
+    turns = ((packet(0x01, 0xFFFD), b""), (packet(0x01, 1), hello(1)))
     with Conversation(*turns) as far:
-        SerialLeds(far.address, 0xFFFF).close()
+        far.opened(0xFFFD).close()
 
 
 def test_lights_that_differ_from_what_was_set_are_an_error():
@@ -193,7 +204,7 @@ def test_a_malformed_hello_is_an_error():
         Conversation((packet(0x01, 5), packet(0x02, 5, b"abc"))) as far,
         pytest.raises(DeviceError, match="HELLO: found a HELLO of 3 bytes"),
     ):
-        SerialLeds(far.address, 5)
+        far.opened(5)
 
 
 def test_a_level_out_of_range_sends_nothing():
@@ -203,33 +214,10 @@ def test_a_level_out_of_range_sends_nothing():
 
 def test_a_port_that_is_not_there_or_in_use_is_an_error(tmp_path):
     with pytest.raises(DeviceError, match="a port that opens"):
-        SerialLeds(SerialAddress(str(tmp_path / "ttyNONE")))
+        open_leds(f"serial://{tmp_path}/ttyNONE", 3)
     with (
         Conversation(OPENING) as far,
-        SerialLeds(far.address, 5),
+        far.opened(5),
         pytest.raises(DeviceError, match="no other program"),
     ):
-        SerialLeds(far.address)
-
-
-def test_urls_are_read():
-    assert parse_url("serial:///dev/ttyACM0?baud=115200&timeout_s=0.5&attempts=2") == (
-        SerialAddress("/dev/ttyACM0", 115200, 0.5, 2)
-    )
-    assert parse_url("pty:///dev/pts/3?timeout_s=30").timeout_s == 30
-
-
-@pytest.mark.parametrize(
-    ("url", "said"),
-    [
-        ("http://x/y", "http"),
-        ("serial://", "expected serial:///dev"),
-        ("serial:///dev/x?speed=9", "speed: found an unknown key"),
-        ("serial:///dev/x?timeout_s=soon", "timeout_s: found 'soon'"),
-        ("serial:///dev/x?timeout_s=-1", "a positive number"),
-        ("pty:///dev/x?baud=nan", "a positive number"),
-    ],
-)
-def test_a_malformed_url_is_refused(url, said):
-    with pytest.raises(ConfigError, match=said):
-        parse_url(url)
+        far.opened(9)

@@ -1,0 +1,206 @@
+"""Adalight on a serial line: three bytes an LED, no answer [Burgess2011]."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Protocol
+
+import numpy as np
+
+from lightstage.errors import DeviceError
+from lightstage.leds.address import AdalightOptions
+from lightstage.leds.controller import Hello, LightLostError, level_steps
+from lightstage.leds.guard import LastWill
+from lightstage.leds.line import Line
+
+BOOT_WORD = b"Ada\n"
+"""What a board says when it has come up (and now and then while it hears nothing)."""
+
+
+class SerialLine(Line, Protocol):
+    """A line that knows when its last byte is out."""
+
+    def drain(self) -> None:
+        """Wait for that."""
+
+
+def header(light_count: int) -> bytes:
+    """``Ada``, the count less one (big endian), and both its bytes XOR 0x55 [Burgess2011]."""
+    high, low = divmod(light_count - 1, 256)
+    return b"Ada" + bytes([high, low, high ^ low ^ 0x55])
+
+
+class Tint:
+    """From levels to the bytes of LEDs of three primaries.
+
+    Args:
+        colour: RRGGBB of full level.
+        order: in which an LED takes them.
+        gamma: light goes with (byte / full byte) ** gamma.
+    """
+
+    def __init__(self, colour: str, order: str, gamma: float) -> None:
+        rgb = dict(zip("rgb", bytes.fromhex(colour), strict=True))
+        self._primaries = np.array([rgb[name] for name in order], float)
+        self._full = int(self._primaries.max())
+        self._gamma = gamma
+
+    def steps(self, levels: np.ndarray) -> np.ndarray:
+        """(n,) step of the strongest primary, for (n,) levels in 0..1; DeviceError for others."""
+        level_steps(levels, 1)  # a level out of range must not come back into it by the root
+        return level_steps(np.asarray(levels, float) ** (1 / self._gamma), self._full)
+
+    def driven(self, steps: np.ndarray) -> np.ndarray:
+        """(n,) levels in 0..1 that (n,) steps make."""
+        return np.asarray((steps / self._full) ** self._gamma)
+
+    def pixels(self, steps: np.ndarray) -> bytes:
+        """Three bytes an LED."""
+        values = np.round(steps[:, None] * (self._primaries / self._full))
+        return values.astype(np.uint8).tobytes()
+
+
+class AdalightLeds:
+    """LEDs behind an Adalight board (LedController): not acknowledged.
+
+    Args:
+        where: its name in messages.
+        connect: opens the line; called again by `recover`.
+        light_count: lights of the rig, in the strip's order.
+        options: colour, gamma, repetitions.
+
+    Raises:
+        DeviceError: the line cannot be opened, or takes no bytes.
+    """
+
+    acknowledged = False
+
+    def __init__(
+        self,
+        where: str,
+        connect: Callable[[], SerialLine],
+        light_count: int,
+        options: AdalightOptions,
+    ) -> None:
+        self._where = where
+        self._connect = connect
+        self._options = options
+        self._tint = Tint(options.colour, options.order, options.gamma)
+        self._turn = threading.RLock()
+        self._steps = np.zeros(light_count, np.int64)
+        self._cut = self._broken = False
+        self._line = self._open()
+        self._hello = Hello(0, light_count, "Adalight (does not answer)")
+
+    @property
+    def hello(self) -> Hello:
+        """What the address says."""
+        return self._hello
+
+    @property
+    def pulse_hz(self) -> float | None:
+        """As the address says."""
+        return self._options.pulse_hz
+
+    def light(self, levels: np.ndarray) -> np.ndarray:
+        """Send all levels; returns when they are out and had time to settle."""
+        steps = self._tint.steps(levels)
+        if len(steps) != self._hello.light_count:
+            raise DeviceError(
+                self._where,
+                field="levels",
+                found=str(len(steps)),
+                expected=str(self._hello.light_count),
+            )
+        with self._turn:
+            self._steps = steps
+            self._send(self._options.attempts)
+            time.sleep(self._options.settle_s)
+        return self._tint.driven(steps)
+
+    def confirm(self) -> None:
+        """Send the state once more; LightLostError when the line does not take it."""
+        with self._turn:
+            self._send(1)
+
+    def dark(self) -> None:
+        """Send black."""
+        with self._turn:
+            self._steps = np.zeros_like(self._steps)
+            self._send(self._options.attempts)
+
+    def recover(self) -> Hello:
+        """Open the port again if it broke, black."""
+        with self._turn:
+            if self._broken:
+                self._line.close()
+                self._line = self._open()
+                self._broken = self._cut = False
+            self.dark()
+            return self._hello
+
+    def last_will(self) -> LastWill:
+        """Zeros to end a frame that was half sent, then black."""
+        count = self._hello.light_count
+        black = header(count) + bytes(3 * count)
+        return LastWill(self._line.handles, ((bytes(3 * count) + black + black, None),))
+
+    def close(self) -> None:
+        """Close the port; lights stay as they are."""
+        self._line.close()
+
+    def __enter__(self) -> AdalightLeds:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _open(self) -> SerialLine:
+        """Open the line and give a board that starts then the time to say so."""
+        try:
+            line = self._connect()
+        except OSError as error:
+            raise DeviceError(
+                self._where,
+                found=str(error),
+                expected="a port that opens",
+                hint="Is the device plugged in and switched on?",
+            ) from None
+        try:
+            heard = b""
+            until = time.monotonic() + self._options.timeout_s
+            while BOOT_WORD not in heard and (left_s := until - time.monotonic()) > 0:
+                heard += line.read(left_s)
+        except OSError as error:
+            line.close()
+            raise self._lost(error) from None
+        return line
+
+    def _send(self, times: int) -> None:
+        frame = header(len(self._steps)) + self._tint.pixels(self._steps)
+        # What an interrupt left half sent is ended by zeros, which light nothing.
+        before = bytes(3 * len(self._steps)) if self._cut else b""
+        self._cut = True
+        try:
+            self._line.write(before + times * frame)
+            self._line.drain()
+        except OSError as error:
+            self._broken = True
+            raise self._lost(error) from None
+        self._cut = False
+
+    def _lost(self, error: OSError) -> LightLostError:
+        return LightLostError(
+            self._where,
+            found=str(error),
+            expected="a line that takes the bytes",
+            hint="Was the cable pulled? The lights may be as they were last set.",
+        )

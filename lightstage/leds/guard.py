@@ -1,0 +1,125 @@
+"""What a device is told when the capture is gone, and the process that tells it (guardian.py)."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from lightstage.errors import DeviceError
+
+SCRIPT = Path(__file__).with_name("guardian.py")
+PATIENCE_S = 10.0
+GOODBYE_S = 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class LastWill:
+    """What makes a device dark.
+
+    Attributes:
+        handles: file descriptors to be kept open; the first one carries the messages.
+        messages: in order, to be sent again and again; for a network with host and port.
+        answer: what comes back when it is dark; empty from a device that does not answer.
+    """
+
+    handles: tuple[int, ...]
+    messages: tuple[tuple[bytes, tuple[str, int] | None], ...]
+    answer: bytes = b""
+
+
+@runtime_checkable
+class HasLastWill(Protocol):
+    """A controller whose device another process can make dark."""
+
+    def last_will(self) -> LastWill:
+        """What it must send for that."""
+
+
+class Guardian:
+    """The process that makes a device dark should this one be killed.
+
+    It has a session of its own, so that what ends the capture's terminal does not end it.
+
+    Args:
+        will: what it sends.
+        silence_s: a capture that has not said for so long that it lives counts as dead.
+
+    Raises:
+        DeviceError: the process cannot be started.
+    """
+
+    def __init__(self, will: LastWill, silence_s: float) -> None:
+        self._child = subprocess.Popen(
+            [sys.executable, "-I", "-S", str(SCRIPT)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=will.handles,
+            start_new_session=True,
+        )
+        told = {
+            "handle": will.handles[0],
+            "messages": [(data.hex(), where) for data, where in will.messages],
+            "answer": will.answer.hex(),
+            "silence_s": silence_s,
+            "patience_s": PATIENCE_S,
+        }
+        assert self._child.stdout is not None
+        ready = self._say(json.dumps(told).encode() + b"\n") and self._child.stdout.read(1)
+        if ready != b"r":
+            self._child.kill()
+            self._child.wait()
+            raise DeviceError(
+                "lights",
+                field="guardian",
+                found="a process that ended at once",
+                expected="one that can make the lights dark if this one is killed",
+            )
+
+    @property
+    def pid(self) -> int:
+        """Its process number."""
+        return self._child.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it watches; after a long silence it has put the lights out and is gone."""
+        return self._child.poll() is None
+
+    def beat(self) -> None:
+        """Say that this process lives."""
+        self._say(b".")
+
+    def goodbye(self) -> None:
+        """The lights are dark: it ends, and gives the device back."""
+        self._say(b"!")
+        self._end(GOODBYE_S)
+
+    def leave(self) -> None:
+        """Let it do its work, as if this process had been killed."""
+        self._end(PATIENCE_S + GOODBYE_S)
+
+    def _say(self, data: bytes) -> bool:
+        try:
+            assert self._child.stdin is not None
+            self._child.stdin.write(data)
+            self._child.stdin.flush()
+        except OSError:
+            return False
+        return True
+
+    def _end(self, wait_s: float) -> None:
+        for pipe in (self._child.stdin, self._child.stdout):
+            assert pipe is not None
+            try:
+                pipe.close()
+            except OSError:
+                continue
+        try:
+            self._child.wait(wait_s)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()

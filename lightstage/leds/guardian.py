@@ -1,0 +1,104 @@
+"""A process that outlives a killed capture long enough to put its lights out.
+
+Run as a script with nothing but the standard library, so that it is there in a few hundredths of
+a second: `python -I -S guardian.py`, as lightstage/leds/guard.py does. Its standard input is a pipe
+from the capture: one line of JSON (what to send, on which of the inherited handles), then `.` for
+"still there", and `!` for "all is well, go". When the pipe ends without that, because the capture
+was killed, or stands still too long, it sends what makes the device dark and goes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from typing import Any
+
+ANSWER_WAIT_S = 0.25
+PAUSE_S = 0.03
+ROUNDS = 3
+
+
+def main() -> int:
+    """Wait for the end; 0 when the lights were no matter any more or are dark, 1 when not sure."""
+    # The terminal's Ctrl-C and a service's stop are the capture's matter.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
+        signal.signal(number, signal.SIG_IGN)
+    pending = b""
+    while b"\n" not in pending:
+        data = os.read(0, 65536)
+        if not data:
+            return 0  # nothing was lit yet
+        pending += data
+    head, _, said = pending.partition(b"\n")
+    will = json.loads(head)
+    os.write(1, b"r")
+    while b"!" not in said:
+        if not select.select([0], [], [], will["silence_s"])[0]:
+            break
+        said = os.read(0, 65536)
+        if not said:
+            break
+    if b"!" in said:
+        return 0
+    return 0 if make_dark(will) else 1
+
+
+def make_dark(will: dict[str, Any]) -> bool:
+    """Send the last will, until it is answered or was sent often enough."""
+    handle = will["handle"]
+    messages = [(bytes.fromhex(text), where) for text, where in will["messages"]]
+    answer = bytes.fromhex(will["answer"])
+    until = time.monotonic() + will["patience_s"]
+    heard = b""
+    sent = 0
+    while time.monotonic() < until:
+        try:
+            for data, where in messages:
+                if where is None:
+                    write(handle, data, until)
+                else:
+                    to_network(handle, data, (where[0], where[1]))
+            sent += 1
+            if not answer and sent == ROUNDS:
+                return True
+            round_until = time.monotonic() + (ANSWER_WAIT_S if answer else PAUSE_S)
+            while (left := round_until - time.monotonic()) > 0:
+                if not answer:
+                    time.sleep(left)
+                elif select.select([handle], [], [], left)[0]:
+                    got = os.read(handle, 65536)
+                    if not got:
+                        return False
+                    heard = (heard + got)[-65536:]
+                    if answer in heard:
+                        return True
+        except OSError:
+            time.sleep(PAUSE_S)
+    return False
+
+
+def write(handle: int, data: bytes, until: float) -> None:
+    """Write all, also where the line does not take it at once."""
+    while data and time.monotonic() < until:
+        try:
+            data = data[os.write(handle, data) :]
+        except BlockingIOError:
+            select.select([], [handle], [], PAUSE_S)
+
+
+def to_network(handle: int, data: bytes, where: tuple[str, int]) -> None:
+    """Send one datagram; the handle stays open."""
+    end = socket.socket(fileno=os.dup(handle))
+    try:
+        end.sendto(data, where)
+    finally:
+        end.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
