@@ -99,7 +99,7 @@ class LookConfig:
     min_ball_px: float = 24.0
     min_ball_filled: float = 0.9
     min_highlights: int = 4
-    max_mirror_filled: float = 0.3
+    max_mirror_filled: float = 0.15
     max_highlights_clipped: float = 0.25
     max_dark_level: float = 2e-3
     max_dark_bright_share: float = 1e-3

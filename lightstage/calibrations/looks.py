@@ -117,9 +117,9 @@ def look_at_grey_ball(picture: Picture, config: CalibrationConfig) -> Seen:
     # A pixel's middle on the rim stands for half a pixel more.
     filled = float(disc.sum() / (np.pi * (radius + 0.5) ** 2))
     figures |= {"diameter_px": round(4.0 * radius, 1), "filled": round(filled, 3)}
-    if filled < config.look.min_ball_filled:
-        return figures, [_no_ball(f"a lit shape that fills {100 * filled:.0f} % of its circle")]
     amiss = _ball(figures["diameter_px"], disc, config)
+    if filled < config.look.min_ball_filled and not any(a.code == "ball-cut" for a in amiss):
+        return figures, [_no_ball(f"a lit shape that fills {100 * filled:.0f} % of its circle")]
     return figures, amiss + _clipping(figures, picture, disc > 0, config, "the ball")
 
 

@@ -19,7 +19,7 @@ from lightstage.calibrations.folder import (
     newest_unfinished,
     shots_id,
 )
-from lightstage.calibrations.kinds import Drive, Kind
+from lightstage.calibrations.kinds import Kind
 from lightstage.calibrations.pose import PoseLook, look_at_pose
 from lightstage.calibrations.stale import changes
 from lightstage.cameras.camera import Summary
@@ -28,6 +28,7 @@ from lightstage.errors import CaptureError
 from lightstage.findings import Finding
 from lightstage.formats.files import sha256_file
 from lightstage.leds.controller import Hello
+from lightstage.patterns import Drive
 from lightstage.rig import Rig, save_rig
 
 Verdict = Literal["keep", "again", "stop"]

@@ -1,0 +1,83 @@
+"""What lies in a lab, in plain words: kinds, age, and how long they still hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from pathlib import Path
+
+from lightstage.calibrations.config import CalibrationConfig
+from lightstage.calibrations.folder import Shots, lab_shots
+from lightstage.calibrations.kinds import KINDS
+from lightstage.calibrations.stale import duration
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """One kind of a lab, or one folder of it.
+
+    Attributes:
+        kind: of KINDS.
+        folder: in the lab; empty where there is none.
+        state: ``holds``, ``expired``, ``unfinished``, ``replaced`` (by newer ones), ``future``,
+            ``missing``.
+        says: the same with times, in plain words.
+    """
+
+    kind: str
+    folder: str
+    state: str
+    says: str
+
+
+def list_lab(
+    lab: Path, now: datetime.datetime, config: CalibrationConfig
+) -> tuple[list[Entry], list[str]]:
+    """All shots of a lab by kind, newest first, and what of it cannot be read.
+
+    Whether rig, cameras and LEDs are still the same is not known without them: a capture tells.
+
+    Raises:
+        FormatError: no such folder.
+    """
+    shots, problems = lab_shots(lab)
+    entries: list[Entry] = []
+    for kind in KINDS:
+        own = [each for each in reversed(shots) if each.file.kind == kind]
+        replaced = False
+        for each in own:
+            entries.append(_entry(each, now, config, replaced))
+            replaced = replaced or each.file.finished_utc is not None
+        if not own:
+            wanted = ", wanted by every session" if kind in config.wanted else ""
+            entries.append(Entry(kind, "", "missing", f"none yet{wanted}"))
+    unknown = [each for each in shots if each.file.kind not in KINDS]
+    said = [f"{each.root.name}: an unknown kind, {each.file.kind!r}" for each in unknown]
+    return entries, said + [str(problem) for problem in problems]
+
+
+def _entry(
+    shots: Shots, now: datetime.datetime, config: CalibrationConfig, replaced: bool
+) -> Entry:
+    file = shots.file
+    age = file.age_days(now)
+    left = (file.expires - now).total_seconds() / 86400
+    if age < -config.clock_slack_s / 86400:
+        state = "future"
+        says = f"made {duration(-age)} after now: is the computer's clock right?"
+    elif file.finished_utc is None:
+        state = "unfinished"
+        says = (
+            f"{len(file.poses)} of {file.poses_wanted} poses, begun {duration(age)} ago; "
+            f"go on with: lightstage calibrate {file.kind} --resume"
+        )
+    elif replaced:
+        state, says = "replaced", f"{duration(age)} old, newer ones count"
+    elif left <= 0:
+        state, says = "expired", f"{duration(age)} old, expired {duration(-left)} ago"
+    else:
+        state, says = "holds", f"{duration(age)} old, holds {duration(left)} more"
+    accepted = sum(len(pose.accepted) for pose in file.poses)
+    if accepted:
+        says += f" ({accepted} faults accepted by the operator)"
+    return Entry(file.kind, shots.root.name, state, says)
