@@ -7,7 +7,8 @@ from lightstage.operator.attendance import (
     Unattended,
     Wish,
 )
-from lightstage.operator.server import EventConfig, EventServer
+from lightstage.operator.server import EventConfig, EventServer, serve_events
+from lightstage.operator.terminal import TerminalOperator, open_operator
 
 __all__ = [
     "Decision",
@@ -15,6 +16,9 @@ __all__ = [
     "EventServer",
     "Operator",
     "OperatorConfig",
+    "TerminalOperator",
     "Unattended",
     "Wish",
+    "open_operator",
+    "serve_events",
 ]

@@ -27,8 +27,8 @@ class OperatorConfig:
 
     Attributes:
         retakes: of each pattern, before a capture that nobody attends gives up.
-        then: what it does then: ``abort`` (a later --resume goes on there), or ``accept`` (keeps the
-            photograph as it is, with its finding in the journal, where there is one).
+        then: what it does then: ``abort`` (a later --resume goes on there), or ``accept`` (keeps
+            the photograph as it is, where there is one; the finding is in the journal).
     """
 
     retakes: int = 2
@@ -88,9 +88,16 @@ class Requests:
         return self._aborted
 
     @property
-    def question(self) -> tuple[Decision, ...]:
-        """What may be answered now; empty where nothing is asked."""
-        return self._question
+    def possible(self) -> tuple[Request, ...]:
+        """What makes sense to ask for now."""
+        with self._changed:
+            if self._over or self._aborted:
+                return ()
+            if self._question:
+                return self._question
+            if self._pausing():
+                return ("resume", "abort")
+            return ("retake", "pause", "abort") if self._shot else ("pause", "abort")
 
     def told(self, line: dict[str, Any]) -> None:
         """Know what can be asked for."""
@@ -171,15 +178,19 @@ class Requests:
             return "there is no photograph to accept"
         return "a question waits for its answer"
 
+    def _pausing(self) -> bool:
+        """Whether it is paused when all wishes are taken up."""
+        asked = [wish for wish in self._wishes if wish in ("pause", "resume")]
+        return asked[-1] == "pause" if asked else self._paused
+
     def _why_not(self, do: str) -> str | None:
         """Why a wish cannot be had now, besides a question that waits."""
-        waits = "pause" in self._wishes or self._paused
-        ends = "resume" in self._wishes
+        pausing = self._pausing()
         if do == "accept":
             return "nothing waits to be accepted"
         if do == "resume":
-            return None if waits and not ends else "it is not paused"
-        if waits and not ends:
+            return None if pausing else "it is not paused"
+        if pausing:
             return "it is paused already" if do == "pause" else "it is paused; continue first"
         if do == "retake" and not self._shot:
             return "no pattern is done yet"

@@ -42,8 +42,8 @@ def has_keys(handle: int) -> bool:
 def key_by_key(handle: int) -> Iterator[None]:
     """A terminal that gives each key at once and does not show it; as it was on every way out.
 
-    Ctrl-C stays a signal, which works whatever this program does. Ctrl-Z and Ctrl-backslash are
-    switched off: a capture must not stand still, or end without its last words, with lights on.
+    Ctrl-C stays a signal, which works whatever this program does. Ctrl-Z, Ctrl-backslash and Ctrl-S
+    are switched off: a capture must not stand still, or end without its last words, with lights on.
 
     Args:
         handle: file descriptor of a terminal.
@@ -52,9 +52,10 @@ def key_by_key(handle: int) -> Iterator[None]:
 
     def restore() -> None:
         with contextlib.suppress(OSError, termios.error):  # the terminal may be gone
-            termios.tcsetattr(handle, termios.TCSADRAIN, before)
+            termios.tcsetattr(handle, termios.TCSANOW, before)
 
     mode = termios.tcgetattr(handle)
+    mode[0] &= ~termios.IXON
     mode[3] &= ~(termios.ICANON | termios.ECHO)
     mode[3] |= termios.ISIG
     off = os.fpathconf(handle, "PC_VDISABLE")
@@ -63,7 +64,7 @@ def key_by_key(handle: int) -> Iterator[None]:
     mode[6][termios.VSUSP] = mode[6][termios.VQUIT] = bytes([off])
     atexit.register(restore)
     try:
-        termios.tcsetattr(handle, termios.TCSADRAIN, mode)
+        termios.tcsetattr(handle, termios.TCSANOW, mode)
         yield
     finally:
         restore()

@@ -1,20 +1,22 @@
 """Events of a running capture on a local socket, for terminals and pages of the same user.
 
-A client sends lines of JSON. ``{"after": ID}`` asks for every line of the journal with a larger id,
-those that are written already and then each new one, as they stand in the journal.
-``{"do": "retake" | "accept" | "abort" | "pause" | "resume"}`` asks the operator's place for that, and
-is answered by ``{"answer": "retake", "accepted": true}`` or ``{..., "accepted": false, "why": TEXT}``;
-answers have no id. Socket and folder belong to the user who captures (modes 0600 and 0700).
+A client sends lines of JSON. ``{"after": ID}`` asks for every line of the journal with a larger
+id, those that are written already and then each new one, as they stand in the journal. ``{"do":
+"retake"}`` (or ``accept``, ``abort``, ``pause``, ``resume``) asks for that in the operator's place,
+and is answered by ``{"answer": "retake", "accepted": true}`` or ``{"answer": "retake", "accepted":
+false, "why": "no pattern is done yet"}``; an answer has no id. Socket and folder belong to the user
+who captures (modes 0600 and 0700).
 
 Nothing is queued for anybody: the journal on the disk is the queue, and each client is a place in
-it. So a slow client costs a buffer of its own and no more, and a capture only says that there is
-something new.
+it. So a slow client costs a buffer of its own and no more, and a capture only says how far the
+journal is on the disk: no client sees a line that is not.
 """
 
 from __future__ import annotations
 
 import array
 import bisect
+import collections
 import contextlib
 import dataclasses
 import json
@@ -23,10 +25,10 @@ import selectors
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 from lightstage.operator.lines import JournalTail
 from lightstage.operator.runtime import new_socket_path
@@ -42,14 +44,46 @@ class EventConfig:
     """How events are served.
 
     Attributes:
-        look_s: the journal is looked at this often even when nobody said that it grew.
         clients: at most so many at a time, so that files are left for the capture itself.
         last_words_s: at the end, clients that still read get this long to come to the last line.
     """
 
-    look_s: float = 0.25
     clients: int = 128
     last_words_s: float = 1.0
+
+
+class Writer(Protocol):
+    """What serves events of it: lightstage.session.SessionWriter."""
+
+    root: Path
+
+    @property
+    def listeners(self) -> list[Callable[[dict[str, Any]], None]]:
+        """Called with each line of the journal that is on the disk."""
+
+    def note(self, event: str, **facts: Any) -> Any:
+        """Write a line."""
+
+
+@contextlib.contextmanager
+def serve_events(
+    writer: Writer, request: Callable[[str], str | None], config: EventConfig | None = None
+) -> Iterator[EventServer]:
+    """Serve a session's events as long as the block lasts; the journal tells where.
+
+    Args:
+        writer: the session's, before another thread writes to it.
+        request: called with what clients want done, such as Operator.request.
+        config: limits.
+    """
+    with EventServer(writer.root / "journal.jsonl", request, config) as server:
+        writer.listeners.append(server.told)
+        try:
+            writer.note("note", said="others can follow", socket=str(server.path))
+            yield server
+        finally:
+            with contextlib.suppress(ValueError):  # the journal takes off one that failed
+                writer.listeners.remove(server.told)
 
 
 class _Client:
@@ -65,8 +99,10 @@ class _Client:
 class EventServer:
     """Serves a journal's lines and passes on what clients ask for.
 
+    `told` must be one of the journal's listeners, from before another thread writes to it.
+
     Args:
-        journal: journal.jsonl, which exists.
+        journal: journal.jsonl, which exists; the lines that it has now are on the disk.
         request: called with what a client wants done, from the server's thread; returns why not, or
             None where it is accepted.
         config: limits.
@@ -89,10 +125,13 @@ class EventServer:
         self._ids = array.array("q")  # plain numbers: a capture may have very many lines
         self._begins = array.array("q")
         self._ends = array.array("q")
+        self._unsure: collections.deque[tuple[int, int, int]] = collections.deque()
         self._clients: dict[int, _Client] = {}
         self._closing = threading.Event()
         try:
             self._file = os.open(journal, os.O_RDONLY)
+            self._look()
+            self._durable = self._tail.last_id
             self.path = new_socket_path()
             self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
             self._listener.bind(str(self.path))
@@ -104,9 +143,10 @@ class EventServer:
                 os.close(self._file)
             raise
         self._listener.setblocking(False)
-        self._woken, self._waker = os.pipe()
-        os.set_blocking(self._woken, False)
-        os.set_blocking(self._waker, False)
+        # Sockets and not a pipe: one that is closed cannot be taken for another file.
+        self._woken, self._waker = socket.socketpair()
+        self._woken.setblocking(False)
+        self._waker.setblocking(False)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._selector.register(self._woken, selectors.EVENT_READ)
@@ -114,8 +154,8 @@ class EventServer:
         self._thread.start()
 
     def told(self, line: dict[str, Any]) -> None:
-        """Say that the journal grew; never waits."""
-        del line  # it is read from the disk, as everyone's
+        """A line is on the disk now; never waits."""
+        self._durable = line["id"]
         self._wake()
 
     def close(self) -> None:
@@ -131,8 +171,9 @@ class EventServer:
         self._listener.close()
         self.path.unlink(missing_ok=True)
         self._tail.close()
-        for handle in (self._file, self._woken, self._waker):
-            os.close(handle)
+        self._woken.close()
+        self._waker.close()
+        os.close(self._file)
 
     def __enter__(self) -> EventServer:
         return self
@@ -147,7 +188,7 @@ class EventServer:
 
     def _wake(self) -> None:
         with contextlib.suppress(OSError):  # full: it is awake already
-            os.write(self._waker, b"!")
+            self._waker.send(b"!")
 
     def _serve(self) -> None:
         until_s = float("inf")
@@ -161,20 +202,29 @@ class EventServer:
             done = all(self._is_served(client) for client in self._clients.values())
             if self._closing.is_set() and (done or time.monotonic() >= until_s):
                 return
-            wait_s = max(0.0, min(self._config.look_s, until_s - time.monotonic()))
+            wait_s = None if until_s == float("inf") else max(0.0, until_s - time.monotonic())
             for key, events in self._selector.select(wait_s):
                 if key.fileobj is self._listener:
                     self._accept()
-                elif key.fileobj == self._woken:
+                elif key.fileobj is self._woken:
                     with contextlib.suppress(OSError):
-                        os.read(self._woken, 4096)
+                        self._woken.recv(4096)
                 elif events & selectors.EVENT_READ:
                     self._hear(self._clients[key.fd])
 
-    def _index(self) -> None:
+    def _look(self) -> None:
         for line, begin, end in self._tail.entries():
-            if not self._ids or line["id"] > self._ids[-1]:
-                self._ids.append(line["id"])
+            self._unsure.append((line["id"], begin, end))
+
+    def _index(self) -> None:
+        """Take up the lines that are on the disk."""
+        durable = self._durable
+        if not self._unsure or self._unsure[-1][0] < durable:
+            self._look()
+        while self._unsure and self._unsure[0][0] <= durable:
+            number, begin, end = self._unsure.popleft()
+            if not self._ids or number > self._ids[-1]:
+                self._ids.append(number)
                 self._begins.append(begin)
                 self._ends.append(end)
 

@@ -14,6 +14,8 @@ from typing import Any, Literal
 Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
 """``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
 
+Mark = Literal["to come", "now", "kept", "failed", "again"]
+"""Of one pattern by one camera; ``again`` waits to be taken once more."""
 Line = Mapping[str, Any]
 
 SIGNS: dict[Tone, str] = {
@@ -89,6 +91,17 @@ def names_of(line: Line, name: str) -> list[str]:
     return [clean(item) for item in value] if isinstance(value, (list, dict)) else []
 
 
+def duration(seconds: float | None) -> str:
+    """Time left in words; None where it is not known."""
+    if seconds is None:
+        return "time left not known yet"
+    if seconds < 90:
+        return f"about {seconds:.0f} s left"
+    if seconds < 5400:
+        return f"about {seconds / 60:.0f} min left"
+    return f"about {seconds / 3600:.1f} h left"
+
+
 def said(line: Line, session: str = "SESSION") -> Said:
     """What to show for a line of the journal.
 
@@ -101,7 +114,8 @@ def said(line: Line, session: str = "SESSION") -> Said:
     if make is None:
         return Said("quiet", f"{event or 'something'} {_place(line)}".strip())
     words = make(line)
-    return dataclasses.replace(words, todo=words.todo.replace("{session}", clean(session)))
+    text, todo = (part.replace("{session}", clean(session)) for part in (words.text, words.todo))
+    return Said(words.tone, text, todo)
 
 
 def _place(line: Line) -> str:
@@ -119,14 +133,6 @@ def _begin(line: Line) -> Said:
     patterns, cameras = len(names_of(line, "sequence")), len(names_of(line, "cameras"))
     who = " ".join(filter(None, (text_of(line, "subject"), text_of(line, "expression"))))
     return Said("plain", f"Session of {who or 'nobody'}: {patterns} patterns, {cameras} cameras")
-
-
-def _resume(line: Line) -> Said:
-    return Said("plain", "The session goes on where it stopped")
-
-
-def _devices(line: Line) -> Said:
-    return Said("plain", "Lights and cameras are checked")
 
 
 def _lit(line: Line) -> Said:
@@ -149,7 +155,8 @@ def _finding(line: Line) -> Said:
     where = text_of(line, "where") or _place(line)
     found, expected = text_of(line, "found"), text_of(line, "expected")
     what = f"{found or text_of(line, 'code') or 'something'}"
-    wanted = f" (wanted: {expected})" if expected else ""
+    obvious = text_of(line, "code") == "not-taken"
+    wanted = f" (wanted: {expected})" if expected and not obvious else ""
     text = f"{begins}: {where + ': ' if where else ''}{what}{wanted}"
     return Said(tone, text, text_of(line, "hint") or todo)
 
@@ -172,13 +179,9 @@ def _shot(line: Line) -> Said:
     return Said("good", f"{text_of(line, 'pattern') or 'A pattern'} done")
 
 
-def _calibration(line: Line) -> Said:
-    return Said("plain", "Calibration is kept with the session")
-
-
 def _note(line: Line) -> Said:
     if text_of(line, "socket"):
-        return Said("quiet", f"Others can follow: {text_of(line, 'socket')}")
+        return Said("plain", "Anyone here can follow with: lightstage watch {session}")
     return Said("plain", f"{_at(line)}{text_of(line, 'said') or 'noted'}")
 
 
@@ -193,14 +196,18 @@ def _end(line: Line) -> Said:
     return Said("good", f"The session is complete{count}")
 
 
+def _always(text: str) -> Callable[[Line], Said]:
+    return lambda _: Said("plain", text)
+
+
 def _quiet(line: Line) -> Said:
     return Said("quiet", f"{_at(line)}{text_of(line, 'event')}")
 
 
 _WORDS: dict[str, Callable[[Line], Said]] = {
     "begin": _begin,
-    "resume": _resume,
-    "devices": _devices,
+    "resume": _always("The session goes on where it stopped"),
+    "devices": _always("Lights and cameras are checked"),
     "lit": _lit,
     "trigger": _quiet,
     "exposed": _quiet,
@@ -211,7 +218,7 @@ _WORDS: dict[str, Callable[[Line], Said]] = {
     "recovered": _recovered,
     "deleted": _quiet,
     "shot": _shot,
-    "calibration": _calibration,
+    "calibration": _always("A calibration is kept with the session"),
     "note": _note,
     "aborted": _aborted,
     "end": _end,
@@ -229,13 +236,24 @@ STATES = {
 
 QUESTION = "What now?"
 KEYS = {
-    "retake": ("r", "take again"),
+    "retake": ("r", "last pattern again"),
     "accept": ("a", "accept as it is"),
     "pause": ("p", "pause (dark)"),
     "resume": ("c", "continue"),
     "abort": ("q", "stop (dark at once)"),
+    "leave": ("q", "leave (the capture goes on)"),
 }
 """Key and words of each request."""
+ANSWERS = {"retake": "take it again"}
+"""The same as answers to the question, where they read otherwise."""
+LEGEND: tuple[tuple[Mark, str], ...] = (
+    ("kept", "kept"),
+    ("now", "now"),
+    ("again", "to be taken again"),
+    ("failed", "failed"),
+    ("to come", "to come"),
+)
+"""Marks of photographs and their words."""
 HEARD = {
     "retake": "The last pattern is taken again after this one.",
     "accept": "Accepted.",

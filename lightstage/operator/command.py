@@ -1,0 +1,117 @@
+"""The command `watch`: a capture from another terminal, or one that is over."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import threading
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+from lightstage.commands import JsonFlag, finish
+from lightstage.errors import CaptureError, ConfigError
+from lightstage.formats.files import write_text
+from lightstage.operator.client import ask, follow
+from lightstage.operator.keys import has_keys, heard, key_by_key
+from lightstage.operator.lines import JournalTail
+from lightstage.operator.screen import Ask, Screen
+from lightstage.operator.terminal import Shown
+from lightstage.operator.view import View
+
+KEYBOARD = 0
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to an application."""
+    app.command("watch")(watch_command)
+
+
+def watch_command(
+    session: Path = typer.Argument(help="Session folder, of a capture that runs or is over."),
+    do: str | None = typer.Option(
+        None, help="Ask the running capture: retake, accept, abort, pause or resume."
+    ),
+    picture: Path | None = typer.Option(
+        None, help="Write what the terminal shows to this SVG instead of following."
+    ),
+    until: int | None = typer.Option(None, help="With --picture: as it was after this line's id."),
+    columns: int = typer.Option(100, help="With --picture: width in characters."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Follow a capture from another terminal; it does not notice."""
+    if do is not None:
+        why = ask(session, do)
+        if why is not None:
+            raise CaptureError(session, field=do, found=why, expected="a capture that can do so")
+        finish(f"{session}: {do} is accepted", {"session": str(session), "accepted": do}, as_json)
+        return
+    view = View(str(session))
+    if picture is not None:
+        if columns < 40:
+            raise ConfigError("--columns", found=str(columns), expected="at least 40")
+        with JournalTail(session / "journal.jsonl") as tail:
+            for line in tail.read():
+                if until is None or line["id"] <= until:
+                    view.told(line)
+        write_text(picture, drawn(Screen(view), columns))
+    else:
+        _watch(session, view)
+    running = view.phase in ("running", "paused")
+    finish(
+        f"{session}: {view.kept} of {view.wanted} photographs kept, "
+        f"{len(view.done)} of {len(view.patterns)} patterns done, "
+        f"{'not over' if running else view.phase} at line {view.last_id}",
+        {
+            "session": str(session),
+            "phase": view.phase,
+            "photographs": view.kept,
+            "wanted": view.wanted,
+            "patterns_done": len(view.done),
+            "last_id": view.last_id,
+        },
+        as_json,
+    )
+
+
+def drawn(screen: Screen, columns: int, rows: int = 30) -> str:
+    """A screen as an SVG text.
+
+    Args:
+        screen: what to draw.
+        columns: width in characters.
+        rows: height; the screen leaves out what does not fit.
+    """
+    console = Console(
+        file=io.StringIO(),
+        record=True,
+        width=columns,
+        height=rows,
+        force_terminal=True,
+        color_system="truecolor",
+        legacy_windows=False,
+    )
+    console.print(screen)
+    return console.export_svg(title=f"lightstage capture --out {screen.view.session}")
+
+
+def _watch(session: Path, view: View) -> None:
+    """Show lines as they come, until the capture is over or the watcher leaves."""
+    console = Console(stderr=True, highlight=False)
+    left = threading.Event()
+    attended = console.is_terminal and has_keys(KEYBOARD)
+
+    def press(key: str) -> None:
+        if key == "q":
+            left.set()
+
+    keys = ("leave",) if attended else ()
+    with contextlib.ExitStack() as stack:
+        shown = stack.enter_context(Shown(console, view, lambda: Ask(keys=keys)))
+        if attended:
+            stack.enter_context(key_by_key(KEYBOARD))
+            stack.enter_context(heard(KEYBOARD, press))
+        with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C leaves, as q does
+            for line in follow(session, left.is_set):
+                shown.told(line)

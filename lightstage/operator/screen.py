@@ -1,0 +1,303 @@
+"""The picture of a View in a terminal: devices, progress, news, keys; for 60 columns and more.
+
+No colour carries a meaning alone, and no text is read as markup.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal
+
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
+
+from lightstage.operator.view import CameraView, View
+from lightstage.operator.words import (
+    ANSWERS,
+    KEYS,
+    LEGEND,
+    QUESTION,
+    SIGNS,
+    STATES,
+    Mark,
+    Said,
+    Tone,
+    duration,
+)
+
+STYLES: dict[Tone, str] = {
+    "quiet": "dim",
+    "plain": "",
+    "good": "green",
+    "warning": "bold yellow",
+    "problem": "bold red",
+    "stop": "bold red",
+}
+MARKS: dict[Mark, tuple[str, str, str]] = {
+    "to come": ("·", ".", "dim"),
+    "now": ("▶", ">", "bold cyan"),
+    "kept": ("✓", "+", "green"),
+    "failed": ("✗", "X", "bold red"),
+    "again": ("↻", "?", "bold yellow"),
+}
+"""For a terminal with Unicode, for one without, and the style."""
+
+LOW_BATTERY_PERCENT = 20.0
+NEWS_LINES = 4
+ROOMY = 100
+"""Columns from which serial numbers are shown."""
+LEGIBLE = 70
+"""Columns from which the marks are explained."""
+NOW_WIDE, POWER_WIDE, CARD_WIDE, SERIAL_WIDE = 14, 5, 6, 12
+
+
+@dataclasses.dataclass(frozen=True)
+class Ask:
+    """What the operator can do now.
+
+    Attributes:
+        question: findings to decide on, in words; empty where nothing is asked.
+        keys: requests that have a key now.
+        heard: answer to the last key.
+    """
+
+    question: Sequence[Said] = ()
+    keys: Sequence[str] = ()
+    heard: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Screen:
+    """A renderable: the view as it stands when it is drawn."""
+
+    view: View
+    ask: Ask = dataclasses.field(default_factory=Ask)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        unicode = (options.encoding or "").lower().startswith("utf")
+        width = options.max_width
+        height = options.height or console.size.height
+        with self.view.lock:
+            below = [*self._news(), *self._question(), *self._keys()]
+            used = 4 + sum(_lines(console, options, part) for part in below)
+            # What need not be there goes first where the terminal is low.
+            spare = height - 1 - used - len(self.view.cameras)
+            legend = [self._legend(unicode)] if spare >= 1 and width >= LEGIBLE else []
+            gap = [Text()] if spare >= 2 else []
+            rows = max(2, height - 1 - used - len(legend) - len(gap))
+            yield Group(
+                self._title(width),
+                self._lights(),
+                self._progress(width, unicode),
+                *gap,
+                self._cameras(width, rows, unicode),
+                *legend,
+                *below,
+            )
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        return Measurement(40, options.max_width)
+
+    def _title(self, width: int) -> RenderableType:
+        where = Text(self.view.session, style="dim", overflow="ellipsis", no_wrap=True)
+        who = Text(self.view.who or "LIGHT STAGE", style="bold", no_wrap=True)
+        if who.cell_len + where.cell_len + 3 > width:
+            return who
+        return _sides(who, where)
+
+    def _lights(self) -> RenderableType:
+        view = self.view
+        line = Text(overflow="ellipsis", no_wrap=True)
+        if view.phase == "before":
+            line.append("Lights and cameras are being checked.", "bold")
+            return line
+        if view.phase == "running" and view.pattern:
+            line.append(f"LIGHT ON: {view.pattern}", "bold")
+        else:
+            line.append("DARK", "bold")
+            line.append({"paused": " (paused)", "aborted": " (stopped)"}.get(view.phase, ""))
+        if view.acknowledged is not None:
+            sure = "acknowledged" if view.acknowledged else "! NOT acknowledged"
+            line.append(f", {sure}", "" if view.acknowledged else "bold yellow")
+        if view.lights:
+            line.append(f"   {view.lights}", "dim")
+        return line
+
+    def _progress(self, width: int, unicode: bool) -> RenderableType:
+        view = self.view
+        kept, wanted = view.kept, max(view.wanted, 1)
+        full, empty = ("█", "░") if unicode else ("#", "-")
+        cells = max(8, min(40, width - 46))
+        filled = cells * min(kept, wanted) // wanted
+        line = Text(no_wrap=True, overflow="ellipsis")
+        line.append(full * filled, "green" if view.phase != "aborted" else "")
+        line.append(empty * (cells - filled), "dim")
+        line.append(f" {kept} of {view.wanted} photographs", "bold")
+        if view.phase == "complete":
+            line.append(", COMPLETE", "bold green")
+        elif view.phase == "aborted":
+            line.append(", STOPPED", "bold red")
+        elif view.phase != "before":
+            line.append(f", {duration(view.left_s())}")
+        return line
+
+    def _cameras(self, width: int, rows: int, unicode: bool) -> RenderableType:
+        view = self.view
+        table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, show_edge=False)
+        roomy = width >= ROOMY
+        names = {name: _short(name, 24 if roomy else 10) for name in view.cameras}
+        name_wide = max(6, *map(len, names.values())) if names else 6
+        columns = [("Camera", name_wide, True), ("Now", NOW_WIDE, True)]
+        columns += [("Power", POWER_WIDE, False), ("Card", CARD_WIDE, False)]
+        columns += [("Serial", SERIAL_WIDE, False)] if roomy else []
+        for title, wide, left in columns:
+            side: Literal["left", "right"] = "left" if left else "right"
+            table.add_column(title, width=wide, no_wrap=True, justify=side, header_style="dim")
+        room = width - sum(wide + 2 for _, wide, _ in columns)
+        shown, wide = self._window(room)
+        table.add_column(self._header(shown, wide), no_wrap=True, header_style="dim")
+        order = self._rows(rows)
+        for name in order:
+            camera = view.cameras[name]
+            cells = [Text(names[name]), self._state(camera), _battery(camera), _card(camera)]
+            cells += [Text(_short(camera.serial, SERIAL_WIDE) or "-", "dim")] if roomy else []
+            table.add_row(*cells, self._marks(name, shown, wide, unicode))
+        hidden = len(view.cameras) - len(order)
+        if hidden:
+            table.add_row(Text(f"and {hidden} more", "dim"))
+        return table
+
+    def _rows(self, rows: int) -> list[str]:
+        """Cameras to show where not all fit: those that failed or work come first."""
+        names = list(self.view.cameras)
+        if len(names) <= rows:
+            return names
+        busy = ("failed", "restarting", "triggering", "downloading", "kept", "idle")
+        by_need = sorted(names, key=lambda name: busy.index(self.view.cameras[name].state))
+        chosen = set(by_need[: max(1, rows - 1)])
+        return [name for name in names if name in chosen]
+
+    def _window(self, room: int) -> tuple[list[str], int]:
+        """Patterns to show and how wide each; around the present one where not all fit."""
+        patterns = self.view.patterns
+        wide = max(map(len, patterns), default=1) + 1
+        if len(patterns) * wide <= room:
+            return patterns, wide
+        fit = max(4, room)
+        if len(patterns) <= fit:
+            return patterns, 1
+        at = next((i for i, name in enumerate(patterns) if name not in self.view.done), 0)
+        first = min(max(0, at - fit // 2), len(patterns) - fit)
+        return patterns[first : first + fit], 1
+
+    def _header(self, shown: Sequence[str], wide: int) -> Text:
+        if wide > 1:
+            return Text("".join(name.ljust(wide) for name in shown))
+        patterns, done = self.view.patterns, self.view.done
+        first = patterns.index(shown[0]) + 1 if shown else 0
+        at = sum(name in done for name in patterns)
+        part = f"{first}-{first + len(shown) - 1} of {len(patterns)}"
+        short = f"{at} of {len(patterns)}"
+        said = [text for text in (part, short) if len(text) <= len(shown)]
+        return Text(said[0] if said else "")
+
+    def _marks(self, camera: str, shown: Sequence[str], wide: int, unicode: bool) -> Text:
+        line = Text()
+        for pattern in shown:
+            mark = self.view.marks.get((pattern, camera), "to come")
+            sign, plain, style = MARKS[mark]
+            take = self.view.takes.get((pattern, camera), 1)
+            if mark == "kept" and take > 1:
+                sign = plain = str(take) if take < 10 else "9"
+            line.append((sign if unicode else plain).ljust(wide), style)
+        return line
+
+    def _state(self, camera: CameraView) -> Text:
+        over = self.view.phase in ("complete", "aborted") and camera.state != "failed"
+        if over:
+            return Text("-", "dim")
+        style = {"failed": "bold red", "restarting": "bold yellow", "kept": "green"}
+        return Text(STATES[camera.state], style.get(camera.state, ""))
+
+    def _legend(self, unicode: bool) -> Text:
+        line = Text(style="dim")
+        for mark, words in LEGEND:
+            sign, plain, style = MARKS[mark]
+            line.append(sign if unicode else plain, style)
+            line.append(f" {words}   ")
+        return line.append("2 second take")
+
+    def _news(self) -> list[RenderableType]:
+        if self.ask.question:
+            return []
+        news = list(self.view.news)[-NEWS_LINES:]
+        return [Text(), *(_said(item) for item in news)]
+
+    def _question(self) -> list[RenderableType]:
+        if not self.ask.question:
+            return []
+        shown = self.ask.question[:NEWS_LINES]
+        more = len(self.ask.question) - len(shown)
+        lines: list[RenderableType] = [Text(), *(_said(item) for item in shown)]
+        if more:
+            lines.append(Text(f"  and {more} more like these", "dim"))
+        return [*lines, Text(QUESTION, "bold reverse")]
+
+    def _keys(self) -> list[RenderableType]:
+        lines: list[RenderableType] = []
+        if self.ask.heard:
+            lines.append(Text(f"> {self.ask.heard}", "bold"))
+        if self.ask.keys:
+            line = Text()
+            for request in self.ask.keys:
+                key, words = KEYS[request]
+                words = ANSWERS.get(request, words) if self.ask.question else words
+                line.append(f" {key} ", "reverse bold")
+                line.append(f" {words}   ")
+            lines.append(line)
+        return lines
+
+
+def _said(item: Said) -> RenderableType:
+    line = Table.grid(padding=(0, 1, 0, 0))
+    text = item.text if item.text.endswith((".", "!", "?")) else f"{item.text}."
+    line.add_row(Text(SIGNS[item.tone], STYLES[item.tone]), Text(text, STYLES[item.tone]))
+    if item.todo:
+        line.add_row(Text(), Text(item.todo, "bold"))
+    return line
+
+
+def _sides(left: Text, right: Text) -> Table:
+    table = Table.grid(expand=True)
+    table.add_column(no_wrap=True)
+    table.add_column(justify="right", no_wrap=True)
+    table.add_row(left, right)
+    return table
+
+
+def _lines(console: Console, options: ConsoleOptions, part: RenderableType) -> int:
+    return len(console.render_lines(part, options.update(height=None), pad=False))
+
+
+def _short(text: str, longest: int) -> str:
+    return text if len(text) <= longest else f"{text[: longest - 2]}.."
+
+
+def _battery(camera: CameraView) -> Text:
+    if camera.battery_percent is None:
+        return Text("-", "dim")
+    low = camera.battery_percent < LOW_BATTERY_PERCENT
+    return Text(f"{camera.battery_percent:.0f}%{'!' if low else ''}", "bold yellow" if low else "")
+
+
+def _card(camera: CameraView) -> Text:
+    free = camera.card_free_bytes
+    if free is None:
+        return Text("-", "dim")
+    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if free >= size:
+            return Text(f"{free / size:.0f} {unit}")
+    return Text("full!", "bold red")

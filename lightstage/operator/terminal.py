@@ -1,0 +1,233 @@
+"""The operator at a terminal: the picture, the keys, the questions."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, get_args
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from lightstage.findings import Finding
+from lightstage.operator.attendance import (
+    Decision,
+    OperatorConfig,
+    Request,
+    Requests,
+    Wish,
+    by_rule,
+    may_accept,
+)
+from lightstage.operator.keys import has_keys, heard, key_by_key
+from lightstage.operator.screen import Ask, Screen
+from lightstage.operator.view import View
+from lightstage.operator.words import HEARD, KEYS, Said, said, text_of
+
+PICTURES_PER_S = 5
+LINES_WAITING = 1000
+"""Lines that wait for a reader of a pipe who has stopped; older ones are left out then."""
+LAST_LINES_S = 1.0
+
+
+class TerminalOperator:
+    """Somebody at a terminal, or nobody and a log: `with TerminalOperator(...) as operator`.
+
+    On a terminal it draws the picture anew; into a file or a pipe it writes plain lines. Without
+    keys nobody can be asked, and the rule of `config` decides.
+
+    Args:
+        console: where to draw.
+        session: the session's folder, for what the operator may type.
+        config: the rule without keys.
+        keys: file descriptor of a terminal whose keys count; None for none.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        session: str | Path = "SESSION",
+        config: OperatorConfig | None = None,
+        keys: int | None = None,
+    ) -> None:
+        self.view = View(str(session))
+        self._config = config or OperatorConfig()
+        self._keys = keys
+        self._requests = Requests()
+        self._question: list[Said] = []
+        self._heard = ""
+        self._show = Shown(console, self.view, self._ask_now)
+        self._open = contextlib.ExitStack()
+
+    def __enter__(self) -> TerminalOperator:
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(self._show)
+            if self._keys is not None:
+                stack.enter_context(key_by_key(self._keys))
+                stack.enter_context(heard(self._keys, self._press))
+            self._open = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._open.close()
+
+    def told(self, line: dict[str, Any]) -> None:
+        """A line that is in the journal now; never waits."""
+        self._requests.told(line)
+        if text_of(line, "event") in ("lit", "note") and not self._requests.aborted:
+            self._heard = ""
+        self._show.told(line)
+
+    def command(self) -> Wish | None:
+        """What keys and clients of the event stream wish."""
+        return self._requests.command()
+
+    def decide(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
+        """Show what was found and wait for an answer; somebody at the terminal may always retake.
+
+        Without keys, the rule decides at once.
+        """
+        if self._keys is None:
+            return "abort" if self._requests.aborted else self._by_rule(findings, retakes_left)
+        self._question = [
+            said({"event": "finding", **dataclasses.asdict(finding)}) for finding in findings
+        ]
+        try:
+            choices: tuple[Decision, ...] = ("retake", "accept", "abort")
+            return self._requests.ask(choices if may_accept(findings) else ("retake", "abort"))
+        finally:
+            self._question = []
+
+    def request(self, do: str) -> str | None:
+        """Asked from elsewhere; why not, or None where it is accepted."""
+        if do == "abort":
+            self._heard = HEARD[do]
+        why = self._requests.request(do)
+        if why is None:
+            self._heard = HEARD[do]
+        return why
+
+    def at_abort(self, act: Callable[[], None]) -> None:
+        """Do this when somebody aborts, in the thread that heard it."""
+        self._requests.at_abort(act)
+
+    def _by_rule(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
+        return by_rule(findings, retakes_left, self._config)
+
+    def _press(self, key: str) -> None:
+        for do in get_args(Request):
+            if KEYS[do][0] == key:
+                why = self.request(do)
+                if why is not None and not self._requests.aborted:
+                    self._heard = f"Not now: {why}."
+
+    def _ask_now(self) -> Ask:
+        keys = () if self._keys is None else self._requests.possible
+        return Ask(tuple(self._question), keys, self._heard)
+
+
+class Shown:
+    """A view on a console, as long as the block lasts.
+
+    Args:
+        console: a terminal gets the picture, all else plain lines.
+        view: what to show.
+        ask: what can be done now.
+    """
+
+    def __init__(self, console: Console, view: View, ask: Callable[[], Ask]) -> None:
+        self._console = console
+        self._view = view
+        self._ask = ask
+        self._lines: deque[str] = deque(maxlen=LINES_WAITING)
+        self._changed = threading.Condition()
+        self._over = False
+        self._live: Live | None = None
+        self._thread: threading.Thread | None = None
+
+    def __enter__(self) -> Shown:
+        if self._console.is_terminal and not self._console.is_dumb_terminal:
+            self._live = Live(
+                console=self._console,
+                get_renderable=lambda: Screen(self._view, self._ask()),
+                refresh_per_second=PICTURES_PER_S,
+                vertical_overflow="crop",
+            )
+            self._live.start(refresh=True)
+        else:
+            self._thread = threading.Thread(target=self._print, name="lines", daemon=True)
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+        with self._changed:
+            self._over = True
+            self._changed.notify()
+        if self._thread is not None:
+            self._thread.join(LAST_LINES_S)  # a reader who has stopped must not hold a capture
+
+    def told(self, line: dict[str, Any]) -> None:
+        """Take up a line; it is drawn or written soon."""
+        words = self._view.told(line)
+        if self._thread is None or words.tone == "quiet":
+            return
+        text = f"{text_of(line, 'time_utc')[11:19]} {words}".strip()
+        if text_of(line, "event") == "shot":
+            text = f"{text} {self._view.progress()}"
+        with self._changed:
+            self._lines.append(text)
+            self._changed.notify()
+
+    def _print(self) -> None:
+        while True:
+            with self._changed:
+                while not self._lines and not self._over:
+                    self._changed.wait()
+                if not self._lines:
+                    return
+                text = self._lines.popleft()
+            try:
+                self._console.print(Text(text), soft_wrap=True)
+            except OSError:  # the reader is gone
+                return
+
+
+@contextlib.contextmanager
+def open_operator(
+    session: str | Path,
+    config: OperatorConfig | None = None,
+    ask: bool = True,
+    console: Console | None = None,
+    keys: int = 0,
+) -> Iterator[TerminalOperator]:
+    """The operator of this process: somebody who can be asked only where there are keys and eyes.
+
+    Args:
+        session: the session's folder.
+        config: the rule where nobody is asked.
+        ask: whether somebody may be asked.
+        console: where to draw; standard error without it.
+        keys: file descriptor whose keys count where it is a terminal of this process.
+    """
+    shown = console or Console(stderr=True, highlight=False)
+    attended = ask and shown.is_terminal and has_keys(keys)
+    with TerminalOperator(shown, session, config, keys if attended else None) as operator:
+        yield operator

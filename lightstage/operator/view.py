@@ -1,0 +1,252 @@
+"""What stands now in a capture, from nothing but the lines of its journal.
+
+The same lines give the same view, live or later; a line that lacks something changes what it can.
+"""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import statistics
+import threading
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from lightstage.operator.words import (
+    Mark,
+    Said,
+    clean,
+    duration,
+    names_of,
+    number_of,
+    said,
+    text_of,
+)
+
+State = Literal["idle", "triggering", "downloading", "kept", "failed", "restarting"]
+Phase = Literal["before", "running", "paused", "aborted", "complete"]
+
+SHOTS_MEASURED = 9
+"""Time left is told from the median of so many shots, so that one slow one does not change it."""
+NEWS_KEPT = 50
+
+
+@dataclasses.dataclass
+class CameraView:
+    """One camera: what it told about itself and what it does now."""
+
+    serial: str = ""
+    model: str = ""
+    battery_percent: float | None = None
+    card_free_bytes: float | None = None
+    state: State = "idle"
+
+
+class View:
+    """Told every line; several threads may tell and read.
+
+    Attributes:
+        session: the session's folder, for what the operator may type.
+        lock: held while it changes; hold it to read several things that belong together.
+        patterns: names in order.
+        cameras: by their names, in order.
+        marks: of (pattern, camera); what is missing is ``to come``.
+        takes: number of the latest photograph of (pattern, camera).
+        done: patterns with all their photographs.
+        pattern: what is lit; None in the dark.
+        lights: what the LED device told, as one line.
+        acknowledged: whether it tells what is lit; None where it is not known.
+        news: the latest lines that somebody should read, oldest first; marks show the rest.
+        phase: what the capture does.
+    """
+
+    def __init__(self, session: str = "SESSION") -> None:
+        self.session = session
+        self.lock = threading.RLock()
+        self.who = ""
+        self.patterns: list[str] = []
+        self.cameras: dict[str, CameraView] = {}
+        self.marks: dict[tuple[str, str], Mark] = {}
+        self.takes: dict[tuple[str, str], int] = {}
+        self.done: set[str] = set()
+        self.pattern: str | None = None
+        self.lights = ""
+        self.acknowledged: bool | None = None
+        self.news: collections.deque[Said] = collections.deque(maxlen=NEWS_KEPT)
+        self.phase: Phase = "before"
+        self.last_id = 0
+        self._shot_s: collections.deque[float] = collections.deque(maxlen=SHOTS_MEASURED)
+        self._since_s: float | None = None
+
+    @property
+    def kept(self) -> int:
+        """Photographs that count."""
+        return sum(mark == "kept" for mark in self.marks.values())
+
+    @property
+    def wanted(self) -> int:
+        """Photographs of the whole session."""
+        return len(self.patterns) * len(self.cameras)
+
+    def left_s(self) -> float | None:
+        """Seconds left, from the shots measured; None before there is one."""
+        if not self._shot_s:
+            return None
+        left = sum(pattern not in self.done for pattern in self.patterns)
+        return left * statistics.median(self._shot_s)
+
+    def progress(self) -> str:
+        """How far it is, as one sentence."""
+        with self.lock:
+            return f"{self.kept} of {self.wanted} photographs, {duration(self.left_s())}."
+
+    def told(self, line: Mapping[str, Any]) -> Said:
+        """Take up a line; returns its words."""
+        words = said(line, self.session)
+        with self.lock:
+            number = number_of(line, "id")
+            self.last_id = self.last_id if number is None else int(number)
+            take = _TAKES_UP.get(text_of(line, "event"))
+            if take is not None:
+                take(self, line)
+            if words.tone != "quiet" and text_of(line, "event") != "shot":
+                self.news.append(words)
+        return words
+
+    def _camera(self, line: Mapping[str, Any]) -> CameraView | None:
+        return self.cameras.get(text_of(line, "camera"))
+
+    def _place(self, line: Mapping[str, Any]) -> tuple[str, str]:
+        return text_of(line, "pattern"), text_of(line, "camera")
+
+    def _mark(self, line: Mapping[str, Any], mark: Mark, state: State) -> None:
+        pattern, camera = self._place(line)
+        if camera in self.cameras:
+            self.cameras[camera].state = state
+            if pattern in self.patterns:
+                self.marks[pattern, camera] = mark
+
+    def _begin(self, line: Mapping[str, Any]) -> None:
+        self.who = ", ".join(filter(None, (text_of(line, "subject"), text_of(line, "expression"))))
+        self.patterns = names_of(line, "sequence")
+        self.cameras = {name: CameraView() for name in names_of(line, "cameras")}
+        self.phase = "running"
+        self._devices(line)
+
+    def _resume(self, line: Mapping[str, Any]) -> None:
+        self.phase = "running"
+        self.pattern = self._since_s = None
+        for camera in self.cameras.values():
+            camera.state = "idle"
+        for place, mark in self.marks.items():
+            if mark == "now":
+                self.marks[place] = "again"
+        self._devices(line)
+
+    def _devices(self, line: Mapping[str, Any]) -> None:
+        """What devices told, wherever a line has it."""
+        for key in ("led_device", "leds", "lights"):
+            leds = line.get(key)
+            if isinstance(leds, dict):
+                self._leds(leds)
+        for key in ("told", "cameras"):
+            cameras = line.get(key)
+            for name, told in cameras.items() if isinstance(cameras, dict) else ():
+                if isinstance(told, dict) and clean(name) in self.cameras:
+                    camera = self.cameras[clean(name)]
+                    camera.serial = text_of(told, "serial")
+                    camera.model = text_of(told, "model")
+                    camera.battery_percent = number_of(told, "battery_percent")
+                    camera.card_free_bytes = number_of(told, "card_free_bytes")
+
+    def _leds(self, leds: Mapping[str, Any]) -> None:
+        if isinstance(leds.get("acknowledged"), bool):
+            self.acknowledged = leds["acknowledged"]
+        count, firmware = number_of(leds, "light_count"), text_of(leds, "firmware")
+        boot = text_of(leds, "boot_id")
+        parts = [f"{count:.0f} lights" if count is not None else ""]
+        parts += [f"firmware {firmware}" if firmware else "", f"boot {boot}" if boot else ""]
+        self.lights = ", ".join(filter(None, parts)) or self.lights
+
+    def _lit(self, line: Mapping[str, Any]) -> None:
+        self.phase = "running"
+        self.pattern = text_of(line, "pattern") or None
+        if isinstance(line.get("acknowledged"), bool):
+            self.acknowledged = line["acknowledged"]
+        if self._since_s is None:
+            self._since_s = number_of(line, "elapsed_s")
+        for camera in self.cameras.values():
+            camera.state = "idle"
+
+    def _trigger(self, line: Mapping[str, Any]) -> None:
+        pattern = text_of(line, "pattern")
+        names = names_of(line, "takes") or names_of(line, "cameras")
+        for name in names or [text_of(line, "camera")]:
+            self._mark({"pattern": pattern, "camera": name}, "now", "triggering")
+
+    def _exposed(self, line: Mapping[str, Any]) -> None:
+        self._mark(line, "now", "downloading")
+
+    def _frame(self, line: Mapping[str, Any]) -> None:
+        self._mark(line, "kept", "kept")
+        self.takes[self._place(line)] = int(number_of(line, "take") or 1)
+        camera, size = self._camera(line), number_of(line, "size")
+        if camera is not None and camera.card_free_bytes is not None and size is not None:
+            camera.card_free_bytes = max(0.0, camera.card_free_bytes - size)
+
+    def _failed(self, line: Mapping[str, Any]) -> None:
+        if self.marks.get(self._place(line)) != "kept":
+            self._mark(line, "failed", "failed")
+
+    def _finding(self, line: Mapping[str, Any]) -> None:
+        pattern, camera = self._place(line)
+        if text_of(line, "severity") not in ("retake", "refuse") or pattern not in self.patterns:
+            return
+        for name in [camera] if camera else list(self.cameras):
+            if self.marks.get((pattern, name)) != "kept":
+                self._mark({"pattern": pattern, "camera": name}, "failed", "failed")
+
+    def _rejected(self, line: Mapping[str, Any]) -> None:
+        if self._place(line) in self.marks:
+            self.marks[self._place(line)] = "again"
+        self.done.discard(text_of(line, "pattern"))
+
+    def _shot(self, line: Mapping[str, Any]) -> None:
+        self.done.add(text_of(line, "pattern"))
+        now_s = number_of(line, "elapsed_s")
+        if now_s is not None and self._since_s is not None and now_s > self._since_s:
+            self._shot_s.append(now_s - self._since_s)
+        self._since_s = now_s
+
+    def _note(self, line: Mapping[str, Any]) -> None:
+        text = text_of(line, "said")
+        if text.startswith("paused"):
+            self.phase, self.pattern = "paused", None
+            self._since_s = None  # a pause is no measure of what is left
+        camera = self._camera(line)
+        if camera is not None and text.startswith("restarting"):
+            camera.state = "restarting"
+        elif camera is not None and text.startswith("started again"):
+            camera.state = "idle"
+
+    def _over(self, line: Mapping[str, Any]) -> None:
+        self.phase = "complete" if text_of(line, "event") == "end" else "aborted"
+        self.pattern = None
+
+
+_TAKES_UP = {
+    "begin": View._begin,
+    "resume": View._resume,
+    "devices": View._devices,
+    "lit": View._lit,
+    "trigger": View._trigger,
+    "exposed": View._exposed,
+    "frame": View._frame,
+    "failed": View._failed,
+    "finding": View._finding,
+    "rejected": View._rejected,
+    "shot": View._shot,
+    "note": View._note,
+    "aborted": View._over,
+    "end": View._over,
+}
