@@ -7,7 +7,8 @@ from lightstage.operator.attendance import (
     Unattended,
     Wish,
 )
-from lightstage.operator.server import EventConfig, EventServer, serve_events
+from lightstage.operator.events import serve_events
+from lightstage.operator.server import EventConfig, EventServer
 from lightstage.operator.terminal import TerminalOperator, open_operator
 
 __all__ = [

@@ -14,6 +14,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from lightstage.operator.cells import battery, card, short
 from lightstage.operator.view import CameraView, View
 from lightstage.operator.words import (
     ANSWERS,
@@ -45,8 +46,6 @@ MARKS: dict[Mark, tuple[str, str, str]] = {
 }
 """For a terminal with Unicode, for one without, and the style."""
 
-LOW_BATTERY_PERCENT = 20.0
-NEWS_LINES = 4
 ROOMY = 100
 """Columns from which serial numbers are shown."""
 LEGIBLE = 70
@@ -81,7 +80,8 @@ class Screen:
         width = options.max_width
         height = options.height or console.size.height
         with self.view.lock:
-            below = [*self._news(), *self._question(), *self._keys()]
+            said = self._said(console, options, height // (2 if self.ask.question else 3))
+            below = [*said, *self._keys()]
             used = 4 + sum(_lines(console, options, part) for part in below)
             # What need not be there goes first where the terminal is low.
             spare = height - 1 - used - len(self.view.cameras)
@@ -148,11 +148,13 @@ class Screen:
         view = self.view
         table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, show_edge=False)
         roomy = width >= ROOMY
-        names = {name: _short(name, 24 if roomy else 10) for name in view.cameras}
+        names = {name: short(name, 24 if roomy else 10) for name in view.cameras}
         name_wide = max(6, *map(len, names.values())) if names else 6
         columns = [("Camera", name_wide, True), ("Now", NOW_WIDE, True)]
         columns += [("Power", POWER_WIDE, False), ("Card", CARD_WIDE, False)]
-        columns += [("Serial", SERIAL_WIDE, False)] if roomy else []
+        serials = [len(camera.serial) for camera in view.cameras.values()]
+        serial_wide = min(SERIAL_WIDE, max(6, *serials)) if serials else 6
+        columns += [("Serial", serial_wide, False)] if roomy else []
         for title, wide, left in columns:
             side: Literal["left", "right"] = "left" if left else "right"
             table.add_column(title, width=wide, no_wrap=True, justify=side, header_style="dim")
@@ -162,8 +164,8 @@ class Screen:
         order = self._rows(rows)
         for name in order:
             camera = view.cameras[name]
-            cells = [Text(names[name]), self._state(camera), _battery(camera), _card(camera)]
-            cells += [Text(_short(camera.serial, SERIAL_WIDE) or "-", "dim")] if roomy else []
+            cells = [Text(names[name]), self._state(camera), battery(camera), card(camera)]
+            cells += [Text(short(camera.serial, SERIAL_WIDE) or "-", "dim")] if roomy else []
             table.add_row(*cells, self._marks(name, shown, wide, unicode))
         hidden = len(view.cameras) - len(order)
         if hidden:
@@ -230,21 +232,22 @@ class Screen:
             line.append(f" {words}   ")
         return line.append("2 second take")
 
-    def _news(self) -> list[RenderableType]:
-        if self.ask.question:
-            return []
-        news = list(self.view.news)[-NEWS_LINES:]
-        return [Text(), *(_said(item) for item in news)]
-
-    def _question(self) -> list[RenderableType]:
-        if not self.ask.question:
-            return []
-        shown = self.ask.question[:NEWS_LINES]
-        more = len(self.ask.question) - len(shown)
-        lines: list[RenderableType] = [Text(), *(_said(item) for item in shown)]
-        if more:
-            lines.append(Text(f"  and {more} more like these", "dim"))
-        return [*lines, Text(QUESTION, "bold reverse")]
+    def _said(self, console: Console, options: ConsoleOptions, room: int) -> list[RenderableType]:
+        """The question, or the latest news, as far as there is room for it."""
+        asked = self.ask.question
+        items = list(asked) if asked else list(reversed(self.view.news))
+        shown: list[RenderableType] = []
+        for item in items:
+            line = _said(item)
+            room -= _lines(console, options, line)
+            if shown and room < 0:
+                break
+            shown.append(line)
+        if not asked:
+            return [Text(), *reversed(shown)]
+        more = len(asked) - len(shown)
+        others = [Text(f"  and {more} more", "dim")] if more else []
+        return [Text(), *shown, *others, Text(QUESTION, "bold reverse")]
 
     def _keys(self) -> list[RenderableType]:
         lines: list[RenderableType] = []
@@ -256,7 +259,7 @@ class Screen:
                 key, words = KEYS[request]
                 words = ANSWERS.get(request, words) if self.ask.question else words
                 line.append(f" {key} ", "reverse bold")
-                line.append(f" {words}   ")
+                line.append(f" {words}  ")
             lines.append(line)
         return lines
 
@@ -280,24 +283,3 @@ def _sides(left: Text, right: Text) -> Table:
 
 def _lines(console: Console, options: ConsoleOptions, part: RenderableType) -> int:
     return len(console.render_lines(part, options.update(height=None), pad=False))
-
-
-def _short(text: str, longest: int) -> str:
-    return text if len(text) <= longest else f"{text[: longest - 2]}.."
-
-
-def _battery(camera: CameraView) -> Text:
-    if camera.battery_percent is None:
-        return Text("-", "dim")
-    low = camera.battery_percent < LOW_BATTERY_PERCENT
-    return Text(f"{camera.battery_percent:.0f}%{'!' if low else ''}", "bold yellow" if low else "")
-
-
-def _card(camera: CameraView) -> Text:
-    free = camera.card_free_bytes
-    if free is None:
-        return Text("-", "dim")
-    for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
-        if free >= size:
-            return Text(f"{free / size:.0f} {unit}")
-    return Text("full!", "bold red")

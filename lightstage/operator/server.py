@@ -25,10 +25,10 @@ import selectors
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 from lightstage.operator.lines import JournalTail
 from lightstage.operator.runtime import new_socket_path
@@ -50,40 +50,6 @@ class EventConfig:
 
     clients: int = 128
     last_words_s: float = 1.0
-
-
-class Writer(Protocol):
-    """What serves events of it: lightstage.session.SessionWriter."""
-
-    root: Path
-
-    @property
-    def listeners(self) -> list[Callable[[dict[str, Any]], None]]:
-        """Called with each line of the journal that is on the disk."""
-
-    def note(self, event: str, **facts: Any) -> Any:
-        """Write a line."""
-
-
-@contextlib.contextmanager
-def serve_events(
-    writer: Writer, request: Callable[[str], str | None], config: EventConfig | None = None
-) -> Iterator[EventServer]:
-    """Serve a session's events as long as the block lasts; the journal tells where.
-
-    Args:
-        writer: the session's, before another thread writes to it.
-        request: called with what clients want done, such as Operator.request.
-        config: limits.
-    """
-    with EventServer(writer.root / "journal.jsonl", request, config) as server:
-        writer.listeners.append(server.told)
-        try:
-            writer.note("note", said="others can follow", socket=str(server.path))
-            yield server
-        finally:
-            with contextlib.suppress(ValueError):  # the journal takes off one that failed
-                writer.listeners.remove(server.told)
 
 
 class _Client:

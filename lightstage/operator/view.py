@@ -56,7 +56,6 @@ class View:
         pattern: what is lit; None in the dark.
         lights: what the LED device told, as one line.
         acknowledged: whether it tells what is lit; None where it is not known.
-        news: the latest lines that somebody should read, oldest first; marks show the rest.
         phase: what the capture does.
     """
 
@@ -72,11 +71,16 @@ class View:
         self.pattern: str | None = None
         self.lights = ""
         self.acknowledged: bool | None = None
-        self.news: collections.deque[Said] = collections.deque(maxlen=NEWS_KEPT)
+        self._news: collections.deque[tuple[Said, str]] = collections.deque(maxlen=NEWS_KEPT)
         self.phase: Phase = "before"
         self.last_id = 0
         self._shot_s: collections.deque[float] = collections.deque(maxlen=SHOTS_MEASURED)
         self._since_s: float | None = None
+
+    @property
+    def news(self) -> list[Said]:
+        """What somebody should read, oldest first: what marks do not show and was not mended."""
+        return [words for words, _ in self._news]
 
     @property
     def kept(self) -> int:
@@ -110,7 +114,7 @@ class View:
             if take is not None:
                 take(self, line)
             if words.tone != "quiet" and text_of(line, "event") != "shot":
-                self.news.append(words)
+                self._news.append((words, _mended_by(line)))
         return words
 
     def _camera(self, line: Mapping[str, Any]) -> CameraView | None:
@@ -212,7 +216,10 @@ class View:
         self.done.discard(text_of(line, "pattern"))
 
     def _shot(self, line: Mapping[str, Any]) -> None:
-        self.done.add(text_of(line, "pattern"))
+        pattern = text_of(line, "pattern")
+        self.done.add(pattern)
+        left = [item for item in self._news if not pattern or item[1] != pattern]
+        self._news = collections.deque(left, NEWS_KEPT)
         now_s = number_of(line, "elapsed_s")
         if now_s is not None and self._since_s is not None and now_s > self._since_s:
             self._shot_s.append(now_s - self._since_s)
@@ -232,6 +239,14 @@ class View:
     def _over(self, line: Mapping[str, Any]) -> None:
         self.phase = "complete" if text_of(line, "event") == "end" else "aborted"
         self.pattern = None
+
+
+def _mended_by(line: Mapping[str, Any]) -> str:
+    """The pattern whose shot makes a line old; empty for none."""
+    bad = text_of(line, "severity") in ("retake", "refuse")
+    if text_of(line, "event") in ("failed", "rejected", "recovered") or bad:
+        return text_of(line, "pattern")
+    return ""
 
 
 _TAKES_UP = {

@@ -182,7 +182,8 @@ def _shot(line: Line) -> Said:
 def _note(line: Line) -> Said:
     if text_of(line, "socket"):
         return Said("plain", "Anyone here can follow with: lightstage watch {session}")
-    return Said("plain", f"{_at(line)}{text_of(line, 'said') or 'noted'}")
+    text = f"{_at(line)}{text_of(line, 'said') or 'noted'}"
+    return Said("plain", text[:1].upper() + text[1:] if not _place(line) else text)
 
 
 def _aborted(line: Line) -> Said:
@@ -238,9 +239,9 @@ QUESTION = "What now?"
 KEYS = {
     "retake": ("r", "last pattern again"),
     "accept": ("a", "accept as it is"),
-    "pause": ("p", "pause (dark)"),
+    "pause": ("p", "pause"),
     "resume": ("c", "continue"),
-    "abort": ("q", "stop (dark at once)"),
+    "abort": ("q", "stop, dark at once"),
     "leave": ("q", "leave (the capture goes on)"),
 }
 """Key and words of each request."""
