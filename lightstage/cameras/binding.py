@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from lightstage.cameras.camera import VERIFIABLE, CameraDevice, Summary
-from lightstage.cameras.process import CameraProcess
+from lightstage.cameras.process import CameraProcess, Deadlines
 from lightstage.errors import ConfigError, DeviceError, LightstageError, one_error
 from lightstage.formats.config import make_config, read_toml
 from lightstage.rig import Camera, Rig
@@ -226,16 +226,18 @@ def bind_by_serial(
 def find_cameras(
     rig: Rig,
     file: CamerasFile,
-    deadline_s: float,
+    deadline_s: Deadlines | float,
     detect: Callable[[float], list[tuple[str, str]]],
-    make: Callable[[str, str, Path | None, float, str | None], CameraProcess] = CameraProcess,
+    make: Callable[
+        [str, str, Path | None, Deadlines | float, str | None], CameraProcess
+    ] = CameraProcess,
 ) -> list[CameraProcess]:
     """One process for each camera of the rig, in the rig's order, not yet open.
 
     Args:
         rig: the cameras wanted.
         file: what is known of where they are.
-        deadline_s: of every camera command.
+        deadline_s: of the cameras' commands; one number for all of them.
         detect: lists model and port of connected cameras; asked only where a port is missing.
         make: builds a camera from id, port, virtual folder, deadline, driver.
 
@@ -248,8 +250,9 @@ def find_cameras(
     entries = {camera.id: file.cameras.get(camera.id, CameraEntry()) for camera in rig.cameras}
     searched = [camera for camera in rig.cameras if entries[camera.id].port is None]
     if searched:
+        open_s = deadline_s.open_s if isinstance(deadline_s, Deadlines) else deadline_s
         taken = {entry.port for entry in entries.values()}
-        free = [port for _, port in detect(deadline_s) if port not in taken]
+        free = [port for _, port in detect(open_s) if port not in taken]
         probes = [make(f"at {port}", port, None, deadline_s, None) for port in free]
         told, problems = open_cameras(probes)
         close_cameras(probes)

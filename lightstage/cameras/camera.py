@@ -159,10 +159,10 @@ class CameraDevice(Protocol):
     def card(self) -> tuple[CardFile, ...]:
         """Every photograph on the card, oldest first."""
 
-    def trigger(self, at_s: float) -> Exposure:
-        """Trigger at a time of time.monotonic() and wait for the shot's files."""
+    def trigger(self, at_s: float, pattern: str = "*") -> Exposure:
+        """Trigger at a time of time.monotonic() and wait for the shot's files (pattern: steps)."""
 
-    def download(self, name: str, path: Path) -> Download:
+    def download(self, name: str, path: Path, pattern: str = "*") -> Download:
         """Write a card's file to `path`, which must not exist, and flush it to the disk."""
 
     def delete(self, name: str) -> None:

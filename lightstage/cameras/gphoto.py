@@ -1,33 +1,30 @@
-"""Cameras through libgphoto2. The only file with gphoto2; it runs in a camera's own process."""
+"""Cameras through libgphoto2. The only file that imports gphoto2; in a camera's own process.
+
+What it guards against: memory that goes with its CameraFile; events that come late, in another
+order, or of an earlier shot; a wait for events that outlasts its time; RAW and JPEG of one shot;
+-53 (another program has the camera), -110 (busy), -7 (I/O). python-gphoto2 keeps Python's lock in
+file_delete, exit and autodetect: harmless here, where nothing else runs in the process.
+
+libgphoto2's virtual camera remembers nothing beyond its process: after a restart its card holds
+the seed alone, and its names begin anew (GPH_0099.JPG), so that a photograph not yet downloaded
+when its process dies is gone. Its 27th shot has no file.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from lightstage.cameras.camera import Photograph, Summary
+from lightstage.cameras import gphoto_settings as known
+from lightstage.cameras import gphoto_widgets as widgets
+from lightstage.cameras.camera import CardFile, Download, Exposure, Summary
+from lightstage.cameras.card_file import pieces, write_card_file
+from lightstage.cameras.gphoto_events import Events, joined
+from lightstage.cameras.gphoto_link import Link, Patience
 from lightstage.errors import DeviceError
-
-HINTS = {
-    -1: "Is there free space, and is the lens able to focus?",
-    -3: "The camera's memory is full; free its card, then switch it off and on.",
-    -7: "Switch the camera off and on, or plug its cable in again.",
-    -53: "Another program has the camera: stop the desktop's photo import (gvfs).",
-    -105: "No such camera is connected; check cable and power.",
-    -110: "The camera is busy; wait until it has written its pictures.",
-}
-"""What to try, by libgphoto2's error code."""
-
-# Names under which makers offer the same setting, most common first.
-SETTINGS = {
-    "iso": ("iso", "isospeed"),
-    "shutter": ("shutterspeed", "shutterspeed2"),
-    "aperture": ("f-number", "aperture"),
-}
 
 
 def _library(virtual_folder: Path | None) -> Any:
@@ -43,26 +40,35 @@ def _library(virtual_folder: Path | None) -> Any:
     return gphoto2
 
 
-def detect() -> list[tuple[str, str]]:
-    """Model and port of every camera that is connected."""
-    gphoto2 = _library(None)
-    found = gphoto2.Camera.autodetect()
-    return [(found.get_name(index), found.get_value(index)) for index in range(found.count())]
-
-
 class GphotoCamera:
-    """One camera at a port, or libgphoto2's virtual camera on a folder.
+    """One camera at a port, or libgphoto2's virtual camera on a folder (CameraDriver).
 
     Args:
         port: such as ``usb:001,004``.
-        virtual_folder: holds ``DCIM/100TEST/<seed>.jpg``, whose bytes every capture gives.
+        virtual_folder: holds ``DCIM/100TEST/<seed>.jpg``, whose bytes every shot gives.
+        patience: with what passes by itself.
     """
 
-    def __init__(self, port: str, virtual_folder: Path | None = None) -> None:
+    def __init__(
+        self, port: str, virtual_folder: Path | None = None, patience: Patience | None = None
+    ) -> None:
         self.port = port
         self.virtual_folder = virtual_folder
-        self._gphoto2 = _library(virtual_folder)
-        self._camera: Any = None
+        self._events = Events()
+        self._link = Link(
+            _library(virtual_folder),
+            port,
+            patience or Patience(),
+            lambda: self._events.drain(self._link),
+            self._serial,
+        )
+        self._wanted = 1
+
+    @staticmethod
+    def ports(_given: str) -> list[tuple[str, str]]:
+        """Model and port of every camera that is connected, whatever port was given."""
+        found = _library(None).Camera.autodetect()
+        return [(found.get_name(index), found.get_value(index)) for index in range(found.count())]
 
     def open(self) -> Summary:
         """Connect to the camera at the port; DeviceError when there is none."""
@@ -73,96 +79,110 @@ class GphotoCamera:
                 found=str(self.virtual_folder),
                 expected="a folder",
             )
-        gphoto2 = self._gphoto2
-        try:
-            ports = gphoto2.PortInfoList()
-            ports.load()
-            abilities = gphoto2.CameraAbilitiesList()
-            abilities.load()
-            here = abilities.detect(ports)
-            at = {here.get_value(i): here.get_name(i) for i in range(here.count())}
-            if self.port not in at:
-                raise DeviceError(
-                    f"port {self.port}",
-                    found=", ".join(f"{name} at {port}" for port, name in at.items()) or "nothing",
-                    expected="a camera at this port",
-                    hint=HINTS[-105],
-                )
-            model = at[self.port]
-            camera = gphoto2.Camera()
-            camera.set_port_info(ports[ports.lookup_path(self.port)])
-            camera.set_abilities(abilities[abilities.lookup_model(model)])
-            camera.init()
-        except gphoto2.GPhoto2Error as error:
-            raise self._failure("connect", error) from None
-        self._camera = camera
-        return Summary(
-            serial=self._serial(),
-            model=model,
-            **{name: self._setting(*keys) for name, keys in SETTINGS.items()},
-        )
+        self._link.connect()
+        widgets.keep_on_card(self._link)
+        told = self.summary()
+        self._events.drain(self._link)
+        return told
 
-    def capture(self, at_s: float) -> Photograph:
-        """Take one photograph and download it; it also stays on the camera, as a second copy.
+    def summary(self) -> Summary:
+        """What the camera tells, read anew."""
+        link = self._link
+        told = link.again("summary", lambda: widgets.read_summary(link, self._serial()))
+        self._wanted = known.files_of_a_shot(told.image_format)
+        return told
 
-        Args:
-            at_s: time.monotonic() at which to trigger.
+    def change(self, name: str, value: str) -> None:
+        """Set a field of Summary and read it back; the clock by the offset that it is to have."""
+        link = self._link
+        link.again(f"change {name}", lambda: widgets.change(link, name, value))
+        if name == "image_format":
+            self._wanted = known.files_of_a_shot(value)
+
+    def card(self) -> tuple[CardFile, ...]:
+        """Every photograph in all folders of all its cards, oldest first."""
+        found = self._link.again("card", lambda: sorted(self._walk("/")))
+        return tuple(CardFile(name, size) for _, name, size in found)
+
+    def trigger(self, at_s: float) -> Exposure:
+        """Trigger at a time and wait for this shot's files.
+
+        A trigger is repeated only where the camera said that it was busy, so that none was taken.
+        Files that could be of an earlier shot too are refused: they stay on the card.
         """
-        gphoto2 = self._gphoto2
+        library, link = self._link.library, self._link
+        operations = link.camera.get_abilities().operations
+        can_trigger = operations & library.GP_OPERATION_TRIGGER_CAPTURE
+        triggered_s = at_s
+
+        def expose() -> str | None:
+            nonlocal triggered_s
+            triggered_s = time.monotonic()
+            if can_trigger:
+                link.camera.trigger_capture()
+                return None
+            return joined(link.camera.capture(library.GP_CAPTURE_IMAGE))
+
         time.sleep(max(0.0, at_s - time.monotonic()))
-        triggered_s = time.monotonic()
-        try:
-            path = self._camera.capture(gphoto2.GP_CAPTURE_IMAGE)
-            exposed_s = time.monotonic()
-            # The CameraFile must outlive the copy: its memory goes with it.
-            file = self._camera.file_get(path.folder, path.name, gphoto2.GP_FILE_TYPE_NORMAL)
-            data = bytes(memoryview(file.get_data_and_size()))
-            told = self._camera.file_get_info(path.folder, path.name).file.size
-        except gphoto2.GPhoto2Error as error:
-            raise self._failure("capture", error) from None
-        downloaded_s = time.monotonic()
-        if len(data) != told or not data:
+        first = link.again("trigger", expose, repeatable=False)
+        names, exposed_s = self._events.files_of_shot(link, first, self._wanted)
+        files = tuple(CardFile(name, self._size(name)) for name in names)
+        return Exposure(files, triggered_s, exposed_s)
+
+    def download(self, name: str, path: Path) -> Download:
+        """Write a card's file to a new file, hashed where it leaves libgphoto2."""
+        link, kind = self._link, self._link.library.GP_FILE_TYPE_NORMAL
+        size = self._size(name)
+        # `file` must outlive its memory: it is held until the last byte is written.
+        file = link.again("download", lambda: link.camera.file_get(*_split(name), kind))
+        data = memoryview(file.get_data_and_size()).cast("B")
+        if len(data) != size or not size:
             raise DeviceError(
                 self.port,
-                field=path.name,
+                field=name,
                 found=f"{len(data)} bytes",
-                expected=f"{told} bytes, as the camera says",
+                expected=f"{size} bytes, as the camera says",
                 hint="The download was cut; check the cable.",
             )
-        sha256 = hashlib.sha256(data).hexdigest()
-        return Photograph(data, sha256, path.name, triggered_s, exposed_s, downloaded_s)
+        got = write_card_file(path, size, pieces(data))
+        del data, file
+        self._events.drain(link)  # what is said of this shot is not taken for the next one's
+        return got
+
+    def delete(self, name: str) -> None:
+        """Remove a file from the card; python-gphoto2 keeps Python's lock meanwhile."""
+        self._link.again("delete", lambda: self._link.camera.file_delete(*_split(name)))
 
     def close(self) -> None:
         """Let go of the camera."""
-        if self._camera is not None:
-            self._camera.exit()
-            self._camera = None
+        self._link.close()
 
     def _serial(self) -> str | None:
         # The virtual camera says 0.1 whichever it is: it cannot tell.
         if "VCAMERADIR" in os.environ:
             return None
-        return self._setting("serialnumber", "eosserialnumber")
+        return widgets.read_text(self._link, "serial")
 
-    def _setting(self, *names: str) -> str | None:
-        """Value of the first of these settings that the camera has."""
-        for value in self._values(names):
-            return value
-        return None
+    def _size(self, name: str) -> int:
+        link = self._link
+        info = link.again("file size", lambda: link.camera.file_get_info(*_split(name)))
+        return int(info.file.size)
 
-    def _values(self, names: tuple[str, ...]) -> Iterator[str]:
-        for name in names:
-            try:
-                value = str(self._camera.get_single_config(name).get_value()).strip()
-            except self._gphoto2.GPhoto2Error:
-                continue
-            if value:
-                yield value
+    def _walk(self, folder: str) -> Iterator[tuple[int, str, int]]:
+        """Time, name and size of each photograph below a folder."""
+        camera = self._link.camera
+        files = camera.folder_list_files(folder)
+        for index in range(files.count()):
+            name = files.get_name(index)
+            if known.is_photograph(name):
+                info = camera.file_get_info(folder, name).file
+                yield int(info.mtime), f"{folder.rstrip('/')}/{name}", int(info.size)
+        folders = camera.folder_list_folders(folder)
+        for index in range(folders.count()):
+            yield from self._walk(f"{folder.rstrip('/')}/{folders.get_name(index)}")
 
-    def _failure(self, doing: str, error: Any) -> DeviceError:
-        return DeviceError(
-            self.port,
-            field=doing,
-            found=f"libgphoto2 error {error.code} ({error.string})",
-            hint=HINTS.get(error.code, "Switch the camera off and on, then try again."),
-        )
+
+def _split(name: str) -> tuple[str, str]:
+    """Folder and file of a name on the card."""
+    folder, _, file = name.rpartition("/")
+    return folder or "/", file

@@ -1,165 +1,71 @@
-"""One supervised process a camera: a hard deadline on every command, killed when it is over."""
+"""One supervised process a camera: killed at its deadline, found again by its serial number."""
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
-import os
-import selectors
-import subprocess
-import sys
+import dataclasses
 import tempfile
 import threading
 import time
+import weakref
 from pathlib import Path
 from typing import Any
 
-from lightstage.cameras import messages
-from lightstage.cameras.camera import Photograph, Summary
-from lightstage.errors import DeviceError
+from lightstage.cameras.camera import (
+    CameraDriver,
+    CardFile,
+    Download,
+    Exposure,
+    Photograph,
+    Summary,
+)
+from lightstage.cameras.child import Child
+from lightstage.errors import DeviceError, LightstageError
 
-PIPE_BYTES = 1 << 20
-"""Room in the pipe of answers: a photograph passes in few large steps."""
-STDERR_BYTES = 1 << 16
 
+@dataclasses.dataclass(frozen=True)
+class Deadlines:
+    """After how long a camera that has not answered is ended.
 
-class Worker:
-    """A child that answers one command at a time, or is killed.
-
-    The child has a session of its own, so that Ctrl-C reaches only the capture, which ends it
-    after the lights are dark.
-
-    Args:
-        name: what to call it in errors.
+    Attributes:
+        open_s: connecting; also the whole search for a camera that is to be restarted.
+        trigger_s: after the time at which it was to trigger, until its files are on the card.
+        download_s: a download, beside the time that its bytes take.
+        download_bytes_per_s: the slowest that a cable may be.
+        other_s: settings, the list of its card, removing a file.
     """
 
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self._last_words = ""
-        self._closing = threading.Lock()
-        self._stderr, name_on_disk = tempfile.mkstemp()
-        os.unlink(name_on_disk)
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", "lightstage.cameras.worker"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._stderr,
-            bufsize=0,
-            start_new_session=True,
-        )
-        if hasattr(fcntl, "F_SETPIPE_SZ") and self._child.stdout is not None:
-            with contextlib.suppress(OSError):  # a user's pipes may have a limit
-                fcntl.fcntl(self._child.stdout, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+    open_s: float = 30.0
+    trigger_s: float = 30.0
+    download_s: float = 10.0
+    download_bytes_per_s: float = 2e6
+    other_s: float = 30.0
 
-    @property
-    def pid(self) -> int:
-        """The child's process id."""
-        return self._child.pid
+    @staticmethod
+    def all(seconds: float) -> Deadlines:
+        """The same time for everything; bytes take theirs on top."""
+        return Deadlines(seconds, seconds, seconds, other_s=seconds)
 
-    def ask(self, command: dict[str, Any], deadline_s: float) -> tuple[dict[str, Any], bytes]:
-        """Send one command and wait for its answer.
 
-        Args:
-            command: JSON-ready, with ``command``.
-            deadline_s: seconds after which the child is killed.
+UNKNOWN_BYTES = 100_000_000
+"""Taken for the size of a file of which the camera has not told it."""
+PAUSE_S = 0.2
+"""Between two looks for a camera that is not there."""
 
-        Raises:
-            DeviceError: an error that the child tells, its death, or the deadline.
-        """
-        doing = str(command["command"])
-        until = time.monotonic() + deadline_s
-        assert self._child.stdin is not None
-        try:
-            self._child.stdin.write(messages.head(command))
-            message = messages.read(lambda size: self._take(size, until))
-        except TimeoutError:
-            self.kill()
-            raise DeviceError(
-                self.name,
-                field=doing,
-                found=f"no answer within {deadline_s:g} s",
-                expected="an answer",
-                hint="Its process was ended; switch the camera off and on.",
-            ) from None
-        except (OSError, ValueError) as error:
-            raise self._died(doing, str(error)) from None
-        if message is None:
-            raise self._died(doing, "its process ended")
-        reply, data = message
-        if "error" in reply:
-            told = reply["error"]
-            where = f"{self.name} ({told.pop('where')})"
-            raise DeviceError(where, **told)
-        return reply, data
 
-    def kill(self) -> None:
-        """End the child now, whatever it is doing."""
-        with contextlib.suppress(ProcessLookupError):
-            self._child.kill()
-        self._child.wait()
-        self._close_files()
-
-    def close(self) -> None:
-        """Let the child end by itself (its commands' stream ends); kill it if it takes over 2 s."""
-        with contextlib.suppress(OSError):
-            if self._child.stdin is not None:
-                self._child.stdin.close()
-        try:
-            self._child.wait(2.0)
-        except subprocess.TimeoutExpired:
-            self.kill()
-        self._close_files()
-
-    def _take(self, size: int, until: float) -> bytes:
-        """Exactly `size` bytes of the child's answers, fewer only if it ended."""
-        assert self._child.stdout is not None
-        taken = bytearray(size)
-        done = 0
-        with memoryview(taken) as view, selectors.DefaultSelector() as selector:
-            selector.register(self._child.stdout, selectors.EVENT_READ)
-            while done < size:
-                if not selector.select(max(0.0, until - time.monotonic())):
-                    raise TimeoutError
-                count = os.readv(self._child.stdout.fileno(), [view[done:]])
-                if count == 0:
-                    break
-                done += count
-            return bytes(view[:done])
-
-    def _died(self, doing: str, said: str) -> DeviceError:
-        self.kill()
-        lines = self._last_words.splitlines()
-        return DeviceError(
-            self.name,
-            field=doing,
-            found=f"{said}, exit status {self._child.returncode}"
-            + (f", {lines[-1]}" if lines else ""),
-            expected="an answer",
-            hint="Switch the camera off and on, then try again.",
-        )
-
-    def _close_files(self) -> None:
-        # A capture that gives up closes cameras while their threads may be doing the same.
-        with self._closing:
-            if self._stderr >= 0:
-                words = os.pread(self._stderr, STDERR_BYTES, 0)
-                self._last_words = words.decode(errors="replace").strip()
-                os.close(self._stderr)
-                self._stderr = -1
-            for pipe in (self._child.stdin, self._child.stdout):
-                with contextlib.suppress(OSError):
-                    if pipe is not None:
-                        pipe.close()
+_CAMERAS: weakref.WeakSet[CameraProcess] = weakref.WeakSet()
+"""All of this process: one that is looked for is not looked for where another one works."""
 
 
 class CameraProcess:
     """A camera in a process of its own (CameraDevice).
 
+    One command at a time; `close` may come from any thread, and ends what is under way.
+
     Args:
         camera_id: the rig's name for it.
-        port: libgphoto2's name of the port, or what the driver calls it.
+        port: libgphoto2's name of the port, or what the driver calls it; `restart` may change it.
         virtual_folder: folder of libgphoto2's virtual camera, None for a real one.
-        deadline_s: of every command.
+        deadlines: of its commands; one number for all of them.
         driver: ``package.module:name`` of a driver that is not libgphoto2's.
     """
 
@@ -168,55 +74,210 @@ class CameraProcess:
         camera_id: str,
         port: str,
         virtual_folder: Path | None,
-        deadline_s: float,
+        deadlines: Deadlines | float,
         driver: str | None = None,
     ) -> None:
         self.id = camera_id
         self.port = port
         self.virtual_folder = virtual_folder
-        self.deadline_s = deadline_s
+        self.deadlines = deadlines if isinstance(deadlines, Deadlines) else Deadlines.all(deadlines)
         self.driver = driver
-        self._worker: Worker | None = None
+        self._serial: str | None = None
+        self._sizes: dict[str, int] = {}
+        self._child: Child | None = None
+        self._changing = threading.Lock()  # of _child and _closed
+        self._closed = False
+        _CAMERAS.add(self)
 
     @property
     def pid(self) -> int | None:
         """The process id, None before open() and after close()."""
-        return None if self._worker is None else self._worker.pid
+        child = self._child
+        return None if child is None else child.pid
 
     def open(self) -> Summary:
-        """Start the process and connect."""
+        """Start the process and connect, at the port alone."""
         self.close()
-        self._worker = Worker(f"camera {self.id}")
-        folder = None if self.virtual_folder is None else str(self.virtual_folder)
-        command = {
-            "command": "open",
-            "port": self.port,
-            "virtual_folder": folder,
-            "driver": self.driver,
-        }
-        reply, _ = self._worker.ask(command, self.deadline_s)
-        return Summary(**reply)
+        self._closed = False
+        self._serial = None
+        told = self._open_at(self.port, self.deadlines.open_s)
+        self._serial = told.serial
+        return told
+
+    def restart(self) -> Summary:
+        """End the process, find the same body again, and connect.
+
+        A body that told its serial number is looked for at every port, its own first: a cable may
+        be in another socket now. One that cannot tell it is looked for at its port alone. One
+        that is gone is waited for until the time for opening is over.
+
+        Raises:
+            DeviceError: it is not there, with what is at each port instead.
+        """
+        child = self._child
+        if child is not None:
+            child.kill()
+        until = time.monotonic() + self.deadlines.open_s
+        said: dict[str, str] = {}
+        while not self._closed:
+            for port in self._candidates(until):
+                # Half of what is left: one port that hangs must not hide the others.
+                left_s = max(PAUSE_S, 0.5 * (until - time.monotonic()))
+                try:
+                    told = self._open_at(port, left_s, patient=False)
+                except LightstageError as error:
+                    said[port] = str(error)
+                    continue
+                if told.serial == self._serial:
+                    self.port = port
+                    return told
+                said[port] = f"{port}: found serial {told.serial}"
+                self._end_child()
+            if time.monotonic() + PAUSE_S >= until:
+                break
+            time.sleep(PAUSE_S)
+        known = f"the camera with serial {self._serial}" if self._serial else f"it at {self.port}"
+        raise DeviceError(
+            f"camera {self.id}",
+            field="restart",
+            found="closed" if self._closed else "; ".join(said.values()) or "no camera at any port",
+            expected=known,
+            hint="Check its cable, power and battery.",
+        )
+
+    def summary(self) -> Summary:
+        """What the camera tells about itself, read anew."""
+        return Summary(**self._ask({"command": "summary"}, self.deadlines.other_s))
+
+    def change(self, name: str, value: str) -> None:
+        """Set a field of Summary by its name."""
+        self._ask({"command": "change", "name": name, "value": value}, self.deadlines.other_s)
+
+    def card(self) -> tuple[CardFile, ...]:
+        """Every photograph on the card, oldest first."""
+        return self._files(self._ask({"command": "card"}, self.deadlines.other_s))
+
+    def trigger(self, at_s: float, pattern: str = "*") -> Exposure:
+        """Trigger at a time of time.monotonic() and wait for the shot's files.
+
+        Args:
+            at_s: at once if it is past.
+            pattern: whose light it is, for the names of steps.
+        """
+        lead_s = max(0.0, at_s - time.monotonic())
+        command = {"command": "trigger", "at_s": at_s, "pattern": pattern}
+        reply = self._ask(command, lead_s + self.deadlines.trigger_s)
+        return Exposure(self._files(reply), reply["triggered_s"], reply["exposed_s"])
+
+    def download(self, name: str, path: Path, pattern: str = "*") -> Download:
+        """Write a card's file to `path`, which must not exist, and flush it to the disk.
+
+        Args:
+            name: of the file on the card.
+            path: in a folder that exists.
+            pattern: whose light it is, for the names of steps.
+
+        Raises:
+            CaptureError: this computer's disk fails; nothing is left at `path`.
+        """
+        size = self._sizes.get(name, UNKNOWN_BYTES)
+        deadline_s = self.deadlines.download_s + size / self.deadlines.download_bytes_per_s
+        command = {"command": "download", "name": name, "path": str(path), "pattern": pattern}
+        return Download(**self._ask(command, deadline_s))
+
+    def delete(self, name: str) -> None:
+        """Remove a file from the card."""
+        self._ask({"command": "delete", "name": name}, self.deadlines.other_s)
+        self._sizes.pop(name, None)
 
     def capture(self, at_s: float) -> Photograph:
-        """Trigger at a time of time.monotonic() and download, within the deadline."""
-        if self._worker is None:
-            raise DeviceError(f"camera {self.id}", found="not open", expected="open() first")
-        command = {"command": "capture", "at_s": at_s}
-        reply, data = self._worker.ask(command, self.deadline_s)
-        return Photograph(data=data, **reply)
+        """Trigger, download, and give the bytes (goes away)."""
+        return photograph(self, at_s)
 
     def close(self) -> None:
-        """End the process."""
-        if self._worker is not None:
-            self._worker.close()
-            self._worker = None
+        """End the process; never raises, waits a few seconds at most."""
+        with self._changing:
+            self._closed = True
+        self._end_child()
+
+    def holds(self, port: str) -> bool:
+        """Whether it is connected at this port now."""
+        child = self._child
+        return self.port == port and child is not None and child.alive
+
+    def _end_child(self) -> None:
+        with self._changing:
+            child, self._child = self._child, None
+        if child is not None:
+            child.close()
+
+    def _candidates(self, until: float) -> list[str]:
+        """Ports at which the camera may be now, its own first, none that another one holds."""
+        if self._serial is None:
+            return [self.port]
+        command = {**self._place(self.port), "command": "ports"}
+        left_s = max(PAUSE_S, until - time.monotonic())
+        try:
+            found = [port for _, port in _ports(self.id, f"camera {self.id}", command, left_s)]
+        except LightstageError:
+            found = [self.port]
+        others = [camera for camera in _CAMERAS if camera is not self]
+        free = [port for port in found if not any(camera.holds(port) for camera in others)]
+        return sorted(free, key=lambda port: port != self.port)
+
+    def _open_at(self, port: str, deadline_s: float, patient: bool = True) -> Summary:
+        """Connect in a new process, which is ended again where that fails."""
+        with self._changing:
+            if self._closed:
+                raise DeviceError(f"camera {self.id}", found="closed", expected="open() first")
+            child = self._child = Child(self.id, f"camera {self.id}")
+        command = {**self._place(port), "command": "open", "patient": patient}
+        try:
+            return Summary(**child.ask(command, deadline_s))
+        except LightstageError:
+            child.kill()
+            raise
+
+    def _place(self, port: str) -> dict[str, Any]:
+        folder = None if self.virtual_folder is None else str(self.virtual_folder)
+        return {"port": port, "virtual_folder": folder, "driver": self.driver}
+
+    def _ask(self, command: dict[str, Any], deadline_s: float) -> dict[str, Any]:
+        child = self._child
+        if child is None:
+            raise DeviceError(f"camera {self.id}", found="not open", expected="open() first")
+        return child.ask(command, deadline_s)
+
+    def _files(self, reply: dict[str, Any]) -> tuple[CardFile, ...]:
+        files = tuple(CardFile(str(name), int(size)) for name, size in reply["files"])
+        self._sizes.update({file.name: file.size for file in files})
+        return files
+
+
+def photograph(camera: CameraDriver, at_s: float) -> Photograph:
+    """Trigger, download, and give the bytes (goes away)."""
+    exposure = camera.trigger(at_s)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "photograph"
+        got = camera.download(exposure.files[0].name, path)
+        data = path.read_bytes()
+    name = exposure.files[0].name.rpartition("/")[2]
+    times = (exposure.triggered_s, exposure.exposed_s, time.monotonic())
+    return Photograph(data, got.sha256, name, *times)
 
 
 def detect_ports(deadline_s: float) -> list[tuple[str, str]]:
-    """Model and port of every connected camera, asked in a process that can be killed."""
-    worker = Worker("camera detection")
+    """Model and port of every camera of libgphoto2, asked in a process that can be killed."""
+    command = {"command": "ports", "port": "", "virtual_folder": None, "driver": None}
+    return _ports("*", "camera detection", command, deadline_s)
+
+
+def _ports(
+    camera_id: str, name: str, command: dict[str, Any], deadline_s: float
+) -> list[tuple[str, str]]:
+    child = Child(camera_id, name)
     try:
-        reply, _ = worker.ask({"command": "detect"}, deadline_s)
+        reply = child.ask(command, deadline_s)
     finally:
-        worker.close()
-    return [(str(model), str(port)) for model, port in reply["found"]]
+        child.close()
+    return [(str(model), str(port)) for model, port in reply["ports"]]

@@ -1,6 +1,7 @@
 """A camera's own process: reads commands on stdin, answers on stdout, ends with its parent.
 
-``python -m lightstage.cameras.worker``, started by lightstage.cameras.process.
+``python -m lightstage.cameras.worker CAMERA HANDLE``, started by lightstage.cameras.child.
+Photographs go from here to the disk; answers are short.
 """
 
 from __future__ import annotations
@@ -9,49 +10,98 @@ import dataclasses
 import importlib
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from lightstage import steps
 from lightstage.cameras import messages
 from lightstage.cameras.camera import CameraDriver
-from lightstage.cameras.gphoto import GphotoCamera, detect
-from lightstage.errors import DeviceError, LightstageError
+from lightstage.cameras.card_file import SHOT
+from lightstage.cameras.gphoto import GphotoCamera
+from lightstage.cameras.gphoto_link import Patience
+from lightstage.cameras.lifeline import end_with
+from lightstage.errors import CaptureError, DeviceError, LightstageError
 
 
-def serve(commands: BinaryIO, replies: BinaryIO) -> None:
+def serve(camera_id: str, commands: BinaryIO, replies: BinaryIO) -> None:
     """Answer commands until their stream ends; errors are answers too."""
-    camera: CameraDriver | None = None
-    while (message := messages.read(commands.read)) is not None:
-        asked, _ = message
-        data = b""
-        reply: dict[str, Any] = {}
+    serving = _Serving(camera_id)
+    while (asked := messages.read(commands.read)) is not None:
         try:
-            if asked["command"] == "detect":
-                reply = {"found": detect()}
-            elif asked["command"] == "open":
-                camera = _driver(asked)
-                reply = dataclasses.asdict(camera.open())
-            elif asked["command"] == "capture" and camera is not None:
-                photograph = camera.capture(asked["at_s"])
-                reply, data = dataclasses.asdict(photograph), photograph.data
-                del reply["data"]
+            reply = serving.answer(asked)
         except LightstageError as error:
-            reply = {"error": dataclasses.asdict(_Told.of(error))}
-        replies.write(messages.head(reply, len(data)))
-        replies.write(data)
+            reply = {"error": _told(error)}
+        replies.write(messages.pack(reply))
         replies.flush()
-    if camera is not None:
-        camera.close()
+    if serving.camera is not None:
+        serving.camera.close()
 
 
-def _driver(asked: dict[str, Any]) -> CameraDriver:
+class _Serving:
+    """One camera's driver and what it is asked."""
+
+    def __init__(self, camera_id: str) -> None:
+        self.camera_id = camera_id
+        self.camera: CameraDriver | None = None
+
+    def answer(self, asked: dict[str, Any]) -> dict[str, Any]:
+        """The answer to one command, ready for JSON."""
+        command = asked["command"]
+        if command == "ports":
+            return {"ports": _ports(asked)}
+        if command == "open":
+            self.camera = _driver(asked)
+            return dataclasses.asdict(self.camera.open())
+        if self.camera is None:
+            raise DeviceError(self.camera_id, field=command, found="not open", expected="open()")
+        SHOT.set((asked.get("pattern", "*"), self.camera_id))
+        does: dict[str, Callable[[CameraDriver, dict[str, Any]], dict[str, Any]]] = {
+            "summary": lambda camera, _: dataclasses.asdict(camera.summary()),
+            "change": _change,
+            "card": lambda camera, _: {"files": [[f.name, f.size] for f in camera.card()]},
+            "trigger": _trigger,
+            "download": _download,
+            "delete": _delete,
+        }
+        return does[command](self.camera, asked)
+
+
+def _trigger(camera: CameraDriver, asked: dict[str, Any]) -> dict[str, Any]:
+    steps.step("triggering", *SHOT.get())
+    exposure = camera.trigger(asked["at_s"])
+    steps.step("triggered", *SHOT.get())
+    return {
+        "files": [[file.name, file.size] for file in exposure.files],
+        "triggered_s": exposure.triggered_s,
+        "exposed_s": exposure.exposed_s,
+    }
+
+
+def _download(camera: CameraDriver, asked: dict[str, Any]) -> dict[str, Any]:
+    got = camera.download(asked["name"], Path(asked["path"]))
+    steps.step("downloaded", *SHOT.get())
+    return dataclasses.asdict(got)
+
+
+def _change(camera: CameraDriver, asked: dict[str, Any]) -> dict[str, Any]:
+    camera.change(asked["name"], asked["value"])
+    return {}
+
+
+def _delete(camera: CameraDriver, asked: dict[str, Any]) -> dict[str, Any]:
+    camera.delete(asked["name"])
+    return {}
+
+
+def _class(asked: dict[str, Any]) -> Callable[..., CameraDriver]:
     """libgphoto2's driver, or the one that is named; DeviceError where there is none such."""
-    named, folder = asked["driver"], asked["virtual_folder"]
+    named = asked["driver"]
     if named is None:
-        return GphotoCamera(asked["port"], Path(folder) if folder else None)
+        return GphotoCamera
     module, _, name = named.partition(":")
     try:
-        camera: CameraDriver = getattr(importlib.import_module(module), name)(asked["port"])
+        made: Callable[..., CameraDriver] = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
         raise DeviceError(
             asked["port"],
@@ -59,29 +109,48 @@ def _driver(asked: dict[str, Any]) -> CameraDriver:
             found=str(error),
             expected=f"an installed module {module} with {name}",
         ) from None
-    return camera
+    return made
 
 
-@dataclasses.dataclass(frozen=True)
-class _Told:
+def _driver(asked: dict[str, Any]) -> CameraDriver:
+    if asked["driver"] is not None:
+        return _class(asked)(asked["port"])
+    folder = asked["virtual_folder"]
+    patience = Patience() if asked["patient"] else Patience(claimed_tries=1)
+    return GphotoCamera(asked["port"], Path(folder) if folder else None, patience)
+
+
+def _ports(asked: dict[str, Any]) -> list[list[str]]:
+    """Model and port of what is connected now.
+
+    A driver may have a static method ``ports(given)`` that lists them for the port that it was
+    given; one without can be only where it was.
+    """
+    find = getattr(_class(asked), "ports", None)
+    if find is None:
+        return [["", asked["port"]]]
+    return [[str(model), str(port)] for model, port in find(asked["port"])]
+
+
+def _told(error: LightstageError) -> dict[str, str]:
     """An error's parts, so that the parent can say them with the camera's name."""
-
-    where: str
-    field: str
-    found: str
-    expected: str
-    hint: str
-
-    @staticmethod
-    def of(error: LightstageError) -> _Told:
-        return _Told(error.where, error.field, error.found, error.expected, error.hint)
+    return {
+        "kind": "disk" if isinstance(error, CaptureError) else "camera",
+        "where": error.where,
+        "field": error.field,
+        "found": error.found,
+        "expected": error.expected,
+        "hint": error.hint,
+    }
 
 
 def main() -> None:
     """Serve; what C libraries print goes to stderr, never among the replies."""
+    camera_id, handle = sys.argv[1:]
+    end_with(int(handle))
     replies = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    serve(sys.stdin.buffer, replies)
+    serve(camera_id, sys.stdin.buffer, replies)
 
 
 if __name__ == "__main__":

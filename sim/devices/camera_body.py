@@ -1,37 +1,36 @@
 """A camera's body without its driver: settings, card, events, and what goes wrong with them.
 
-All that it remembers lies in its folder, so that it is the same camera after its process was
-killed:
-
-    camera.json   who it is, its settings, its part of the story
-    next.dng      what a shot gives now; replaced when the light changes
-    state.json    shots so far, what is pending, whether it is gone or off
-    card/         its files, DSC_0001.DNG and so on
+All that it remembers lies in its folder (sim.devices.body_folder), so that it is the same camera
+after its process was killed.
 """
 
 from __future__ import annotations
 
 import collections
 import dataclasses
+import json
 import time
 from pathlib import Path
 from typing import Any
 
-from lightstage.formats.files import read_json, write_bytes, write_json
+from lightstage.formats.files import read_json
 from sim.camera.exposure import expose_again, preview_jpeg
+from sim.devices.body_folder import NEXT, SCHEMA, put
 from sim.devices.camera_settings import CameraSettings, changed
 from sim.devices.faults import Due, FaultLog, Story
 
-SCHEMA = "lightstage.simulated_camera/1"
-NEXT = "next.dng"
 FOR_EVER_S = 1e9
+LOST = (-7, "I/O problem: the connection was lost")
 REFUSED = {
     "disconnect": (-7, "I/O problem: the camera is gone from the bus"),
+    "port-changes": (-7, "I/O problem: the camera is gone from this port"),
     "battery-empty": (-7, "I/O problem: the camera switched itself off, its battery is empty"),
     "fill-up": (-3, "out of memory: the card is full"),
     "fail": (-1, "unspecified error: no picture was taken"),
 }
 """Faults with which no picture is taken: libgphoto2's error and what is said. The first wins."""
+SETTINGS = {"wrong-iso": "iso", "owner-set": "owner"}
+"""Faults that change one setting."""
 IN_SETTINGS = ("duplicate-serial",)
 """Faults that show when the camera is opened and asked, not at a shot."""
 
@@ -63,60 +62,94 @@ class CameraBody:
     """One body.
 
     Args:
-        folder: its own, written by `write_body`.
+        port: its folder, written by `write_body`, or a link to it.
 
     Raises:
         SimError, FormatError: a folder that is none.
     """
 
-    def __init__(self, folder: Path) -> None:
-        value = read_json(folder / "camera.json", SCHEMA)
-        self.folder = folder
+    def __init__(self, port: Path) -> None:
+        self.port = port
+        self.folder = port.resolve()
+        value = read_json(self.folder / "camera.json", SCHEMA)
         self.id = str(value["id"])
         self._nominal = CameraSettings(**value["settings"])
-        self._story = Story.from_dict(value["story"], folder / "camera.json")
+        self._story = Story.from_dict(value["story"], self.folder / "camera.json")
         self._log = FaultLog(None if value["log"] is None else Path(value["log"]))
         self._events: collections.deque[Event] = collections.deque()
+        self._lost = False
+
+    def plugged(self) -> str | None:
+        """Name of the port at which it is found on the bus now; None where it is gone or off."""
+        state = self._state()
+        here = time.monotonic() >= state["gone_until_s"] and not state["off"]
+        return str(state["plug"]) if here else None
 
     def connect(self) -> None:
-        """Be found on the bus; BodyError where it is gone or off."""
+        """Be found on the bus; BodyError where it is gone, off, or another program's."""
         state = self._state()
-        if time.monotonic() < state["gone_until_s"]:
-            raise BodyError(-105, "no camera on the bus")
+        state["opens"] += 1
         if state["off"]:
             raise BodyError(-105, "no camera on the bus: its battery is empty")
+        if self.plugged() != self.port.name:
+            raise BodyError(-105, "no camera on the bus")
+        for due in self._story.due(self.id, "open", state["opens"]):
+            self._log.write(self.id, due, state["opens"])
+            state["claimed_until_s"] = time.monotonic() + float(due.fault["seconds"])
+        self._save(state)
+        if time.monotonic() < state["claimed_until_s"]:
+            raise BodyError(-53, "could not claim the USB device")
         self._events.clear()
-        for due in self._serial_lies(state):
+        self._lost = False
+        for due in self._due_in_settings(state, "duplicate-serial"):
             self._log.write(self.id, due, state["shots"] + 1, f"serial {due.fault['value']}")
 
     def settings(self) -> CameraSettings:
         """What it tells when it is asked now."""
         state = self._state()
         settings = dataclasses.replace(self._nominal, **state["changed"])
-        for due in self._serial_lies(state):
+        for due in self._due_in_settings(state, "duplicate-serial"):
             settings = dataclasses.replace(settings, serial=due.fault["value"])
         return settings
 
-    def card_free(self) -> int:
-        """How many more files its card can hold."""
-        return max(0, self.settings().card_files - len(self.card()))
+    def card_free_bytes(self) -> int:
+        """What still fits on its card; nothing where it is full by its files or by the story."""
+        settings = self.settings()
+        files = self.card()
+        full = self._due_in_settings(self._state(), "fill-up")
+        if full or len(files) + len(settings.suffixes()) > settings.card_files:
+            return 0
+        return max(0, settings.card_bytes - sum(self.size(name) for name in files))
 
     def card(self) -> list[str]:
         """Names of the files on its card, oldest first."""
+        self._linked()
         names = (path.name for path in (self.folder / "card").iterdir())
-        return sorted(name for name in names if not name.startswith("."))
+        seen = (name for name in names if not name.startswith("."))
+        return sorted(seen, key=lambda name: (len(name), name))
+
+    def size(self, name: str) -> int:
+        """A file's bytes, counted; BodyError where there is none."""
+        return self._path(name).stat().st_size
 
     def file(self, name: str) -> bytes:
-        """A file's bytes; BodyError where there is none."""
-        path = self.folder / "card" / name
-        if not path.is_file():
-            raise BodyError(-108, f"no file {name}")
-        return path.read_bytes()
+        """What a download gives; BodyError where there is no such file, or the connection ends."""
+        data = self._path(name).read_bytes()
+        state = self._state()
+        trouble = state["trouble"].pop(name, None)
+        if trouble is None:
+            return data
+        self._save(state)
+        if trouble["name"] == "hang":
+            time.sleep(FOR_EVER_S)
+        if trouble["name"] == "io":
+            self._lost = True
+            raise BodyError(*LOST)
+        return data[: round(len(data) * float(trouble["share"]))]
 
     def delete(self, name: str) -> None:
         """Remove a file from its card; BodyError where there is none."""
-        self.file(name)
-        (self.folder / "card" / name).unlink()
+        self._path(name).unlink()
 
     def change(self, name: str, value: Any) -> None:
         """Turn one of the camera's wheels; SimError: no such setting, or no such value."""
@@ -126,33 +159,32 @@ class CameraBody:
         self._save(state)
 
     def trigger(self) -> None:
-        """Take a picture; its events follow. BodyError where none is taken."""
+        """Take a picture; its events follow. BodyError where none is taken, or nobody knows."""
+        self._linked()
         state = self._state()
-        state["shots"] += 1
-        self._save(state)  # before anything can hang: a shot that was begun has happened
-        shot = state["shots"]
+        shot = state["shots"] + 1
         due = {each.name: each for each in self._story.due(self.id, "shot", shot)}
+        if "busy" in due and state["busy_at"] != shot:
+            self._log.write(self.id, due["busy"], shot)
+            busy_until_s = time.monotonic() + float(due["busy"].fault["seconds"])
+            state |= {"busy_at": shot, "busy_until_s": busy_until_s}
+            self._save(state)
+        if time.monotonic() < state["busy_until_s"]:
+            raise BodyError(-110, "the camera is busy")
+        state["shots"] = shot
+        self._save(state)  # before anything can hang: a shot that was begun has happened
         for each in due.values():
-            if each.name == "stale" and not self._raws():
-                continue  # there is nothing old to give
-            if each.name not in IN_SETTINGS:
-                fields = ", ".join(f"{key} {each.fault[key]}" for key in each.fault.kind.fields)
-                self._log.write(self.id, each, shot, fields)
-        if "wrong-iso" in due:
-            self.change("iso", due["wrong-iso"].fault["value"])
+            if each.name in ("busy", *IN_SETTINGS) or (each.name == "stale" and not self._raws()):
+                continue  # told already, or there is nothing old to give
+            fields = ", ".join(f"{key} {each.fault[key]}" for key in each.fault.kind.fields)
+            self._log.write(self.id, each, shot, fields)
+        for name, setting in SETTINGS.items():
+            if name in due:
+                self.change(setting, due[name].fault["value"])
         if "drift" in due:
             self.change(due["drift"].fault["setting"], due["drift"].fault["value"])
-        state = self._state()
-        full = self.card_free() < len(self.settings().suffixes())
-        for name, (code, said) in REFUSED.items():
-            if name in due or (name == "fill-up" and full):
-                if name == "disconnect":
-                    gone_s = float(due[name].fault["seconds"])
-                    self._save({**state, "gone_until_s": time.monotonic() + gone_s})
-                elif name == "battery-empty":
-                    self._save({**state, "off": True})
-                raise BodyError(code, said)
-        self._expose(state, due)
+        self._refuse(due)
+        self._expose(self._state(), due)
 
     def next_event(self, timeout_s: float) -> Event | None:
         """The next event, None where none comes within the time; never returns while it hangs."""
@@ -167,18 +199,47 @@ class CameraBody:
         time.sleep(event.after_s)
         return self._events.popleft()
 
+    def _refuse(self, due: dict[str, Due]) -> None:
+        """Raise what keeps a picture from being taken, and remember what follows from it."""
+        full = len(self.card()) + len(self.settings().suffixes()) > self.settings().card_files
+        for name, (code, said) in REFUSED.items():
+            if name not in due and not (name == "fill-up" and full):
+                continue
+            state = self._state()
+            if name == "disconnect":
+                gone_s = float(due[name].fault["seconds"])
+                self._save({**state, "gone_until_s": time.monotonic() + gone_s})
+            elif name == "battery-empty":
+                self._save({**state, "off": True})
+            elif name == "port-changes":
+                plug = f"{self.folder.name}-port{state['shots']}"
+                (self.folder.parent / plug).symlink_to(self.folder)
+                self._save({**state, "plug": plug})
+            self._lost = code == LOST[0]
+            raise BodyError(code, said)
+
     def _expose(self, state: dict[str, Any], due: dict[str, Due]) -> None:
         """Put the picture on the card and queue its events."""
         light = self._light()
-        share = due["truncated"].fault["share"] if "truncated" in due else 1.0
         names = []
         for suffix in self.settings().suffixes():
-            whole = self._raw(light, "stale" in due) if suffix == ".DNG" else preview_jpeg(light)
+            data = self._raw(light, "stale" in due) if suffix == ".DNG" else preview_jpeg(light)
             names.append(f"DSC_{state['shots']:04d}{suffix}")
-            write_bytes(self.folder / "card" / names[-1], whole[: round(len(whole) * share)])
+            put(self.folder / "card" / names[-1], data)
+        for name in ("truncated", "hang", "io"):
+            if name in due and due[name].fault.kind.fields.get("during") is None:
+                trouble = {"name": name, "share": due[name].fault["share"]}
+            elif name in due and due[name].fault["during"] == "download":
+                trouble = {"name": name}
+            else:
+                continue
+            state["trouble"] |= dict.fromkeys(names, trouble)
         arrived = [*state["pending"], *names] if "late-file" not in due else []
         pending = [*state["pending"], *names] if "late-file" in due else []
         self._save({**state, "pending": pending})
+        if "io" in due and due["io"].fault["during"] == "trigger":
+            self._lost = True
+            raise BodyError(*LOST)
         events = [*(Event("file", name) for name in arrived), Event("done")]
         if "other-order" in due:
             events.reverse()
@@ -186,25 +247,37 @@ class CameraBody:
             events[0] = dataclasses.replace(events[0], after_s=due["slow"].fault["seconds"])
         if "event-storm" in due:
             events = [Event("other")] * due["event-storm"].fault["count"] + events
-        if "hang" in due:
+        if "hang" in due and due["hang"].fault["during"] == "trigger":
             events = [Event("other", after_s=FOR_EVER_S)]
         self._events.extend(events)
 
     def _raw(self, light: bytes, stale: bool) -> bytes:
         """A RAW's bytes under the settings as they are; where stale, those of the one before."""
         if stale and self._raws():
-            return self.file(self._raws()[-1])
+            return self._path(self._raws()[-1]).read_bytes()
         settings = self.settings()
         gain = settings.gain() / self._nominal.gain()
         return light if gain == 1.0 else expose_again(light, gain, settings.iso)
 
-    def _serial_lies(self, state: dict[str, Any]) -> list[Due]:
-        """What makes it tell another serial number before its next shot."""
+    def _linked(self) -> None:
+        """BodyError where the connection is gone."""
+        if self._lost or self.plugged() != self.port.name:
+            raise BodyError(*LOST)
+
+    def _due_in_settings(self, state: dict[str, Any], name: str) -> list[Due]:
+        """What shows before its next shot."""
         due = self._story.due(self.id, "shot", state["shots"] + 1)
-        return [each for each in due if each.name == "duplicate-serial"]
+        return [each for each in due if each.name == name]
 
     def _raws(self) -> list[str]:
         return [name for name in self.card() if name.endswith(".DNG")]
+
+    def _path(self, name: str) -> Path:
+        self._linked()
+        path = self.folder / "card" / name
+        if not path.is_file():
+            raise BodyError(-108, f"no file {name}")
+        return path
 
     def _light(self) -> bytes:
         path = self.folder / NEXT
@@ -217,36 +290,4 @@ class CameraBody:
         return value
 
     def _save(self, state: dict[str, Any]) -> None:
-        write_json(self.folder / "state.json", state)
-
-
-def write_body(
-    folder: Path,
-    camera_id: str,
-    settings: CameraSettings,
-    story: Story,
-    log: FaultLog,
-) -> Path:
-    """Make a new camera's folder, with an empty card and nothing before its lens.
-
-    Args:
-        folder: that is not there yet.
-        camera_id: its name in the story.
-        settings: as it is switched on.
-        story: what goes wrong; other devices' faults may be in it.
-        log: whose file is written to.
-    """
-    (folder / "card").mkdir(parents=True)
-    write_json(
-        folder / "camera.json",
-        {
-            "schema": SCHEMA,
-            "id": camera_id,
-            "settings": dataclasses.asdict(settings),
-            "story": story.as_dict(),
-            "log": None if log.path is None else str(log.path),
-        },
-    )
-    state = {"shots": 0, "changed": {}, "pending": [], "gone_until_s": 0.0, "off": False}
-    write_json(folder / "state.json", state)
-    return folder
+        put(self.folder / "state.json", json.dumps(state).encode())

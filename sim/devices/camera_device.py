@@ -14,7 +14,10 @@ PORT = "usb:001,001"
 """Where libgphoto2's virtual USB shows its one camera; each folder has a process of its own."""
 SEED = "SEED0001.JPG"
 """libgphoto2's virtual camera looks for a file of this kind; its bytes may be any."""
-UNVERIFIABLE = ("serial", "iso", "aperture", "shutter")
+UNVERIFIABLE = (
+    *("serial", "iso", "aperture", "shutter", "mode", "white_balance", "image_format", "focus"),
+    *("owner", "artist", "copyright", "place"),
+)
 FILE_FAULTS = ("fail", "hang", "stale", "truncated")
 """What files can do to libgphoto2's virtual camera; by itself it fills up at its 27th shot."""
 

@@ -24,11 +24,17 @@ class CameraSettings:
         aperture: f-number.
         white_balance: name of the preset.
         image_format: ``RAW``, ``JPEG`` or ``RAW+JPEG``.
-        exposure_mode: ``Manual``, or an automatic one.
-        focus_mode: ``Manual``, or an automatic one.
+        mode: of exposure: ``Manual``, or an automatic one.
+        focus: ``Manual``, or an automatic one.
         battery_percent: charge.
         card_files: how many files the card can hold.
+        card_bytes: how much of them.
         clock_offset_s: the camera's clock less the true time.
+        firmware: version of its own software.
+        owner: written into its files.
+        artist: the same.
+        copyright: the same.
+        place: ``off``, or what it writes of where it is.
     """
 
     serial: str
@@ -38,11 +44,17 @@ class CameraSettings:
     aperture: str = "f/8"
     white_balance: str = "Daylight"
     image_format: str = "RAW"
-    exposure_mode: str = "Manual"
-    focus_mode: str = "Manual"
+    mode: str = "Manual"
+    focus: str = "Manual"
     battery_percent: int = 100
-    card_files: int = 1000
+    card_files: int = 100_000
+    card_bytes: int = 64_000_000_000
     clock_offset_s: float = 0.0
+    firmware: str = "1.00"
+    owner: str = ""
+    artist: str = ""
+    copyright: str = ""
+    place: str = "off"
 
     def __post_init__(self) -> None:
         """Refuse what no camera can be set to."""

@@ -20,7 +20,7 @@ class FaultName:
     Attributes:
         device: who can have it.
         counted: what its `at` counts, from 1: packets that reach the LED device, openings of its
-            port, or a camera's shots.
+            port or of a camera, or a camera's shots.
         lasts: whether it goes on after `at`, or happens there only.
         says: what happens.
         fields: what else can be told of it, with defaults.
@@ -41,8 +41,8 @@ def _lamps(says: str) -> FaultName:
     return FaultName("leds", "packet", True, says, {"lights": (0,)})
 
 
-def _camera(says: str, lasts: bool = False, **fields: Any) -> FaultName:
-    return FaultName("camera", "shot", lasts, says, fields)
+def _camera(says: str, lasts: bool = False, counted: Counted = "shot", **fields: Any) -> FaultName:
+    return FaultName("camera", counted, lasts, says, fields)
 
 
 NAMES: dict[str, FaultName] = {
@@ -82,13 +82,23 @@ NAMES: dict[str, FaultName] = {
     ),
     # Cameras.
     "fail": _camera("no picture is taken; the next shot works"),
-    "hang": _camera("the camera never answers"),
+    "hang": _camera("the camera never answers, at the trigger or the download", during="trigger"),
+    "busy": _camera("the camera is busy for a time before it triggers (-110)", seconds=0.3),
+    "claimed": _camera(
+        "another program has the camera for a time (-53)", counted="open", seconds=0.5
+    ),
+    "io": _camera(
+        "the connection is lost (-7) after the picture was taken, or at its first download",
+        during="trigger",
+    ),
+    "port-changes": _camera("unplugged, and plugged in again at another port"),
     "fill-up": _camera("the card is full", lasts=True),
     "disconnect": _camera("gone from the bus, back after a time", seconds=1.0),
     "battery-empty": _camera("switches itself off, for good"),
     "stale": _camera("the picture of the shot before is delivered again"),
-    "truncated": _camera("only the file's first part is delivered", share=0.5),
+    "truncated": _camera("the file's first download gives only a part of it", share=0.5),
     "wrong-iso": _camera("the ISO setting drifts, and stays so", value="400"),
+    "owner-set": _camera("somebody's name is in the owner field, and stays so", value="A. Person"),
     "drift": _camera("another setting drifts, and stays so", setting="white_balance", value="Auto"),
     "slow": _camera("the picture comes late", seconds=0.3),
     "late-file": _camera("no picture comes; it comes with the next shot's, before it"),
@@ -122,6 +132,7 @@ FIELDS = {
     "probability": ("a number over 0, up to 1", lambda value: _is_number(value, 1e-12, 1.0)),
     "camera": ("a camera's name", _is_text),
     "way": ('"request" or "answer"', lambda value: value in ("request", "answer")),
+    "during": ('"trigger" or "download"', lambda value: value in ("trigger", "download")),
     "bits": ("a whole number from 1", lambda value: _is_count(value, 1)),
     "seconds": ("seconds from 0 to 3600", lambda value: _is_number(value, 0.0, 3600.0)),
     "lights": ("a list of places in the rig's order, from 0", _is_lights),

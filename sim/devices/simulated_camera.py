@@ -9,33 +9,49 @@ on.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import math
 import time
-from collections.abc import Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from lightstage.cameras.camera import Photograph, Summary
+from lightstage.cameras.camera import (
+    VERIFIABLE,
+    CardFile,
+    Download,
+    Exposure,
+    Photograph,
+    Summary,
+)
+from lightstage.cameras.card_file import pieces, write_card_file
+from lightstage.cameras.process import photograph
 from lightstage.errors import DeviceError
 from lightstage.formats.files import write_bytes
 from lightstage.rig import Rig
-from sim.devices.camera_body import NEXT, BodyError, CameraBody, write_body
+from sim.devices.body_folder import NEXT, write_body
+from sim.devices.camera_body import BodyError, CameraBody
 from sim.devices.camera_settings import CameraSettings
 from sim.devices.faults import FaultLog, Story
 from sim.errors import SimError
 
+T = TypeVar("T")
 DRIVER = "sim.devices.simulated_camera:SimulatedCamera"
+FOLDER = "/DCIM/100SIM/"
+"""Where its files are on the card, as it says."""
 NO_EVENT_S = 0.2
 """A shot of which nothing is heard for so long, and that is done, has no file."""
 POLL_S = 0.1
+PATIENCE_S = 3.0
+"""So long it is asked again while it is busy, or another program's."""
 HINTS = {
     -1: "Try the shot again.",
     -3: "Free its card.",
     -7: "Check its cable and battery, then open it again.",
+    -53: "Another program has the camera: close it.",
     -105: "No such camera is connected; check cable and power.",
     -108: "Its card was changed.",
+    -110: "Wait until it has written its pictures.",
 }
 
 
@@ -43,69 +59,100 @@ class SimulatedCamera:
     """A driver for one simulated body (lightstage.cameras.camera.CameraDriver).
 
     Args:
-        port: the body's folder.
+        port: the body's folder, or a link to it.
     """
 
     def __init__(self, port: str) -> None:
         self.port = port
         self._body: CameraBody | None = None
 
+    @staticmethod
+    def ports(given: str) -> list[tuple[str, str]]:
+        """Model and port of every body beside the given one that is on the bus now."""
+        found = []
+        for path in sorted(Path(given).parent.iterdir()):
+            if (path / "camera.json").is_file():
+                body = CameraBody(path)
+                if body.plugged() == path.name:
+                    found.append((body.settings().model, str(path)))
+        return found
+
     def open(self) -> Summary:
         """Connect; DeviceError where the camera is gone or off."""
+        if not Path(self.port).exists():
+            raise DeviceError(self.port, field="connect", found="nothing", hint=HINTS[-105])
         body = CameraBody(Path(self.port))
-        try:
-            body.connect()
-        except BodyError as error:
-            raise self._failure("connect", error) from None
+        self._again("connect", body.connect)
         self._body = body
-        settings = body.settings()
-        return Summary(
-            serial=settings.serial,
-            model=settings.model,
-            iso=settings.iso,
-            shutter=settings.shutter,
-            aperture=settings.aperture,
-        )
+        return self.summary()
 
-    def settings(self) -> dict[str, Any]:
-        """Every setting as it is now, and ``card_free``, the files that its card can still hold."""
-        body = self._opened()
-        return {**dataclasses.asdict(body.settings()), "card_free": body.card_free()}
+    def summary(self) -> Summary:
+        """Every setting as it is now."""
+        return self._again("summary", self._summary)
 
-    def change(self, name: str, value: Any) -> None:
-        """Change a setting; SimError where there is none such."""
-        self._opened().change(name, value)
+    def change(self, name: str, value: str) -> None:
+        """Change a setting; DeviceError where there is none such, or no such value."""
+        try:
+            self._opened().change(name, value)
+        except SimError as error:
+            raise DeviceError(
+                self.port, field=name, found=error.found, expected=error.expected
+            ) from None
 
-    def capture(self, at_s: float) -> Photograph:
-        """Take one photograph and download it; it stays on the card.
+    def card(self) -> tuple[CardFile, ...]:
+        """Every file on the card, oldest first."""
+
+        def files() -> tuple[CardFile, ...]:
+            body = self._opened()
+            return tuple(CardFile(FOLDER + name, body.size(name)) for name in body.card())
+
+        return self._again("card", files)
+
+    def trigger(self, at_s: float) -> Exposure:
+        """Take one photograph; it stays on the card.
 
         Args:
             at_s: time.monotonic() at which to trigger.
 
         Raises:
-            DeviceError: no picture was taken, or none came.
+            DeviceError: no picture was taken, none came, or nobody knows.
         """
         body = self._opened()
+        known = set(self._again("card", body.card))
         time.sleep(max(0.0, at_s - time.monotonic()))
-        known = set(body.card())
         triggered_s = time.monotonic()
-        try:
-            body.trigger()
-            own, exposed_s = self._arrived(body, known)
-            if not own:
-                raise BodyError(-1, "no file came of this shot")
-            name = min(own, key=lambda each: (not each.endswith(".DNG"), each))
-            data = body.file(name)
-        except BodyError as error:
-            if error.code == -7:
-                self._body = None
-            raise self._failure("capture", error) from None
-        sha256 = hashlib.sha256(data).hexdigest()
-        return Photograph(data, sha256, name, triggered_s, exposed_s, time.monotonic())
+        self._again("trigger", body.trigger, repeatable=False)
+        own, exposed_s = self._arrived(body, known)
+        if not own:
+            raise self._failure("trigger", BodyError(-1, "no file came of this shot"))
+        names = sorted(own, key=lambda each: (not each.endswith(".DNG"), each))
+        files = tuple(CardFile(FOLDER + name, body.size(name)) for name in names)
+        return Exposure(files, triggered_s, exposed_s)
+
+    def download(self, name: str, path: Path) -> Download:
+        """Write a file of the card to a new file; a part of it where no more came."""
+        own = name.removeprefix(FOLDER)
+        size = self._again("download", lambda: self._opened().size(own))
+        data = self._again("download", lambda: self._opened().file(own))
+        return write_card_file(path, size, pieces(memoryview(data)))
+
+    def delete(self, name: str) -> None:
+        """Remove a file from the card."""
+        self._again("delete", lambda: self._opened().delete(name.removeprefix(FOLDER)))
+
+    def capture(self, at_s: float) -> Photograph:
+        """Trigger, download, and give the bytes (goes away)."""
+        return photograph(self, at_s)
 
     def close(self) -> None:
         """Let go of the camera."""
         self._body = None
+
+    def _summary(self) -> Summary:
+        body = self._opened()
+        settings = dataclasses.asdict(body.settings())
+        told = {name: settings[name] for name in VERIFIABLE if name in settings}
+        return Summary(**told, card_free_bytes=body.card_free_bytes())
 
     def _arrived(self, body: CameraBody, known: Set[str]) -> tuple[list[str], float]:
         """Names of this shot's files, and when the camera said that the picture was taken.
@@ -122,6 +169,24 @@ class SimulatedCamera:
             elif event is not None and event.kind == "file" and event.name not in known:
                 own.append(event.name)
         return own, exposed_s
+
+    def _again(self, doing: str, call: Callable[[], T], repeatable: bool = True) -> T:
+        """Ask the body; again while it is busy or claimed, once more after its connection ended."""
+        until = time.monotonic() + PATIENCE_S
+        reconnected = False
+        while True:
+            try:
+                return call()
+            except BodyError as error:
+                if error.code in (-53, -110) and time.monotonic() < until:
+                    time.sleep(POLL_S)
+                elif error.code == -7 and repeatable and not reconnected and self._body:
+                    reconnected = True
+                    self._again("connect", self._body.connect)
+                else:
+                    if error.code == -7:
+                        self._body = None
+                    raise self._failure(doing, error) from None
 
     def _opened(self) -> CameraBody:
         if self._body is None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from lightstage.formats.files import write_bytes
 from lightstage.rig import Rig
-from sim.devices.camera_body import NEXT
+from sim.devices.body_folder import NEXT
 from sim.devices.faults import FaultLog, Story
 from sim.devices.simulated_camera import SimulatedCameras
 
