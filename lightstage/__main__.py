@@ -26,7 +26,7 @@ from lightstage.patterns import sequence_patterns
 from lightstage.rig import load_rig
 from lightstage.safety import check_shots
 from lightstage.sequence import plan_shots
-from lightstage.session import SessionWriter, check_pseudonym, read_colour, require_new
+from lightstage.session import SessionPlan, SessionWriter, check_pseudonym, read_colour, require_new
 
 app = make_app("Drive the light stage: capture a session, check it, import one taken elsewhere.")
 
@@ -77,7 +77,8 @@ def capture_command(
                 "config": as_dict(settings),
             }
             patterns = [shot.pattern for shot in shots]
-            writer = SessionWriter(out, the_rig, patterns, subject, expression, facts)
+            plan = SessionPlan(tuple(patterns), subject, expression)
+            writer = SessionWriter.new(out, the_rig, plan, facts=facts)
             try:
                 if calibration is not None:
                     writer.add_colour(calibration)

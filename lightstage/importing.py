@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import secrets
 import shutil
 from pathlib import Path
 from typing import Any
 
+from lightstage.cameras.camera import CardFile
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
 from lightstage.formats.exr import read_exr
-from lightstage.formats.files import fsync_path
+from lightstage.formats.files import fsync_path, sha256_file
 from lightstage.patterns import SEQUENCES, pattern_levels
-from lightstage.photograph import identify
+from lightstage.photograph import identify_file
 from lightstage.rig import Rig
-from lightstage.session import SessionWriter, check_pseudonym, require_new
+from lightstage.session import SessionPlan, SessionWriter, check_pseudonym, require_new
 
 
 def find_photographs(folder: Path, rig: Rig) -> dict[str, dict[str, Path]]:
@@ -106,12 +106,14 @@ def import_session(
     total = sum(len(files) for files in found.values())
     beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
     try:
-        writer = SessionWriter(beside, rig, list(found), subject, expression, {"imported": True})
+        plan = SessionPlan(tuple(found), subject, expression)
+        writer = SessionWriter.new(beside, rig, plan, facts={"imported": True})
         try:
             _keep_all(found, writer, total, progress)
             if colour is not None:
                 writer.add_colour(colour)
             writer.finish()
+            writer.end()
         finally:
             writer.close()
         os.replace(beside, out)
@@ -128,15 +130,18 @@ def _keep_all(
     done = 0
     for pattern, files in found.items():
         for camera, path in files.items():
-            data = path.read_bytes()
             try:
-                if identify(data, path).encoding == "linear":
+                if identify_file(path).encoding == "linear":
                     read_exr(path, finite=True)
-                writer.keep(pattern, camera, data, hashlib.sha256(data).hexdigest())
+                incoming = writer.incoming(pattern, camera, 1)
+                shutil.copyfile(path, incoming)
+                file = CardFile(path.name, path.stat().st_size)
+                writer.keep(pattern, camera, 1, incoming, file, sha256_file(path))
             except FormatError as error:
                 problems.append(error)
             done += 1
             progress(done, total)
-        writer.shot(pattern, None)
+        if not problems:
+            writer.shot(pattern)
     if problems:
         raise one_error(problems)

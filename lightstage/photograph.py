@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal
 
@@ -27,6 +28,26 @@ class Kind:
     encoding: Literal["raw", "linear"]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Source:
+    """A file's bytes, taken in parts.
+
+    Attributes:
+        size: bytes in all.
+        take: gives so many bytes from an offset on, fewer at the end.
+    """
+
+    size: int
+    take: Callable[[int, int], bytes]
+
+    def unpack(self, form: str, offset: int) -> tuple[int, ...]:
+        """struct.unpack at an offset; struct.error beyond the end."""
+        length = struct.calcsize(form)
+        if not 0 <= offset <= self.size - length:
+            raise struct.error("beyond the end")
+        return struct.unpack(form, self.take(offset, length))
+
+
 def identify(data: bytes, where: str | Path) -> Kind:
     """Tell a RAW, DNG or OpenEXR photograph by its bytes; the name counts for nothing.
 
@@ -39,36 +60,58 @@ def identify(data: bytes, where: str | Path) -> Kind:
     Raises:
         FormatError: another kind of file (a JPEG holds no linear light), or a truncated one.
     """
-    if data[:4] == _EXR:
+    return _identify(_Source(len(data), lambda at, size: data[at : at + size]), where)
+
+
+def identify_file(path: Path, where: str | Path | None = None) -> Kind:
+    """The same for a file on the disk; only its header is read.
+
+    Args:
+        path: the file.
+        where: what to name in an error; the path where None.
+
+    Raises:
+        FormatError: as `identify`.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        handle = file.fileno()
+        source = _Source(os.fstat(handle).st_size, lambda at, size: os.pread(handle, size, at))
+        return _identify(source, path if where is None else where)
+
+
+def _identify(source: _Source, where: str | Path) -> Kind:
+    head = source.take(0, 16)
+    if head[:4] == _EXR:
         return Kind(".exr", "linear")
-    if data[:4] in (b"II*\0", b"MM\0*"):
-        return Kind(_tiff_suffix(data, where), "raw")
-    if data[4:11] == b"ftypcrx":
+    if head[:4] in (b"II*\0", b"MM\0*"):
+        return Kind(_tiff_suffix(source, "<" if head[:2] == b"II" else ">", where), "raw")
+    if head[4:11] == b"ftypcrx":
         return Kind(".cr3", "raw")
-    if data[:15] == b"FUJIFILMCCD-RAW":
+    if head[:15] == b"FUJIFILMCCD-RAW":
         return Kind(".raf", "raw")
-    jpeg = data[:3] == b"\xff\xd8\xff"
+    jpeg = head[:3] == b"\xff\xd8\xff"
+    begun = f"{source.size} bytes that begin with {head[:8].hex() or 'none'}"
     raise FormatError(
         where,
-        found="a JPEG" if jpeg else f"{len(data)} bytes that begin with {data[:8].hex() or 'none'}",
+        found="a JPEG" if jpeg else begun,
         expected="a camera RAW, a DNG or an OpenEXR picture",
         hint="Set the camera's picture format to RAW." if jpeg else "Is the file damaged?",
     )
 
 
-def _tiff_suffix(data: bytes, where: str | Path) -> str:
-    order = "<" if data[:2] == b"II" else ">"
+def _tiff_suffix(source: _Source, order: str, where: str | Path) -> str:
     suffix = ""
     try:
-        for tags in _directories(data, order):
+        for tags in _directories(source, order):
             if _DNG_VERSION in tags:
                 suffix = ".dng"
             elif _MAKE in tags and not suffix:
                 make = bytes(tags[_MAKE])
                 suffix = next((s for name, s in _MAKERS.items() if make.startswith(name)), "")
-            _require_whole(tags, len(data), where)
+            _require_whole(tags, source.size, where)
     except struct.error:
-        raise _truncated(where, len(data), "a directory beyond the end") from None
+        raise _truncated(where, source.size, "a directory beyond the end") from None
     if not suffix:
         raise FormatError(
             where,
@@ -78,35 +121,35 @@ def _tiff_suffix(data: bytes, where: str | Path) -> str:
     return suffix
 
 
-def _directories(data: bytes, order: str) -> Iterator[dict[int, list[int]]]:
+def _directories(source: _Source, order: str) -> Iterator[dict[int, list[int]]]:
     """The TIFF's directories, SubIFDs too: tag to its values (a rational's two parts in a row)."""
-    pending = list(struct.unpack_from(order + "I", data, 4))
+    pending = list(source.unpack(order + "I", 4))
     seen: set[int] = set()
     while pending and len(seen) < _MAX_IFDS:
         offset = pending.pop(0)
         if offset == 0 or offset in seen:
             continue
         seen.add(offset)
-        (count,) = struct.unpack_from(order + "H", data, offset)
+        (count,) = source.unpack(order + "H", offset)
+        entries = source.unpack(order + "HHI4x" * count, offset + 2)
         tags: dict[int, list[int]] = {}
         for index in range(count):
-            entry = offset + 2 + 12 * index
-            tag, kind, length = struct.unpack_from(order + "HHI", data, entry)
+            tag, kind, length = entries[3 * index : 3 * index + 3]
             if tag in (_DNG_VERSION, _MAKE, _SUB_IFDS, *_PLACES, *_PLACES.values()):
-                tags[tag] = _values(data, order, entry + 8, kind, length)
+                tags[tag] = _values(source, order, offset + 10 + 12 * index, kind, length)
         pending += tags.get(_SUB_IFDS, [])
-        pending += struct.unpack_from(order + "I", data, offset + 2 + 12 * count)
+        pending += source.unpack(order + "I", offset + 2 + 12 * count)
         yield tags
 
 
-def _values(data: bytes, order: str, place: int, kind: int, length: int) -> list[int]:
+def _values(source: _Source, order: str, place: int, kind: int, length: int) -> list[int]:
     size = _SIZES.get(kind, 0)
-    if size not in (1, 2, 4) or length > len(data):
+    if size not in (1, 2, 4) or length > source.size:
         raise struct.error("a tag of no such type")
     if size * length > 4:
-        (place,) = struct.unpack_from(order + "I", data, place)
+        (place,) = source.unpack(order + "I", place)
     letter = {1: "B", 2: "H", 4: "I"}[size]
-    return list(struct.unpack_from(f"{order}{length}{letter}", data, place))
+    return list(source.unpack(f"{order}{length}{letter}", place))
 
 
 def _require_whole(tags: dict[int, list[int]], size: int, where: str | Path) -> None:

@@ -16,7 +16,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 import numpy as np
 
 from lightstage.cameras.binding import open_cameras, summary_problems
-from lightstage.cameras.camera import CameraDevice, Photograph, Summary
+from lightstage.cameras.camera import CameraDevice, CardFile, Photograph, Summary
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import CaptureError, DeviceError, LightstageError, one_error
 from lightstage.leds.controller import LedController
@@ -144,13 +144,14 @@ def capture(
             max_skew_s = max(max_skew_s, skew_s)
             writer.shot(
                 shot.pattern,
-                driven.tolist(),
+                levels=driven.tolist(),
                 acknowledged_after_s=round(changed_s - begun_s, 6),
                 trigger_skew_s=round(skew_s, 6),
                 taken_after_s=round(taken_s, 6),
             )
         busy_s += _pause(changed_s, config)
     writer.finish()
+    writer.end()
     seconds = time.monotonic() - started
     return CaptureReport(done, seconds, seconds - busy_s, max_skew_s)
 
@@ -266,10 +267,14 @@ def _take_one(
             expected="a new photograph: a sensor's noise never repeats",
             hint="The camera gave an old picture; switch it off and on, then capture again.",
         )
+    incoming = writer.incoming(pattern, camera.id, 1)
+    incoming.write_bytes(photograph.data)
     writer.keep(
         pattern,
         camera.id,
-        photograph.data,
+        1,
+        incoming,
+        CardFile(photograph.name, len(photograph.data)),
         photograph.sha256,
         camera_name=photograph.name,
         exposure_s=round(photograph.exposed_s - photograph.triggered_s, 6),

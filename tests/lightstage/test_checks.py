@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from lightstage.checks import check_session
+from lightstage.cameras.camera import CardFile
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file, write_json
 from lightstage.patterns import pattern_levels
-from lightstage.session import SessionWriter
+from lightstage.session import SessionPlan, SessionWriter
 
 PATTERNS = ["full", "x+", "x-"]
 
@@ -21,13 +22,16 @@ PATTERNS = ["full", "x+", "x-"]
 @pytest.fixture
 def session(tmp_path, small_rig, dng):
     root = tmp_path / "S"
-    writer = SessionWriter(root, small_rig, PATTERNS, "p1", "neutral", {})
+    writer = SessionWriter.new(root, small_rig, SessionPlan(tuple(PATTERNS), "p1"))
     for shot, pattern in enumerate(PATTERNS):
         levels = pattern_levels(pattern, small_rig)
         for index, camera in enumerate(small_rig.cameras):
             data = dng(512 + int(4000 * levels.mean()), seed=10 * shot + index)
-            writer.keep(pattern, camera.id, data, hashlib.sha256(data).hexdigest())
-        writer.shot(pattern, levels.tolist())
+            incoming = writer.incoming(pattern, camera.id, 1)
+            incoming.write_bytes(data)
+            file = CardFile("DSC", len(data))
+            writer.keep(pattern, camera.id, 1, incoming, file, hashlib.sha256(data).hexdigest())
+        writer.shot(pattern, levels=levels.tolist())
     writer.finish()
     writer.close()
     return root

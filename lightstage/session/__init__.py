@@ -1,0 +1,31 @@
+"""A session's life on disk: the journal, photographs kept once, recovery, session.json."""
+
+from lightstage.session.colour import COLOUR_PATH, COLOUR_SCHEMA, read_colour
+from lightstage.session.finished import session_from_journal
+from lightstage.session.journal import Journal, read_journal, utc_now
+from lightstage.session.plan import SessionPlan
+from lightstage.session.pseudonym import check_pseudonym
+from lightstage.session.recover import Reconciled, arrived, reconcile
+from lightstage.session.state import Exposed, SessionState, state_of
+from lightstage.session.writer import SessionWriter, require_new, rig_hash
+
+__all__ = [
+    "COLOUR_PATH",
+    "COLOUR_SCHEMA",
+    "Exposed",
+    "Journal",
+    "Reconciled",
+    "SessionPlan",
+    "SessionState",
+    "SessionWriter",
+    "arrived",
+    "check_pseudonym",
+    "read_colour",
+    "read_journal",
+    "reconcile",
+    "require_new",
+    "rig_hash",
+    "session_from_journal",
+    "state_of",
+    "utc_now",
+]

@@ -1,0 +1,406 @@
+"""Going on after a crash: journal, disk and cards are brought together; nothing is guessed.
+
+A photograph counts under a label only where the journal has its ``exposed`` line: the light lasted
+through it, and the file's name on the card is known. At most one trigger of a camera is outstanding
+at any time, so every other new file on a card is of an uncertain light: it is kept under
+``recovered/``, and the camera takes the pattern again.
+
+Every step may be killed, and what is left then is brought together by the next resume in the same
+way.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from lightstage.cameras.camera import CameraDevice, CardFile
+from lightstage.errors import DeviceError, FormatError, LightstageError, one_error
+from lightstage.findings import Finding
+from lightstage.formats.files import fsync_path
+from lightstage.photograph import identify_file
+from lightstage.session.aside import FOLDER, asides
+from lightstage.session.disk import disk_errors
+from lightstage.session.journal import Line
+from lightstage.session.keep import Arrival, is_whole, settle, sha256_on_disk
+from lightstage.session.state import Exposed, Key, key_of, told
+from lightstage.session.writer import SessionWriter
+from lightstage.steps import step
+
+DOWNLOADS = 2
+"""How often a file that does not come whole is asked for."""
+UNSURE = "size and header"
+"""How a photograph was verified whose card no longer has it."""
+_PARTIAL = re.compile(r"\.(?P<camera>.+)\.take(?P<take>\d+)\.partial")
+
+
+@dataclasses.dataclass(frozen=True)
+class Reconciled:
+    """What was brought together.
+
+    Attributes:
+        adopted: takes that were exposed before the crash and are kept now.
+        restored: takes whose file was missing or damaged and came from the card again.
+        rejected: takes that do not count and are taken again.
+        recovered: files of uncertain light or label.
+        findings: what the operator should know.
+        wanted: cameras that must still take each pattern; () where only its ``shot`` is wanted.
+    """
+
+    adopted: tuple[Key, ...]
+    restored: tuple[Key, ...]
+    rejected: tuple[Key, ...]
+    recovered: tuple[Path, ...]
+    findings: tuple[Finding, ...]
+    wanted: dict[str, tuple[str, ...]]
+
+
+def arrived(before: Collection[CardFile], now: Collection[CardFile]) -> tuple[CardFile, ...]:
+    """Files that came to a card, in the order in which the camera tells them."""
+    known = set(before)
+    return tuple(file for file in now if file not in known)
+
+
+def reconcile(writer: SessionWriter, cameras: Sequence[CameraDevice]) -> Reconciled:
+    """Bring journal, disk and cards together, after a crash or after a camera failed.
+
+    Args:
+        writer: of the session, resumed and `resume` told.
+        cameras: opened; all of the session's, or those that failed in it. The disk is looked
+            through only where all are given.
+
+    Raises:
+        DeviceError: a camera is another one than before, or cannot be read. What concerns the
+            others is done by then, and nothing of this one is given up: resume again.
+        CaptureError: this computer's disk refuses.
+    """
+    return _Reconciler(writer).all(cameras)
+
+
+class _Reconciler:
+    def __init__(self, writer: SessionWriter) -> None:
+        self.writer = writer
+        self.state = writer.state
+        self.root = writer.root
+        self.adopted: list[Key] = []
+        self.restored: list[Key] = []
+        self.rejected: list[Key] = []
+        self.recovered: list[Path] = []
+        self.findings: list[Finding] = []
+
+    def all(self, cameras: Sequence[CameraDevice]) -> Reconciled:
+        ids = {camera.id for camera in cameras}
+        whole = ids >= set(self.state.cameras)
+        damaged = self._damaged() if whole else []
+        problems: list[LightstageError] = []
+        for camera in cameras:
+            try:
+                self._camera(camera, [line for line in damaged if line["camera"] == camera.id])
+            except DeviceError as error:
+                problems.append(error)
+        if whole and not problems:
+            self._tidy()
+        if problems:
+            raise one_error(problems)
+        return Reconciled(
+            tuple(self.adopted),
+            tuple(self.restored),
+            tuple(self.rejected),
+            tuple(self.recovered),
+            tuple(self.findings),
+            self.state.wanted(),
+        )
+
+    # -- one camera
+
+    def _camera(self, camera: CameraDevice, damaged: Sequence[Line]) -> None:
+        self._require_same(camera)
+        now = set(camera.card())
+        changed = self.state.on_card(camera.id) - now
+        for line in damaged:
+            self._restore(camera, line, now)
+        for exposed in self.state.unsettled(camera.id):
+            if exposed.file in now and not changed:
+                self._from_card(camera, exposed)
+            else:
+                self._without_card(camera, exposed, now)
+        unknown = sorted(now - self.state.known(camera.id), key=lambda file: file.name)
+        self._give_up_outstanding(camera, () if changed else unknown)
+        if changed:
+            self._tell_changed(camera, changed, unknown)
+            files = sorted([file.name, file.size] for file in now)
+            self.writer.note("note", about="card", camera=camera.id, cards={camera.id: files})
+        else:
+            self._finish_deleting(camera, now)
+
+    def _require_same(self, camera: CameraDevice) -> None:
+        before, now = self.state.serials.get(camera.id), camera.summary().serial
+        if before is not None and now is not None and before != now:
+            raise DeviceError(
+                f"camera {camera.id}",
+                field="serial",
+                found=f"{now}, another camera than the session began with",
+                expected=before,
+                hint="Connect that one again: photographs may lie on its card.",
+            )
+
+    def _from_card(self, camera: CameraDevice, exposed: Exposed) -> None:
+        """Keep an exposure that is on the card: its bytes decide about what is on the disk."""
+        incoming, sha256, size = self._download(camera, exposed)
+        twin = self.state.kept_hashes().get(sha256)
+        if twin is not None or size != exposed.file.size:
+            why = f"the bytes of {twin}" if twin else f"{size} bytes came of {exposed.file.size}"
+            self._set_aside(incoming, exposed, why)
+            self._reject(exposed.key, why)
+            return
+        named = self._named(exposed)
+        if named is not None:
+            with disk_errors(named):
+                same = sha256_on_disk(named) == sha256
+            if same:
+                with disk_errors(named):
+                    incoming.unlink()
+                    fsync_path(named.parent)
+                    encoding = identify_file(named).encoding
+                self.writer.frame(*exposed.key, named, exposed.file, sha256, encoding, adopted=True)
+                self.adopted.append(exposed.key)
+                return
+            self._set_aside(named, exposed, "not what is on the card", of_card=False)
+        try:
+            self.writer.keep(*exposed.key, incoming, exposed.file, sha256, adopted=True)
+        except FormatError as error:
+            self._set_aside(incoming, exposed, str(error))
+            self._reject(exposed.key, str(error))
+        else:
+            self.adopted.append(exposed.key)
+
+    def _download(self, camera: CameraDevice, exposed: Exposed) -> tuple[Path, str, int]:
+        for _ in range(DOWNLOADS):
+            incoming = self.writer.incoming(*exposed.key)
+            got = camera.download(exposed.file.name, incoming, exposed.pattern)
+            with disk_errors(incoming):
+                size = incoming.stat().st_size
+            if size == exposed.file.size == got.size:
+                break
+        return incoming, got.sha256, size
+
+    def _without_card(
+        self, camera: CameraDevice, exposed: Exposed, now: Collection[CardFile]
+    ) -> None:
+        """Settle an exposure whose card was changed since: what the disk has is all there is."""
+        named, partial = self._named(exposed), self._partial(exposed)
+        whole = [p for p in (named, partial) if p is not None and is_whole(p, exposed.file.size)]
+        if whole:
+            with disk_errors(whole[0]):
+                sha256 = sha256_on_disk(whole[0])
+            if sha256 not in self.state.kept_hashes():
+                self._adopt_unsure(exposed, whole[0], sha256)
+                return
+        for path in (named, partial):
+            if path is not None:
+                why = "left of a photograph that its card no longer has"
+                self._set_aside(path, exposed, why, of_card=False)
+        why = "it was not on this computer yet when the card was emptied or exchanged"
+        if exposed.file in now:
+            # A file of its name and size; whether it is this photograph nobody can tell.
+            self.recovered.append(
+                self.writer.recover(camera, exposed.file, exposed.pattern, "the card was changed")
+            )
+        self._reject(exposed.key, why)
+
+    def _adopt_unsure(self, exposed: Exposed, path: Path, sha256: str) -> None:
+        if path == self._partial(exposed):
+            self.writer.keep(
+                *exposed.key, path, exposed.file, sha256, adopted=True, verified=UNSURE
+            )
+        else:
+            with disk_errors(path):
+                fsync_path(path.parent)
+                encoding = identify_file(path).encoding
+            self.writer.frame(
+                *exposed.key, path, exposed.file, sha256, encoding, adopted=True, verified=UNSURE
+            )
+        self.adopted.append(exposed.key)
+        self.findings.append(
+            Finding(
+                "warn",
+                "verified-by-size",
+                told(exposed.key),
+                found="a card that no longer has it, and a whole file on this computer",
+                expected="both, to compare their bytes",
+                hint="It is kept; look at it.",
+                pattern=exposed.pattern,
+                camera=exposed.camera,
+            )
+        )
+
+    def _give_up_outstanding(self, camera: CameraDevice, unknown: Sequence[CardFile]) -> None:
+        outstanding = self.state.outstanding(camera.id)
+        pattern = None if outstanding is None else outstanding[0]
+        for file in unknown:
+            why = "found on the card; whether its light lasted is not known"
+            self.recovered.append(self.writer.recover(camera, file, pattern, why))
+        if outstanding is not None:
+            why = "its light is not certain" if unknown else "the camera took no photograph of it"
+            self._reject((outstanding[0], camera.id, outstanding[1]), why)
+
+    def _tell_changed(
+        self, camera: CameraDevice, changed: Collection[CardFile], unknown: Sequence[CardFile]
+    ) -> None:
+        left = f" {len(unknown)} files of others were left on it." if unknown else ""
+        self.findings.append(
+            Finding(
+                "warn",
+                "card-changed",
+                f"camera {camera.id}",
+                found=f"{len(changed)} files missing from its card, such as "
+                f"{min(file.name for file in changed)}",
+                expected="the card as this session left it",
+                hint="Was it emptied or exchanged? What was not yet on this computer is taken "
+                f"again.{left}",
+                camera=camera.id,
+            )
+        )
+
+    def _finish_deleting(self, camera: CameraDevice, now: Collection[CardFile]) -> None:
+        kept = {line.get("file") for line in self.state.frames() if line["camera"] == camera.id}
+        for file, pattern in self.state.deleting(camera.id).items():
+            if file in now:
+                if file.name not in kept:
+                    continue
+                step("deleting", pattern, camera.id)
+                camera.delete(file.name)
+            self.writer.deleted(pattern, camera.id, file)
+            step("deleted", pattern, camera.id)
+
+    # -- photographs that were kept
+
+    def _damaged(self) -> list[Line]:
+        """``frame`` lines whose file is missing or no longer has its bytes."""
+        damaged = []
+        for line in self.state.frames():
+            path = self.root / line["path"]
+            with disk_errors(path):
+                if not path.is_file() or sha256_on_disk(path) != line["sha256"]:
+                    damaged.append(line)
+        return damaged
+
+    def _restore(self, camera: CameraDevice, line: Line, now: Collection[CardFile]) -> None:
+        """Bring a photograph that was kept from the card again, if it is the same to the byte."""
+        key, path = key_of(line), self.root / line["path"]
+        if path.exists():
+            self._set_aside_file(path, camera.id, line["pattern"], "changed on the disk")
+        file = CardFile(line["file"], line["size"])
+        if file in now:
+            incoming = self.writer.incoming(*key)
+            got = camera.download(file.name, incoming, line["pattern"])
+            if got.sha256 == line["sha256"]:
+                settle(
+                    Arrival(
+                        incoming, path.stem, file.size, got.sha256, told(key), key[0], camera.id
+                    )
+                )
+                self.writer.note("note", about="restored", path=line["path"], camera=camera.id)
+                self.restored.append(key)
+                return
+            with disk_errors(incoming):
+                incoming.unlink()
+        self._reject(key, "its file is missing or damaged, and the card does not have it")
+        self.findings.append(
+            Finding(
+                "warn",
+                "photograph-lost",
+                str(path),
+                found="a file that is missing or damaged, and that the card does not have either",
+                expected="the photograph that was kept",
+                hint="It is taken again. Look at the disk.",
+                pattern=line["pattern"],
+                camera=camera.id,
+            )
+        )
+
+    # -- what is left on the disk
+
+    def _tidy(self) -> None:
+        """Remove or set aside what crashes left; every file ends under a line of the journal."""
+        for path in sorted((self.root / "frames").glob("*/.*.partial")):
+            parts = _PARTIAL.fullmatch(path.name)
+            if parts is not None and parts["camera"] in self.state.cameras:
+                self._tidy_partial(path, (path.parent.name, parts["camera"], int(parts["take"])))
+        lines = {line["path"] for line in self.state.all_frames()}
+        for path in sorted((self.root / "frames").glob("*/[!.]*")):
+            if path.relative_to(self.root).as_posix() not in lines:
+                self.findings.append(
+                    Finding(
+                        "warn",
+                        "stray-file",
+                        str(path),
+                        found="a file that the journal does not know",
+                        expected="photographs of this session alone",
+                        hint="It is left alone and does not count.",
+                    )
+                )
+        with disk_errors(self.root / FOLDER):
+            for path in (self.root / FOLDER).glob("*/.*.partial"):
+                path.unlink()
+        for camera, path in asides(self.root):
+            if path.relative_to(self.root).as_posix() not in self.state.recovered():
+                self._journal_aside(path, camera)
+        session = self.root / "session.json"
+        if self.state.wanted() and session.exists():
+            # It was made from the journal when all was there; that is no longer so.
+            with disk_errors(session):
+                session.unlink()
+                fsync_path(self.root)
+
+    def _tidy_partial(self, path: Path, key: Key) -> None:
+        """What a download left that is settled otherwise."""
+        with disk_errors(path):
+            if path.stat().st_size and not self.state.is_kept(key):
+                self._set_aside_file(path, key[1], key[0], "left of a download")
+            else:
+                path.unlink()
+
+    def _journal_aside(self, path: Path, camera: str) -> None:
+        with disk_errors(path):
+            if not path.stat().st_size:
+                path.unlink()  # a name that was taken and never filled
+                return
+        self.writer.recovered(camera, path, None, "left by a crash")
+        self.recovered.append(path)
+
+    # -- small things
+
+    def _named(self, exposed: Exposed) -> Path | None:
+        """The file that has an exposure's name; one that is empty is a name taken in vain."""
+        stem = self.writer.stem(exposed.camera, exposed.take)
+        folder = self.root / "frames" / exposed.pattern
+        for path in sorted(folder.glob(f"{stem}.*")):
+            if path.stem == stem:
+                with disk_errors(path):
+                    if path.stat().st_size:
+                        return path
+                    path.unlink()
+        return None
+
+    def _partial(self, exposed: Exposed) -> Path | None:
+        path = self.writer.partial(*exposed.key)
+        return path if path.exists() and path.stat().st_size else None
+
+    def _set_aside(self, path: Path, exposed: Exposed, why: str, *, of_card: bool = True) -> None:
+        """Move a file of an exposure under ``recovered/``; `of_card`: its bytes are the card's."""
+        if of_card:
+            kept = self.writer.aside(path, exposed.camera, exposed.file, exposed.pattern, why)
+            self.recovered.append(kept)
+        else:
+            self._set_aside_file(path, exposed.camera, exposed.pattern, why)
+
+    def _set_aside_file(self, path: Path, camera: str, pattern: str, why: str) -> None:
+        self.recovered.append(self.writer.aside(path, camera, None, pattern, why))
+
+    def _reject(self, key: Key, why: str) -> None:
+        pattern, camera, take = key
+        self.writer.rejected(pattern, camera, why, take)
+        self.rejected.append(key)

@@ -1,0 +1,295 @@
+"""What a session's journal says so far: kept, outstanding, still wanted. Built line by line."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from lightstage.cameras.camera import CardFile
+from lightstage.session.journal import Line
+
+Key = tuple[str, str, int]
+"""Pattern, camera, take."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Exposed:
+    """A photograph that was taken under a light that lasted.
+
+    Attributes:
+        pattern: what was lit.
+        camera: who took it.
+        take: 1, or more where it was taken again.
+        file: on the camera's card.
+        beside: other files of the same shot, such as a JPEG.
+        acknowledged: whether the lights told that they were lit; None where it is not known.
+    """
+
+    pattern: str
+    camera: str
+    take: int
+    file: CardFile
+    beside: tuple[CardFile, ...] = ()
+    acknowledged: bool | None = None
+
+    @property
+    def key(self) -> Key:
+        """Pattern, camera, take."""
+        return (self.pattern, self.camera, self.take)
+
+
+class SessionState:
+    """What the lines of a journal add up to; several threads may ask while lines come.
+
+    Args:
+        lines: from ``begin`` on.
+
+    Attributes:
+        begin: the first line.
+        patterns: of the sequence, in order.
+        cameras: ids, in the rig's order.
+        serials: of the cameras, as they told them at the beginning; None where one cannot.
+        ended: whether the session was finished.
+    """
+
+    def __init__(self, lines: Iterable[Line]) -> None:
+        iterator = iter(lines)
+        self.begin: Line = next(iterator)
+        self.patterns: tuple[str, ...] = tuple(self.begin["sequence"])
+        self.cameras: tuple[str, ...] = tuple(self.begin["cameras"])
+        self.serials: Mapping[str, str | None] = self.begin.get("serials") or {}
+        self.ended = False
+        self._lock = threading.RLock()
+        self._baseline: dict[str, set[CardFile]] = {c: set() for c in self.cameras}
+        self._since: dict[str, set[CardFile]] = {c: set() for c in self.cameras}
+        self._gone: dict[str, set[CardFile]] = {c: set() for c in self.cameras}
+        self._lit: dict[str, Line] = {}
+        self._outstanding: dict[str, tuple[str, int]] = {}
+        self._takes: dict[tuple[str, str], int] = {}
+        self._exposed: dict[Key, Exposed] = {}
+        self._frames: dict[Key, Line] = {}
+        self._rejected: dict[Key, str] = {}
+        self._recovered: dict[str, Line] = {}
+        self._deleting: dict[str, dict[CardFile, str]] = {c: {} for c in self.cameras}
+        self._shots: dict[str, Line] = {}
+        self._calibration: dict[str, Any] = {}
+        self._snapshot(self.begin)
+        for line in iterator:
+            self.apply(line)
+
+    def apply(self, line: Line) -> None:
+        """Take one more line of the journal."""
+        with self._lock:
+            taking = getattr(self, f"_on_{line['event']}", None)
+            if taking is not None:
+                taking(line)
+
+    # -- what may be asked
+
+    def accepted(self, pattern: str, camera: str) -> Line | None:
+        """The ``frame`` line of the take that counts: the last that was not rejected."""
+        with self._lock:
+            for take in range(self._takes.get((pattern, camera), 0), 0, -1):
+                key = (pattern, camera, take)
+                if key in self._frames and key not in self._rejected:
+                    return self._frames[key]
+        return None
+
+    def missing(self, pattern: str) -> tuple[str, ...]:
+        """Cameras without a photograph of this pattern that counts."""
+        return tuple(c for c in self.cameras if self.accepted(pattern, c) is None)
+
+    def is_done(self, pattern: str) -> bool:
+        """Whether all photographs are there and the shot was finished."""
+        with self._lock:
+            return pattern in self._shots and not self.missing(pattern)
+
+    def wanted(self) -> dict[str, tuple[str, ...]]:
+        """Cameras that must still take each pattern; () where only its ``shot`` line is wanted.
+
+        A pattern that is not in it is done.
+        """
+        return {p: self.missing(p) for p in self.patterns if not self.is_done(p)}
+
+    def next_take(self, pattern: str, camera: str) -> int:
+        """Number of the next take; one that was once intended is never used again."""
+        with self._lock:
+            return self._takes.get((pattern, camera), 0) + 1
+
+    def frames(self) -> list[Line]:
+        """``frame`` lines of all takes that were not rejected, in the order of keeping."""
+        with self._lock:
+            return [line for key, line in self._frames.items() if key not in self._rejected]
+
+    def all_frames(self) -> list[Line]:
+        """``frame`` lines of all takes, rejected ones too."""
+        with self._lock:
+            return list(self._frames.values())
+
+    def is_kept(self, key: Key) -> bool:
+        """Whether a take's photograph is kept, counting or not."""
+        with self._lock:
+            return key in self._frames
+
+    def recovered(self) -> dict[str, Line]:
+        """``recovered`` lines by the path that each tells."""
+        with self._lock:
+            return dict(self._recovered)
+
+    def kept_hashes(self) -> dict[str, str]:
+        """SHA-256 of every photograph kept, rejected ones too, with whose it is."""
+        with self._lock:
+            return {line["sha256"]: told(key) for key, line in self._frames.items()}
+
+    def outstanding(self, camera: str) -> tuple[str, int] | None:
+        """Pattern and take that a camera was to take and of which no exposure is known."""
+        with self._lock:
+            return self._outstanding.get(camera)
+
+    def unsettled(self, camera: str) -> list[Exposed]:
+        """Exposures of which no photograph is kept and which were not given up."""
+        with self._lock:
+            return [
+                each
+                for key, each in self._exposed.items()
+                if each.camera == camera and key not in self._frames and key not in self._rejected
+            ]
+
+    def exposure(self, key: Key) -> Exposed | None:
+        """What was exposed for a take."""
+        with self._lock:
+            return self._exposed.get(key)
+
+    def on_card(self, camera: str) -> set[CardFile]:
+        """Files that must be on a camera's card if nobody touched it."""
+        with self._lock:
+            there = self._baseline[camera] | self._since[camera]
+            return there - self._gone[camera] - set(self._deleting[camera])
+
+    def known(self, camera: str) -> set[CardFile]:
+        """Files of a camera's card of which the journal knows what they are."""
+        with self._lock:
+            return (self._baseline[camera] | self._since[camera]) - self._gone[camera]
+
+    def deleting(self, camera: str) -> dict[CardFile, str]:
+        """Files whose deletion was begun and of which no end is known, with their pattern."""
+        with self._lock:
+            return dict(self._deleting[camera])
+
+    def lit(self, pattern: str) -> Line | None:
+        """The last ``lit`` line of a pattern."""
+        with self._lock:
+            return self._lit.get(pattern)
+
+    def shot(self, pattern: str) -> Line | None:
+        """The ``shot`` line of a pattern, None where a photograph was rejected after it."""
+        with self._lock:
+            return self._shots.get(pattern)
+
+    def calibration(self) -> dict[str, Any]:
+        """Calibration files of the session, by kind."""
+        with self._lock:
+            return dict(self._calibration)
+
+    # -- what each event changes
+
+    def _snapshot(self, line: Line) -> None:
+        for camera, files in (line.get("cards") or {}).items():
+            if camera in self._baseline:
+                self._baseline[camera] = card_files(files)
+                self._since[camera], self._gone[camera] = set(), set()
+                self._deleting[camera] = {}
+
+    def _on_lit(self, line: Line) -> None:
+        self._lit[line["pattern"]] = line
+
+    def _on_trigger(self, line: Line) -> None:
+        for camera, take in line["takes"].items():
+            self._outstanding[camera] = (line["pattern"], take)
+            self._note_take(line["pattern"], camera, take)
+
+    def _on_exposed(self, line: Line) -> None:
+        lit = self._lit.get(line["pattern"], {})
+        exposed = Exposed(
+            line["pattern"],
+            line["camera"],
+            line["take"],
+            CardFile(*line["file"]),
+            tuple(CardFile(*each) for each in line.get("beside", ())),
+            lit.get("acknowledged"),
+        )
+        self._exposed[exposed.key] = exposed
+        self._outstanding.pop(exposed.camera, None)
+        self._note_take(*exposed.key)
+        self._add_files(exposed.camera, {exposed.file, *exposed.beside})
+
+    def _on_frame(self, line: Line) -> None:
+        key = key_of(line)
+        self._frames[key] = line
+        self._note_take(*key)
+
+    def _on_rejected(self, line: Line) -> None:
+        key = key_of(line)
+        counted = self.accepted(key[0], key[1])
+        self._rejected[key] = line["why"]
+        if counted is not None and key_of(counted) == key:
+            self._shots.pop(key[0], None)
+        if self._outstanding.get(key[1]) == (key[0], key[2]):
+            del self._outstanding[key[1]]
+
+    def _on_recovered(self, line: Line) -> None:
+        self._recovered[line["path"]] = line
+        if line.get("file") is not None:
+            self._add_files(line["camera"], {CardFile(*line["file"])})
+
+    def _on_deleting(self, line: Line) -> None:
+        self._deleting[line["camera"]][CardFile(*line["file"])] = line["pattern"]
+
+    def _on_deleted(self, line: Line) -> None:
+        file = CardFile(*line["file"])
+        self._deleting[line["camera"]].pop(file, None)
+        self._gone[line["camera"]].add(file)
+
+    def _on_shot(self, line: Line) -> None:
+        self._shots[line["pattern"]] = line
+
+    def _on_calibration(self, line: Line) -> None:
+        kinds = ("colour", "cameras", "lights")
+        self._calibration |= {kind: line[kind] for kind in kinds if kind in line}
+
+    def _on_note(self, line: Line) -> None:
+        if line.get("about") == "card":
+            self._snapshot(line)
+
+    def _on_end(self, _: Line) -> None:
+        self.ended = True
+
+    def _note_take(self, pattern: str, camera: str, take: int) -> None:
+        self._takes[pattern, camera] = max(take, self._takes.get((pattern, camera), 0))
+
+    def _add_files(self, camera: str, files: set[CardFile]) -> None:
+        self._since[camera] |= files
+        self._gone[camera] -= files  # a name comes again after a card was emptied
+
+
+def state_of(journal: Sequence[Line]) -> SessionState:
+    """What is kept, outstanding and still wanted, from the lines of a journal."""
+    return SessionState(journal)
+
+
+def key_of(line: Line) -> Key:
+    """Pattern, camera and take of a line."""
+    return (line["pattern"], line["camera"], line["take"])
+
+
+def told(key: Key) -> str:
+    """A take in words."""
+    pattern, camera, take = key
+    return f"{pattern} by {camera}" if take == 1 else f"{pattern} by {camera}, take {take}"
+
+
+def card_files(files: Iterable[Sequence[Any]]) -> set[CardFile]:
+    """Files of a card as a journal has them: name and size."""
+    return {CardFile(str(name), int(size)) for name, size in files}

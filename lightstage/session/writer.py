@@ -1,0 +1,481 @@
+"""A session's life on disk: an append-only journal, photographs kept once, session.json at last.
+
+The journal (journal.jsonl) is the record; session.json is made from it when all shots are there.
+Events: ``begin`` and ``resume`` (what is planned, who the devices are, what lies on the cards),
+``devices``, ``lit`` (levels acknowledged), ``trigger`` (before cameras are asked), ``exposed`` (a
+file on a card, under light that lasted), ``frame`` (a photograph, hashed as it lies on the disk),
+``failed``, ``finding``, ``rejected`` (a take that does not count), ``recovered`` (a file of
+uncertain light or label), ``deleting`` and ``deleted`` (on a card), ``shot`` (a pattern with all
+its photographs), ``calibration``, ``note``, ``aborted``, ``end``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lightstage.cameras.camera import CameraDevice, CardFile
+from lightstage.errors import CaptureError, FormatError
+from lightstage.findings import Finding
+from lightstage.formats.files import write_json
+from lightstage.formats.session import save_session, session_id
+from lightstage.rig import Rig, load_rig, rig_to_json, save_rig
+from lightstage.session.aside import put_aside, take_aside
+from lightstage.session.colour import COLOUR_PATH
+from lightstage.session.disk import disk_errors, make_folder
+from lightstage.session.finished import session_from_journal
+from lightstage.session.journal import Journal, Line, Listener, begun_name, utc_now
+from lightstage.session.keep import Arrival, settle, sha256_on_disk
+from lightstage.session.plan import SessionPlan
+from lightstage.session.state import SessionState, told
+from lightstage.steps import step
+
+JOURNAL = "journal.jsonl"
+RIG = "rig.json"
+
+
+class SessionWriter:
+    """Writes one session folder; made by `new` or `resumed`. Several threads may.
+
+    While one is open, no other process can write the same session.
+
+    Attributes:
+        root: the folder.
+        journal: the record.
+        state: what the journal says so far.
+    """
+
+    def __init__(self, root: Path, journal: Journal, state: SessionState) -> None:
+        self.root = root
+        self.journal = journal
+        self.state = state
+        journal.book = state.apply
+
+    @staticmethod
+    def new(
+        root: Path,
+        rig: Rig,
+        plan: SessionPlan,
+        cards: Mapping[str, Collection[CardFile]] | None = None,
+        serials: Mapping[str, str | None] | None = None,
+        facts: Mapping[str, Any] | None = None,
+    ) -> SessionWriter:
+        """Make a session; a folder that holds something is never touched.
+
+        Args:
+            root: the folder to make.
+            rig: saved with the session.
+            plan: what it is going to hold.
+            cards: what lies on each camera's card now, by camera id.
+            serials: what each camera tells as its serial number, by camera id.
+            facts: what else the journal shall begin with (devices, configuration).
+
+        Raises:
+            ConfigError: a name that cannot stand in a session.
+            CaptureError: the folder exists and is not empty, or the disk refuses.
+        """
+        plan = plan.checked(rig)
+        require_new(root)
+        created = utc_now()
+        with disk_errors(root):
+            root.mkdir(parents=True, exist_ok=True)
+        journal, begin = Journal.new(
+            root / JOURNAL,
+            lambda: save_rig(rig, root / RIG),
+            session=session_id(plan.subject, plan.expression, created),
+            created_utc=created,
+            **plan.facts(),
+            cameras=[camera.id for camera in rig.cameras],
+            rig_sha256=rig_hash(rig),
+            cards={c: _files(files) for c, files in (cards or {}).items()},
+            serials=dict(serials or {}),
+            **(facts or {}),
+        )
+        return SessionWriter(root, journal, SessionState([begin]))
+
+    @staticmethod
+    def resumed(root: Path, rig: Rig | None = None) -> SessionWriter:
+        """Open an unfinished session to go on with it; `resume` must be told first.
+
+        Args:
+            root: its folder.
+            rig: must be the session's own, if given.
+
+        Raises:
+            FormatError: no session, a damaged journal, or a changed rig.json.
+            CaptureError: another process writes to it, it is finished, or `rig` is another one.
+        """
+        journal, lines = Journal.resumed(root / JOURNAL)
+        try:
+            state = SessionState(lines)
+            own = rig_hash(load_rig(root / RIG))
+            if own != state.begin["rig_sha256"]:
+                raise FormatError(
+                    root / RIG,
+                    found="another rig than the one that the session began with",
+                    expected="the same",
+                    hint="Restore it; the photographs' light cannot be told without it.",
+                )
+            if rig is not None and rig_hash(rig) != own:
+                raise CaptureError(
+                    root,
+                    field="rig",
+                    found="a session of another rig",
+                    expected="the rig given",
+                    hint="Resume with the session's own rig.json.",
+                )
+            if state.ended:
+                raise CaptureError(
+                    root,
+                    found="a session that is finished",
+                    expected="one with something left to do",
+                    hint="To take it again, give a new folder.",
+                )
+        except BaseException:
+            journal.close()
+            raise
+        return SessionWriter(root, journal, state)
+
+    @property
+    def listeners(self) -> list[Listener]:
+        """Called with each line of the journal, in order, after it is on the disk."""
+        return self.journal.listeners
+
+    def resume(
+        self,
+        cards: Mapping[str, Collection[CardFile]],
+        serials: Mapping[str, str | None],
+        **facts: Any,
+    ) -> Line:
+        """Journal that a capture goes on, with what lies on the cards now."""
+        return self.journal.write(
+            "resume",
+            after_torn_line=self.journal.torn,
+            cards={camera: _files(files) for camera, files in cards.items()},
+            serials=dict(serials),
+            **facts,
+        )
+
+    def lit(
+        self, pattern: str, levels: Sequence[float], *, acknowledged: bool, **facts: Any
+    ) -> Line:
+        """Journal that a pattern is lit.
+
+        Args:
+            pattern: its name.
+            levels: (n,) that are really driven.
+            acknowledged: whether the lights told so.
+            facts: for the record.
+        """
+        return self.journal.write(
+            "lit", pattern=pattern, acknowledged=acknowledged, levels=list(levels), **facts
+        )
+
+    def trigger(self, pattern: str, takes: Mapping[str, int], **facts: Any) -> Line:
+        """Journal, before any of them is asked, which cameras will take a pattern, and which take.
+
+        A camera's earlier trigger counts as closed by this.
+        """
+        return self.journal.write("trigger", pattern=pattern, takes=dict(takes), **facts)
+
+    def exposed(
+        self,
+        pattern: str,
+        take: int,
+        camera: str,
+        file: CardFile,
+        beside: Sequence[CardFile] = (),
+        **facts: Any,
+    ) -> Line:
+        """Journal which file on its card is a camera's photograph of a light that lasted.
+
+        Args:
+            pattern: what was lit, through the whole exposure.
+            take: as in `trigger`.
+            camera: who took it.
+            file: the RAW.
+            beside: other files of the same shot.
+            facts: for the record.
+        """
+        return self.journal.write(
+            "exposed",
+            pattern=pattern,
+            camera=camera,
+            take=take,
+            file=[file.name, file.size],
+            beside=_files(beside),
+            **facts,
+        )
+
+    def next_take(self, pattern: str, camera: str) -> int:
+        """Number of a camera's next take of a pattern, whose name is free on the disk."""
+        folder = self.root / "frames" / pattern
+        there = {path.stem for path in folder.iterdir()} if folder.is_dir() else set()
+        take = self.state.next_take(pattern, camera)
+        while self.stem(camera, take) in there:
+            take += 1
+        return take
+
+    @staticmethod
+    def stem(camera: str, take: int) -> str:
+        """Name of a take's file, without suffix."""
+        return camera if take == 1 else f"{camera}.take{take}"
+
+    def partial(self, pattern: str, camera: str, take: int) -> Path:
+        """Where a photograph lies while it is being downloaded."""
+        return self.root / "frames" / pattern / f".{camera}.take{take}.partial"
+
+    def incoming(self, pattern: str, camera: str, take: int) -> Path:
+        """Where a photograph is to be downloaded to; its folder is there, it is not.
+
+        What a download before this one left there is removed: it was not whole or not right, and
+        the photograph is on the camera's card.
+        """
+        path = self.partial(pattern, camera, take)
+        with disk_errors(path.parent):
+            make_folder(path.parent, self.root)
+            path.unlink(missing_ok=True)
+        return path
+
+    def keep(
+        self,
+        pattern: str,
+        camera: str,
+        take: int,
+        incoming: Path,
+        file: CardFile,
+        sha256: str,
+        **facts: Any,
+    ) -> Path:
+        """Verify a downloaded photograph, give it its name, journal it: a ``frame``.
+
+        Args:
+            pattern: what was lit.
+            camera: who took it.
+            take: as in `trigger`; 1 where photographs are imported.
+            incoming: where it was downloaded to (`incoming`).
+            file: as the camera tells it.
+            sha256: of the bytes where they left the camera's driver.
+            facts: for the journal.
+
+        Returns:
+            Where it lies.
+
+        Raises:
+            FormatError: no photograph, or a truncated one.
+            CaptureError: the disk holds other bytes, the name is taken, or the disk refuses.
+        """
+        where = told((pattern, camera, take))
+        stem = self.stem(camera, take)
+        path, kind = settle(Arrival(incoming, stem, file.size, sha256, where, pattern, camera))
+        self.frame(pattern, camera, take, path, file, sha256, kind.encoding, **facts)
+        return path
+
+    def frame(
+        self,
+        pattern: str,
+        camera: str,
+        take: int,
+        path: Path,
+        file: CardFile,
+        sha256: str,
+        encoding: str,
+        **facts: Any,
+    ) -> Line:
+        """Journal a photograph that has its name and was verified (`keep` does both)."""
+        exposure = self.state.exposure((pattern, camera, take))
+        if exposure is not None and exposure.acknowledged is not None:
+            facts = {"acknowledged": exposure.acknowledged, **facts}
+        line = self.journal.write(
+            "frame",
+            pattern=pattern,
+            camera=camera,
+            take=take,
+            path=path.relative_to(self.root).as_posix(),
+            sha256=sha256,
+            encoding=encoding,
+            size=file.size,
+            file=file.name,
+            **facts,
+        )
+        step("journaled", pattern, camera)
+        return line
+
+    def failed(self, pattern: str, take: int, camera: str, said: str) -> Line:
+        """Journal that something about a take failed; it may still be kept later."""
+        return self.journal.write("failed", pattern=pattern, camera=camera, take=take, said=said)
+
+    def finding(self, finding: Finding) -> Line:
+        """Journal what a look at a device or a photograph found."""
+        facts = {k: v for k, v in dataclasses.asdict(finding).items() if v is not None}
+        return self.journal.write("finding", **facts)
+
+    def rejected(self, pattern: str, camera: str, why: str, take: int | None = None) -> Line:
+        """Journal that a take does not count; its file stays.
+
+        Args:
+            pattern: whose.
+            camera: whose.
+            why: for people.
+            take: which; None: the one that counts now.
+
+        Raises:
+            CaptureError: no take counts.
+        """
+        if take is None:
+            line = self.state.accepted(pattern, camera)
+            if line is None:
+                raise CaptureError(
+                    f"{pattern} by {camera}", found="no photograph", expected="one to reject"
+                )
+            take = line["take"]
+        return self.journal.write("rejected", pattern=pattern, camera=camera, take=take, why=why)
+
+    def recover(self, camera: CameraDevice, file: CardFile, pattern: str | None, why: str) -> Path:
+        """Bring a file whose light or label is not certain from a card, under ``recovered/``.
+
+        Args:
+            camera: on whose card it lies.
+            file: there.
+            pattern: what it may be of, None where nothing is known.
+            why: for people.
+
+        Returns:
+            Where it lies. Called again for the same file, it finds the one that is there.
+
+        Raises:
+            DeviceError: it did not come from the card.
+            CaptureError: the disk holds other bytes, or refuses.
+        """
+        kept = take_aside(self.root, camera, file, pattern)
+        self.recovered(camera.id, kept.path, pattern, why, file)
+        return kept.path
+
+    def aside(self, path: Path, camera: str, file: CardFile | None, pattern: str, why: str) -> Path:
+        """Move a file of the session under ``recovered/``, and journal that.
+
+        Args:
+            path: of the file.
+            camera: whose it is.
+            file: that it was downloaded from, None where it is not certain to be that.
+            pattern: what it may be of.
+            why: for people.
+
+        Returns:
+            Where it lies.
+        """
+        name = f"{pattern}-{path.name.lstrip('.')}" if file is None else file.name
+        kept = put_aside(self.root, camera, path, name)
+        self.recovered(camera, kept.path, pattern, why, file)
+        return kept.path
+
+    def recovered(
+        self, camera: str, path: Path, pattern: str | None, why: str, file: CardFile | None = None
+    ) -> None:
+        """Journal a file that lies under ``recovered/`` (`recover` and `aside` do both)."""
+        relative = path.relative_to(self.root).as_posix()
+        told_before = self.state.recovered().get(relative)
+        if told_before is not None and (file is None or told_before["file"] is not None):
+            return
+        with disk_errors(path):
+            facts = {"sha256": sha256_on_disk(path), "size": path.stat().st_size}
+        self.journal.write(
+            "recovered",
+            camera=camera,
+            file=None if file is None else [file.name, file.size],
+            path=relative,
+            pattern=pattern,
+            why=why,
+            **facts,
+        )
+
+    def deleting(self, pattern: str, camera: str, file: CardFile) -> Line:
+        """Journal, before it is asked to, that a camera will delete a file that is kept."""
+        return self.journal.write(
+            "deleting", pattern=pattern, camera=camera, file=[file.name, file.size]
+        )
+
+    def deleted(self, pattern: str, camera: str, file: CardFile) -> Line:
+        """Journal that a file is no longer on the card."""
+        return self.journal.write(
+            "deleted", pattern=pattern, camera=camera, file=[file.name, file.size]
+        )
+
+    def shot(self, pattern: str, **facts: Any) -> Line:
+        """Journal that all photographs of a pattern are kept and do.
+
+        Raises:
+            CaptureError: one is not.
+        """
+        missing = self.state.missing(pattern)
+        if missing:
+            raise CaptureError(
+                f"pattern {pattern}",
+                found=f"no photograph by {', '.join(missing)}",
+                expected="one of each camera",
+            )
+        return self.journal.write("shot", pattern=pattern, **facts)
+
+    def note(self, event: str, **facts: Any) -> Line:
+        """Journal anything else."""
+        return self.journal.write(event, **facts)
+
+    def add_colour(self, value: dict[str, Any]) -> None:
+        """Keep a colour calibration (as read by read_colour) in the session."""
+        with disk_errors(self.root / COLOUR_PATH):
+            write_json(self.root / COLOUR_PATH, value)
+        self.journal.write("calibration", colour=COLOUR_PATH)
+
+    def finish(self) -> Path:
+        """Write session.json from the journal as it lies on the disk; returns its path.
+
+        Raises:
+            FormatError: a shot of the sequence is not finished.
+        """
+        with disk_errors(self.root / "session.json"):
+            path = save_session(self.root, session_from_journal(self.root / JOURNAL))
+        step("session-written")
+        return path
+
+    def end(self, **facts: Any) -> None:
+        """Journal that all is done; nothing may be written after it."""
+        frames = sum(len(self.state.cameras) for _ in self.state.patterns)
+        self.journal.write("end", frames=frames, **facts)
+        step("ended")
+
+    def close(self) -> None:
+        """Close the journal; the folder stays as it is."""
+        self.journal.close()
+
+
+def require_new(root: Path) -> None:
+    """CaptureError when the folder for a new session exists and holds something.
+
+    What a capture leaves that was killed before its journal began is nothing.
+    """
+    begun = begun_name(root / JOURNAL)
+    with disk_errors(root):
+        names = {path.name for path in root.iterdir()} if root.is_dir() else set()
+        there = root.exists() and not root.is_dir()
+    if begun in names:
+        names -= {begun, RIG, *(name for name in names if name.startswith(".rig."))}
+    if there or names:
+        raise CaptureError(
+            root,
+            found="something there already",
+            expected="a new folder",
+            hint="Sessions are never overwritten; give another --out.",
+        )
+
+
+def rig_hash(rig: Rig) -> str:
+    """SHA-256 of what rig.json says, however it is laid out."""
+    return hashlib.sha256(json.dumps(rig_to_json(rig), sort_keys=True).encode()).hexdigest()
+
+
+def _files(files: Collection[CardFile]) -> list[list[Any]]:
+    return [[file.name, file.size] for file in files]
