@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from lightstage.checks import check_session
 from lightstage.cameras.camera import CardFile
+from lightstage.checks import check_session
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file, write_json
