@@ -12,6 +12,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
 from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.scale import raw_scale
 from lightstage.formats.session import Frame, Session
 from processing.colour import read_colour
 from processing.errors import ProcessingError
@@ -135,4 +136,6 @@ def _colours(session: Session, cameras: list[str]) -> tuple[dict[str, np.ndarray
         said = "No colour calibration: white balance from AsShotNeutral, albedo scale unknown."
         return {}, [said]
     path = session.root / session.file.calibration.colour
-    return read_colour(path, [camera for camera in cameras if camera in raw]), []
+    matrices = read_colour(path, [camera for camera in cameras if camera in raw])
+    scale = raw_scale(session)
+    return {camera: matrix * scale for camera, matrix in matrices.items()}, []

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit, prange
 
 from lightstage.formats.environment import stage_lights
+from lightstage.formats.scale import full_levels
 from lightstage.formats.session import Session
 from processing.errors import ProcessingError
 from processing.interface import BARE, Interface, let_through, row_of
@@ -25,9 +26,10 @@ class PatternLights:
         position_mm: (L, 3).
         radius_mm: (L,) distance of each light from the origin.
         weight: (L,) what a white diffuser at the origin that faces the light reads because of it
-            at level 1, mean over the colour channels.
-        levels: (G, P) drive levels of the G groups of lights that every pattern drives alike
-            (eight octants under binary gradients), so that sums over lights are made once a group.
+            at its highest level, mean over the colour channels.
+        levels: (G, P) drive levels, as shares of a light's highest, of the G groups of lights that
+            every pattern drives alike (eight octants under binary gradients), so that sums over
+            lights are made once a group.
         group_end: (G,) int64, the lights are sorted by group; where each one ends.
         colour: (3,) the lights' common colour, mean 1; white is (1, 1, 1).
         colour_spread: largest departure of a light's own colour from that one.
@@ -83,9 +85,13 @@ def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights
     """
     rig = session.rig
     lit = rig.rgb_gains.max(axis=1) > 0
-    rgb = stage_lights(rig, np.ones(len(rig.lights)), "all").rgb
+    rgb = stage_lights(rig, np.ones(len(rig.lights)), "all", full_levels(session)).rgb
     driven = np.stack([session.levels(name)[lit] for name in patterns], axis=1)
-    levels, group = np.unique(driven, axis=0, return_inverse=True)
+    # Lights of unlike strength that go on and off together are one group: what each has at most
+    # goes into its weight.
+    most = driven.max(axis=1)
+    shares = driven / np.where(most > 0, most, 1.0)[:, None]
+    levels, group = np.unique(shares, axis=0, return_inverse=True)
     order = np.argsort(group, kind="stable")
     position = rig.positions_mm[lit][order]
     mean = rgb.mean(axis=1)
@@ -94,7 +100,7 @@ def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights
         patterns=patterns,
         position_mm=position,
         radius_mm=np.linalg.norm(position, axis=1),
-        weight=mean[order],
+        weight=(mean * most)[order],
         levels=levels,
         group_end=np.cumsum(np.bincount(group, minlength=len(levels))),
         colour=colour,

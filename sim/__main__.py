@@ -43,7 +43,7 @@ def session(
     """Photograph a simulated person in the light stage."""
     import numpy as np
 
-    from lightstage.patterns import pattern_levels, sequence_patterns
+    from lightstage.patterns import drive_levels, pattern_levels, sequence_patterns
     from lightstage.rig import default_rig, load_rig
     from sim.camera.flaws import load_flaws
     from sim.camera.optics import distorted
@@ -70,18 +70,19 @@ def session(
     config = SessionConfig(sequence=sequence)
     if light not in ("fast", "reference"):
         raise SimError("--light", found=light, expected="fast or reference")
-    if light == "reference" and any(is_polarised(name) for name in sequence_patterns(sequence)):
-        raise SimError(
-            "--light reference", found="a polarised pattern", expected="patterns without @"
-        )
     done_to_light = load_flaws(flaws)
     story = None if faults is None else Story.read(faults)
     if story is not None and direct:
         raise SimError("--faults", found="--direct too", expected="devices that can have faults")
     stage = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
     stage = distorted(stage, done_to_light.lens)
-    for name in sequence_patterns(sequence):
-        pattern_levels(name, stage)
+    patterns = sequence_patterns(sequence, stage)
+    if light == "reference" and any(is_polarised(name) for name in patterns):
+        raise SimError(
+            "--light reference", found="a polarised pattern", expected="patterns without @"
+        )
+    # Frames without devices are lit plainly; through the devices, as `lightstage capture` drives.
+    states = [(pattern_levels if direct else drive_levels)(name, stage) for name in patterns]
     if story is not None:
         story.check_cameras([camera.id for camera in stage.cameras], "--faults")
     person = load_subject(subject, seed, expression, config.texture_rows)
@@ -94,7 +95,6 @@ def session(
     if light == "reference":
         lit = ReferenceWorld(person, stage, lamps)
         with progress_bar("path tracing, cameras") as progress:
-            states = [pattern_levels(name, stage) for name in sequence_patterns(sequence)]
             if done_to_light.room.ambient > 0:
                 states.append(even_levels(lamps))
             lit.prepare(np.stack(states), progress)
@@ -104,7 +104,7 @@ def session(
     else:
         capture_session(lit, out, seed, sequence, done_to_light, story)
         write_landmarks(world, out, seed, config.click_noise_px)
-    count = len(sequence_patterns(sequence)) * len(stage.cameras)
+    count = len(patterns) * len(stage.cameras)
     seconds = time.monotonic() - begun
     facts = {
         "session": str(out),

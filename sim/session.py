@@ -87,7 +87,7 @@ def write_direct(
     Returns:
         `out`. session.json is written last, so a folder without it is unfinished.
     """
-    patterns = sequence_patterns(config.sequence)
+    patterns = sequence_patterns(config.sequence, world.rig)
     levels = {name: pattern_levels(name, world.rig) for name in patterns}
     created = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     save_rig(world.rig, out / "rig.json")

@@ -32,26 +32,51 @@ class LightSet:
     ambient_rgb: np.ndarray
 
 
-def stage_lights(rig: Rig, levels: np.ndarray, name: str) -> LightSet:
+def stage_lights(
+    rig: Rig, levels: np.ndarray, name: str, full: np.ndarray | None = None
+) -> LightSet:
     """The stage's own lights as a light set, on a session's scale.
 
-    A perfect white diffuser at the origin, facing +z, lit by every light at level 1 and gain 1,
-    reads 1.0.
+    A perfect white diffuser at the origin, facing +z, lit by `full` and gains of 1, reads 1.0.
 
     Args:
         rig: the lights.
         levels: (n,) drive levels, or (n, 3) coloured ones.
         name: of the set.
+        full: (n,) levels of the session's `full` (formats.scale); every light at level 1 where
+            absent.
+
+    Raises:
+        FormatError: no light of `full` before such a diffuser.
     """
+    positions, weight, facing = _white(rig)
+    whole = facing.sum() if full is None else facing @ np.asarray(full, float)
+    if not whole > 0:
+        raise FormatError(
+            "full", found="no light in front", expected="light on a surface that faces +z"
+        )
+    level = np.asarray(levels, float)
+    rgb = (level if level.ndim == 2 else level[:, None]) * rig.rgb_gains
+    rgb = rgb * weight[:, None] / whole
+    lit = rgb.max(axis=1) > 0
+    return LightSet(name, positions[lit], rgb[lit], np.zeros(3))
+
+
+def white_reading(rig: Rig, levels: np.ndarray) -> float:
+    """What a perfect white diffuser at the origin, facing +z, reads under (n,) levels.
+
+    1.0 is every light at level 1, all gains taken as 1.
+    """
+    _, _, facing = _white(rig)
+    return float(facing @ np.asarray(levels, float) / facing.sum())
+
+
+def _white(rig: Rig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n, 3) lights' positions; (n,) what a diffuser at the origin gets that faces them, or +z."""
     positions = rig.positions_mm
     distance = np.linalg.norm(positions, axis=1)
     weight = (float(np.median(distance)) / distance) ** 2
-    facing = np.clip(positions[:, 2] / distance, 0, None) * weight
-    level = np.asarray(levels, float)
-    rgb = (level if level.ndim == 2 else level[:, None]) * rig.rgb_gains
-    rgb = rgb * weight[:, None] / facing.sum()
-    lit = rgb.max(axis=1) > 0
-    return LightSet(name, positions[lit], rgb[lit], np.zeros(3))
+    return positions, weight, np.clip(positions[:, 2] / distance, 0, None) * weight
 
 
 def write_lights(lights: LightSet, path: Path) -> Path:

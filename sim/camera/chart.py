@@ -26,16 +26,17 @@ def chart_reflectance() -> np.ndarray:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def calibrate_colour(sensor: Sensor, rng: np.random.Generator) -> np.ndarray:
+def calibrate_colour(sensor: Sensor, rng: np.random.Generator, white: float = 1.0) -> np.ndarray:
     """Colour calibration as a user makes it: from a noisy photograph of a chart and a grey card.
 
-    The chart lies at the sphere's centre facing the frontal camera, lit by `full`, so that a
-    perfect white would read 1. Patches that clip are left out. The grey card, photographed large,
-    holds the scale.
+    The chart lies at the sphere's centre facing the frontal camera, lit by `full` as the stage
+    drives it, and a perfect white is to read 1. Patches that clip are left out. The grey card,
+    photographed large, holds the scale.
 
     Args:
         sensor: the camera.
         rng: of the noise.
+        white: light that a perfect white sends there, where every lamp at level 1 makes 1.
 
     Returns:
         (3, 3) linear_from_raw: rgb_linear = M @ (raw - black) / (white - black).
@@ -46,7 +47,8 @@ def calibrate_colour(sensor: Sensor, rng: np.random.Generator) -> np.ndarray:
     raw, kept, weight = [], [], []
     for index, colour in enumerate(known):
         side = PATCH_PX * (4 if index == len(chart) else 1)
-        counts = sensor.expose(np.broadcast_to(colour, (side, side, 3)).astype(np.float32), rng)
+        light = np.broadcast_to(colour * white, (side, side, 3)).astype(np.float32)
+        counts = sensor.expose(light, rng)
         if counts.max() >= config.white_dn:
             continue
         green = (counts[0::2, 1::2].mean() + counts[1::2, 0::2].mean()) / 2

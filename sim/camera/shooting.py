@@ -45,8 +45,8 @@ class LitSubject(Protocol):
     def photograph(self, camera_id: str, levels: np.ndarray) -> np.ndarray:
         """Pictures (s, h, w, 3) under (s, m) levels, linear in them."""
 
-    def skin_peak(self, quantile: float = 0.999) -> np.ndarray:
-        """(3,) what the brightest skin reads under `full`."""
+    def skin_peak(self, quantile: float = 0.999, levels: np.ndarray | None = None) -> np.ndarray:
+        """(3,) what the brightest skin reads under `full`, driven at these (m,) levels or at 1."""
 
     def with_subject(self, subject: Subject) -> LitSubject:
         """The same stage with another subject, or the same one elsewhere."""

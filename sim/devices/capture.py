@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from lightstage.errors import PatternError
+from lightstage.formats.environment import white_reading
 from lightstage.formats.files import write_json, write_text
-from lightstage.patterns import pattern_levels, sequence_patterns
+from lightstage.patterns import Drive, drive_levels, sequence_patterns
 from lightstage.rig import Camera, save_rig
 from sim.camera.chart import calibrate_colour
 from sim.camera.dng import Exif, dng_bytes
@@ -50,6 +51,7 @@ class Photographer:
         seed: of lenses, sensors, sway and noise.
         flaws: what the apparatus does to the light; the default adds the sensor's noise alone.
         sequence: patterns that will be shot, in order; other states are taken as the first of them.
+        drive: how the stage drives its lamps; cameras are exposed for its `full`.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class Photographer:
         seed: int,
         flaws: CaptureFlaws | None = None,
         sequence: Sequence[str] = (),
+        drive: Drive = "solid-angle",
     ) -> None:
         self.world = world
         self.seed = seed
@@ -67,8 +70,10 @@ class Photographer:
         for shot, name in enumerate(sequence):
             # An unknown name is refused by `lightstage capture`, in its own words.
             with contextlib.suppress(PatternError):
-                self._shots.setdefault(_state(pattern_levels(name, world.rig)), shot)
-        peak = world.skin_peak()
+                self._shots.setdefault(_state(drive_levels(name, world.rig, drive)), shot)
+        self.drive = drive
+        self.full = drive_levels("full", world.rig, drive)
+        peak = world.skin_peak(levels=self.full)
         self.sensors: dict[str, Sensor] = {
             camera.id: make_sensor(flaws.sensor, peak, own_rng(seed, camera.id, b"sensor"))
             for camera in world.rig.cameras
@@ -91,20 +96,22 @@ class Photographer:
 
     def colour_calibration(self) -> dict[str, object]:
         """FORMATS' colour calibration of all cameras, from simulated chart photographs."""
+        white = white_reading(self.world.rig, self.full)
         cameras = {
             camera_id: {
                 "linear_from_raw": calibrate_colour(
-                    sensor, own_rng(self.seed, camera_id, b"chart")
+                    sensor, own_rng(self.seed, camera_id, b"chart"), white
                 ).tolist()
             }
             for camera_id, sensor in self.sensors.items()
         }
-        return {"schema": "lightstage.colour/1", "cameras": cameras}
+        levels = self.full.tolist()
+        return {"schema": "lightstage.colour/1", "cameras": cameras, "full_levels": levels}
 
     def record(self, sequence: Sequence[str]) -> dict[str, Any]:
         """What was done to the light of a sequence's photographs, for the truth."""
         shots = {
-            name: self._shots.get(_state(pattern_levels(name, self.world.rig)), 0)
+            name: self._shots.get(_state(drive_levels(name, self.world.rig, self.drive)), 0)
             for name in sequence
         }
         sensors = {
@@ -168,7 +175,7 @@ def capture_session(
     Raises:
         SimError: the capture failed (it has said why on stderr).
     """
-    patterns = sequence_patterns(sequence)
+    patterns = sequence_patterns(sequence, world.rig)
     world = seen_through(world, patterns)
     photographer = Photographer(world, seed, flaws, patterns)
     with tempfile.TemporaryDirectory(prefix="lightstage-sim-") as name:
@@ -182,7 +189,7 @@ def capture_session(
             log, timeout_s, attempts = _new_log(faults_path(out)), TIMEOUT_S, ATTEMPTS
             folders = StoryCameras(desk / "cameras", world.rig, story, log)
             for pattern in patterns:
-                levels = pattern_levels(pattern, world.rig)
+                levels = drive_levels(pattern, world.rig)
                 photographer.photographs(levels, folders.shelf(levels))
             photographer.photographs(dark, folders.shelf(dark))
 

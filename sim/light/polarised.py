@@ -161,9 +161,9 @@ class PolarisedWorld:
         optics = filters(self.rig, self.rig.camera(camera_id), self.config)
         return self.world.pictures(camera_id, weights, self.lamps, optics)
 
-    def skin_peak(self, quantile: float = 0.999) -> np.ndarray:
+    def skin_peak(self, quantile: float = 0.999, levels: np.ndarray | None = None) -> np.ndarray:
         """(3,) what the brightest skin reads under `full` without polarisers: at most half."""
-        return self.world.skin_peak(quantile)
+        return self.world.skin_peak(quantile, levels)
 
 
 def photograph_polarised(

@@ -141,12 +141,16 @@ class World:
         points = point_lamps(self.rig.positions_mm)
         return self.pictures(camera_id, np.asarray(weights)[None], points)[0]
 
-    def skin_peak(self, quantile: float = 0.999) -> np.ndarray:
-        """(3,) what the brightest skin reads under `full`, of every 16th pixel of all cameras."""
+    def skin_peak(self, quantile: float = 0.999, levels: np.ndarray | None = None) -> np.ndarray:
+        """(3,) what the brightest skin reads under `full`, of every 16th pixel of all cameras.
+
+        `full` is driven at these (m,) levels, or with every lamp at level 1.
+        """
         light = []
+        full = self.lamps.weights if levels is None else self.lamps.weights * levels[:, None]
         for camera_id, surface in self.surfaces.items():
             chosen = np.flatnonzero(surface.skin)[::16]
-            light.append(self.pixels(camera_id, self.lamps.weights[None], chosen)[0])
+            light.append(self.pixels(camera_id, full[None], chosen)[0])
         return brightest(light, self.subject.name, quantile)
 
     def pictures(

@@ -131,11 +131,14 @@ class ReferenceWorld:
         )
         return self.light_at(points, np.asarray(weights, float))
 
-    def skin_peak(self, quantile: float = 0.999) -> np.ndarray:
-        """(3,) what the brightest skin reads under `full`, of every 16th pixel of all cameras."""
-        full = self.lamps.weights[None]
+    def skin_peak(self, quantile: float = 0.999, levels: np.ndarray | None = None) -> np.ndarray:
+        """(3,) what the brightest skin reads under `full`, of every 16th pixel of all cameras.
+
+        `full` is driven at these (m,) levels, or with every lamp at level 1.
+        """
+        full = self.lamps.weights if levels is None else self.lamps.weights * levels[:, None]
         light = [
-            self.pixels(camera_id, full, np.flatnonzero(surface.skin)[::16])[0]
+            self.pixels(camera_id, full[None], np.flatnonzero(surface.skin)[::16])[0]
             for camera_id, surface in self.surfaces.items()
         ]
         return brightest(light, self.subject.name, quantile)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh
-from lightstage.formats.session import Session
+from lightstage.formats.session import Calibration, Session
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig
 from processing.albedo import specular_evidence
@@ -43,7 +43,15 @@ CAMERA = RIG.cameras[0]
 def lights_of(rig: Rig, patterns: tuple[str, ...] = PATTERNS) -> PatternLights:
     levels = {name: pattern_levels(name, rig) for name in patterns}
     return pattern_lights(
-        cast(Session, SimpleNamespace(rig=rig, levels=levels.__getitem__)), patterns
+        cast(
+            Session,
+            SimpleNamespace(
+                rig=rig,
+                levels=levels.__getitem__,
+                file=SimpleNamespace(patterns={}, calibration=Calibration()),
+            ),
+        ),
+        patterns,
     )
 
 

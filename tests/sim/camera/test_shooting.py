@@ -10,7 +10,7 @@ import pytest
 
 from lightstage.commands import quiet
 from lightstage.formats.exr import read_exr
-from lightstage.patterns import pattern_levels
+from lightstage.patterns import drive_levels, pattern_levels
 from sim.camera.flaws import PRESETS, CaptureFlaws, LensConfig, PulseConfig, RoomConfig, SwayConfig
 from sim.camera.shooting import Shooting, depth_picture
 from sim.devices.capture import Photographer
@@ -164,7 +164,7 @@ def test_a_photographer_with_flaws_repeats_itself_and_tells_its_sensors(world):
     )
     camera = world.rig.camera("cam0")
     first, again = (Photographer(world, 1, flaws, ("full", "lin-x+")) for _ in range(2))
-    level = pattern_levels("lin-x+", world.rig)
+    level = drive_levels("lin-x+", world.rig)
     assert first.photograph(camera, level) == again.photograph(camera, level)
     assert first.photograph(camera, level) != Photographer(world, 1).photograph(camera, level)
     record = first.record(("full", "lin-x+"))
