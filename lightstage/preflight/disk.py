@@ -69,7 +69,7 @@ def disk_findings(rig: Rig, out: Path, plan: Plan, config: PreflightConfig) -> l
         config: the margin.
     """
     there = out.absolute()
-    while not there.is_dir() and there != there.parent:
+    while not os.path.isdir(there) and there != there.parent:  # no name is too long for it
         there = there.parent
     findings = _space(rig, there, plan, config)
     findings += _names(rig, out.absolute(), there, plan)

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 from lightstage.findings import Finding
 from lightstage.preflight.config import PreflightConfig, Series
-from lightstage.preflight.values import exposure_s, same_exposure, true_exposures_s
+from lightstage.preflight.values import exposure_s, true_exposures_s
 
 MARKS = (
     *("1/8000", "1/6400", "1/5000", "1/4000", "1/3200", "1/2500", "1/2000", "1/1600", "1/1250"),
@@ -23,6 +23,13 @@ MARKS = (
     *("2.5", "3.2", "4", "5", "6", "8", "10", "13", "15", "20", "25", "30"),
 )
 """Times that cameras offer, in thirds of a stop."""
+OTHER_MARKS = (
+    *("1/6000", "1/3000", "1/1500", "1/750", "1/350", "1/180", "1/90", "1/45", "1/3"),
+    *("1/2.5", "1/1.6", "1/1.3", "0.7", "1.5", "3"),
+)
+"""Those of half stops, and other ways to mark a third."""
+MARKED = 0.01
+"""A time this near to a mark is that mark."""
 
 
 def worst_error(periods: float, level: float) -> float:
@@ -47,6 +54,8 @@ def worst_error(periods: float, level: float) -> float:
 def possible_exposures_s(text: str, series: Series) -> tuple[float, ...]:
     """How long a shutter may be open under a marked time; empty where the text is no time.
 
+    A time that is no mark of the series (0.0451) is taken as it stands.
+
     Args:
         text: as the camera says it.
         series: see PreflightConfig.
@@ -55,15 +64,26 @@ def possible_exposures_s(text: str, series: Series) -> tuple[float, ...]:
     if told is None:
         return ()
     mark = nearest_mark(told[0], told[1])
-    marked = told[0] if mark is None else (exposure_s(mark) or told)[0]
+    if mark is None:
+        return (told[0],)
+    marked = _seconds(mark)
     true = true_exposures_s(marked) or (marked,)
     return {"marked": (marked,), "true": true, "either": tuple(sorted({marked, *true}))}[series]
 
 
 def nearest_mark(time_s: float, off_s: float = 0.0) -> str | None:
-    """The mark that a time stands for, such as ``1/60`` for 0.0166; None where there is none."""
-    near = [mark for mark in MARKS if same_exposure(time_s, _seconds(mark), off_s)]
-    return min(near, key=lambda mark: abs(_seconds(mark) - time_s), default=None)
+    """The mark that a time is, such as ``1/60`` for 0.0166; None where it is none.
+
+    Args:
+        time_s: as the camera says it.
+        off_s: how far its text may be off.
+    """
+
+    def off(mark: str) -> float:
+        return abs(_seconds(mark) - time_s)
+
+    mark = min((*MARKS, *OTHER_MARKS), key=off)
+    return mark if off(mark) <= MARKED * time_s + off_s else None
 
 
 def exposure_error(text: str, pulse_hz: float, level: float, series: Series) -> float | None:

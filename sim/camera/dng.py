@@ -21,7 +21,7 @@ TAKEN = "2000:01:01 12:00:00"
 
 @dataclasses.dataclass(frozen=True)
 class Exif:
-    """What a camera tells of itself in its files. No name, no place.
+    """What a camera tells of itself in its files; no name and no place unless they are set.
 
     Attributes:
         model: with its maker as first word.
@@ -29,6 +29,10 @@ class Exif:
         f_number: aperture.
         focal_mm: focal length.
         taken: date and time, EXIF's form.
+        offset: of that time from UTC; None where the camera does not tell.
+        artist: a name that somebody left in the camera's menu.
+        owner: the same.
+        place: latitude and longitude in degrees, where the camera knows them.
     """
 
     model: str
@@ -36,6 +40,10 @@ class Exif:
     f_number: float
     focal_mm: float
     taken: str = TAKEN
+    offset: str | None = "+00:00"
+    artist: str | None = None
+    owner: str | None = None
+    place: tuple[float, float] | None = None
 
 
 def dng_bytes(mosaic: np.ndarray, sensor: Sensor, exif: Exif) -> bytes:
@@ -54,7 +62,7 @@ def dng_bytes(mosaic: np.ndarray, sensor: Sensor, exif: Exif) -> bytes:
     colour = sensor.raw_from_linear @ LINEAR_FROM_XYZ
     colour = np.round(colour / np.abs(colour).max(), 6)
     height, width = mosaic.shape
-    tags = {
+    tags: dict[int, tuple[int, object]] = {
         254: (LONG, 0),  # NewSubfileType: the picture itself
         256: (LONG, width),
         257: (LONG, height),
@@ -82,14 +90,33 @@ def dng_bytes(mosaic: np.ndarray, sensor: Sensor, exif: Exif) -> bytes:
         50735: (ASCII, exif.serial),  # CameraSerialNumber
         50778: (SHORT, D65),  # CalibrationIlluminant1
     }
-    camera = {
+    if exif.artist is not None:
+        tags[315] = (ASCII, exif.artist)
+    camera: dict[int, tuple[int, object]] = {
         33434: (RATIONAL, sensor.exposure_s),  # ExposureTime
         33437: (RATIONAL, round(exif.f_number, 2)),
         34855: (SHORT, config.iso),  # PhotographicSensitivity
         36864: (UNDEFINED, b"0230"),  # ExifVersion
         36867: (ASCII, exif.taken),  # DateTimeOriginal
-        36881: (ASCII, "+00:00"),  # OffsetTimeOriginal
         37386: (RATIONAL, round(exif.focal_mm, 2)),  # FocalLength
         42033: (ASCII, exif.serial),  # BodySerialNumber
     }
-    return tiff_bytes(mosaic, tags, camera)
+    if exif.offset is not None:
+        camera[36881] = (ASCII, exif.offset)  # OffsetTimeOriginal
+    if exif.owner is not None:
+        camera[42032] = (ASCII, exif.owner)  # CameraOwnerName
+    return tiff_bytes(mosaic, tags, camera, _gps(exif.place))
+
+
+def _gps(place: tuple[float, float] | None) -> dict[int, tuple[int, object]]:
+    """The GPS directory; empty where the camera does not know."""
+    if place is None:
+        return {}
+    north, east = place
+    return {
+        0: (BYTE, (2, 3, 0, 0)),  # GPSVersionID
+        1: (ASCII, "N" if north >= 0 else "S"),
+        2: (RATIONAL, (abs(north), 0, 0)),
+        3: (ASCII, "E" if east >= 0 else "W"),
+        4: (RATIONAL, (abs(east), 0, 0)),
+    }

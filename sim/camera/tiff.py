@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 
 BYTE, ASCII, SHORT, LONG, RATIONAL, UNDEFINED, SRATIONAL = 1, 2, 3, 4, 5, 7, 10
-EXIF_DIRECTORY = 34665
+EXIF_DIRECTORY, GPS_DIRECTORY = 34665, 34853
 STRIP_OFFSETS, STRIP_BYTES = 273, 279
 LARGEST_DENOMINATOR = 1_000_000
 _LETTERS = {BYTE: "B", SHORT: "H", LONG: "I", UNDEFINED: "B"}
@@ -18,24 +18,32 @@ Tags = Mapping[int, tuple[int, object]]
 """Tag to its type and value: text, one number, bytes, or a sequence of numbers."""
 
 
-def tiff_bytes(pixels: np.ndarray, tags: Tags, exif: Tags) -> bytes:
+def tiff_bytes(pixels: np.ndarray, tags: Tags, exif: Tags, gps: Tags | None = None) -> bytes:
     """A little-endian TIFF [TIFF1992] with one strip and an EXIF directory.
 
     Args:
         pixels: (h, w) uint16.
-        tags: of the picture, all but the strip's place and the EXIF directory's.
+        tags: of the picture, all but the strip's place and the other directories'.
         exif: of the EXIF directory.
+        gps: of the GPS directory; none is written where it is empty.
     """
     data = np.ascontiguousarray(pixels, "<u2").tobytes()
     first = 8
     own = dict(tags)
     # The places are of fixed size, so a first pass with zeros tells where everything will lie.
     own |= {STRIP_OFFSETS: (LONG, 0), STRIP_BYTES: (LONG, len(data)), EXIF_DIRECTORY: (LONG, 0)}
+    if gps:
+        own[GPS_DIRECTORY] = (LONG, 0)
     exif_at = first + len(_directory(own, first))
     exif_part = _directory(exif, exif_at)
+    gps_at = exif_at + len(exif_part)
+    gps_part = _directory(gps, gps_at) if gps else b""
     own[EXIF_DIRECTORY] = (LONG, exif_at)
-    own[STRIP_OFFSETS] = (LONG, exif_at + len(exif_part))
-    return struct.pack("<2sHI", b"II", 42, first) + _directory(own, first) + exif_part + data
+    own[STRIP_OFFSETS] = (LONG, gps_at + len(gps_part))
+    if gps:
+        own[GPS_DIRECTORY] = (LONG, gps_at)
+    head = struct.pack("<2sHI", b"II", 42, first)
+    return head + _directory(own, first) + exif_part + gps_part + data
 
 
 def _directory(tags: Tags, at: int) -> bytes:

@@ -1,0 +1,79 @@
+"""Everything before a capture in one message."""
+
+import dataclasses
+
+import pytest
+
+from lightstage.cameras.binding import CamerasFile
+from lightstage.cameras.camera import Summary
+from lightstage.errors import ConfigError, DeviceError
+from lightstage.formats.config import make_config
+from lightstage.leds.controller import Hello
+from lightstage.preflight import Plan, PreflightConfig, preflight, require
+
+GOOD = Summary(
+    "600", "D750", "1.0", "M", "100", "1/8", "f/8", "Daylight", "RAW", "MF", 80.0, 10**10, 0.0,
+    "", "", "", "off",
+)  # fmt: skip
+
+
+@dataclasses.dataclass
+class Leds:
+    """What is asked of lights before a capture."""
+
+    light_count: int = 8
+    acknowledged: bool = True
+    pulse_hz: float | None = 400.0
+
+    @property
+    def hello(self):
+        return Hello(1, self.light_count, "test")
+
+
+def look(rig, out, leds=None, **changes):
+    told = {camera.id: GOOD for camera in rig.cameras}
+    told["cam1"] = dataclasses.replace(GOOD, **changes)
+    config = PreflightConfig()
+    return preflight(rig, told, CamerasFile(), leds or Leds(), out, Plan(7), config)
+
+
+def test_a_stage_that_is_ready_has_no_findings(tmp_path, small_rig):
+    found = look(small_rig, tmp_path / "s")
+    assert found == []
+    require(found)
+
+
+def test_lights_cameras_and_disk_are_told_in_one_message(tmp_path, small_rig):
+    free_of_names = {"iso": "400", "battery_percent": 5.0, "owner": "Ann Person", "shutter": "1/9"}
+    found = look(
+        small_rig, tmp_path / ("s" * 300), Leds(7, False), card_free_bytes=10, **free_of_names
+    )
+    with pytest.raises(DeviceError) as caught:
+        require(found)
+    said = str(caught.value)
+    for part in ("light count", "pulses of 400 Hz", "iso", "battery", "owner", "card", "bytes"):
+        assert part in said, part
+    assert "Ann" not in said
+    assert "unacknowledged" not in said
+    assert [f.code for f in found if f.severity == "warn"] == ["unacknowledged"]
+
+
+def test_warnings_alone_let_a_capture_begin(tmp_path, small_rig):
+    found = look(small_rig, tmp_path / "s", Leds(8, False, None), image_format="RAW+JPEG")
+    assert [f.severity for f in found] == ["warn"] * 3
+    require(found)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"min_battery_percent": -1.0},
+        {"max_pulse_error": float("nan")},
+        {"max_clock_offset_s": float("inf")},
+        {"shutter_series": "any"},
+        {"unknown": 1},
+    ],
+)
+def test_limits_that_are_none_are_refused(values):
+    with pytest.raises(ConfigError):
+        make_config(PreflightConfig, values, "a.toml")
