@@ -107,7 +107,7 @@ class Guardian:
             assert self._child.stdin is not None
             self._child.stdin.write(data)
             self._child.stdin.flush()
-        except OSError:
+        except (OSError, ValueError):  # it has ended, or was told goodbye by another thread
             return False
         return True
 

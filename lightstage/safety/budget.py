@@ -63,8 +63,8 @@ def heat_after(
 ) -> np.ndarray:
     """Heating of lights, as a share of what each would reach at full power after a long time.
 
-    A light is one lump of heat that takes up power in proportion to its level and gives it off in
-    proportion to how much warmer it is than the room by the lumped capacitance method [Incropera2007].
+    A light is one lump of heat (lumped capacitance [Incropera2007]): it takes up power in
+    proportion to its level and gives it off in proportion to how much warmer it is than the room.
 
     Args:
         heat: (n,) now, 0 cold, 1 as at full power for ever.
@@ -101,3 +101,43 @@ def worst_heat(states: np.ndarray, longest_s: float, time_constant_s: float) -> 
     for levels in states:
         heat = np.maximum(heat, heat_after(heat, levels, longest_s, time_constant_s))
     return heat
+
+
+class Spent:
+    """What lights have spent of their time and warmth while a capture runs.
+
+    Args:
+        light_count: lights, dark and cold at the start.
+        time_constant_s: as in `heat_after`.
+
+    Attributes:
+        levels: (n,) lit now.
+        on_s: (n,) seconds at full level until the last `advance`.
+        heat: (n,) warmth then.
+    """
+
+    def __init__(self, light_count: int, time_constant_s: float) -> None:
+        self.levels = np.zeros(light_count)
+        self.on_s = np.zeros(light_count)
+        self.heat = np.zeros(light_count)
+        self._time_constant_s = time_constant_s
+        self._now_s = -np.inf
+
+    def advance(self, now_s: float) -> None:
+        """Count what was lit until now; a time before the last one counts as that one."""
+        passed_s = max(0.0, now_s - self._now_s) if np.isfinite(self._now_s) else 0.0
+        self._now_s = max(now_s, self._now_s)
+        self.on_s = self.on_s + self.levels * passed_s
+        self.heat = heat_after(self.heat, self.levels, passed_s, self._time_constant_s)
+
+    def light(self, now_s: float, levels: np.ndarray) -> None:
+        """From now on (n,) levels are lit."""
+        self.advance(now_s)
+        self.levels = np.array(levels, float)
+
+    def allowed_s(self, levels: np.ndarray, max_on_s: float, max_heat: float) -> np.ndarray:
+        """(n,) seconds for which each light may have these levels from the last `advance` on."""
+        on = levels > 0
+        allowed = seconds_until(self.heat, levels, max_heat, self._time_constant_s)
+        allowed[on] = np.minimum(allowed[on], (max_on_s - self.on_s[on]) / levels[on])
+        return np.maximum(allowed, 0.0)

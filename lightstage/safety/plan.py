@@ -1,0 +1,118 @@
+"""Limits of light, and a sequence held against them before a light goes on."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from lightstage.errors import ConfigError, LightstageError, one_error
+from lightstage.rig import Rig
+from lightstage.safety.budget import FlashCounter, worst_heat
+from lightstage.sequence import Shot
+
+
+@dataclasses.dataclass(frozen=True)
+class SafetyConfig:
+    """Limits for the person in the stage and for its lights.
+
+    Attributes:
+        max_flashes_per_s: flashes in any second; three is the limit below which photosensitive
+            people are held to be safe [WCAG-Flashes].
+        light_interval_s: shortest time between two changes of light; a capture waits for it.
+        max_light_on_s: time at full level that one light may be on in one capture.
+        max_heat: how warm a light may get, as a share of what full power for ever would make it.
+        heat_time_constant_s: after which a light at constant power is at 63 % of its warmth.
+        max_silence_s: a capture that stands still for so long is made dark from outside.
+    """
+
+    max_flashes_per_s: float = 3.0
+    light_interval_s: float = 0.4
+    max_light_on_s: float = 600.0
+    max_heat: float = 0.9
+    heat_time_constant_s: float = 180.0
+    max_silence_s: float = 10.0
+
+
+def flash_rate_per_s(shots: Sequence[Shot], light_interval_s: float) -> float:
+    """Most flashes in any second, whatever part of the stage is looked at (FlashCounter).
+
+    Lights change as fast as they may; the darkness before the first shot and after the last one
+    belongs to the sequence.
+    """
+    dark = np.zeros_like(shots[0].levels)
+    counter = FlashCounter(len(dark))
+    for index, levels in enumerate([*(shot.levels for shot in shots), dark]):
+        counter.add(index * light_interval_s, levels)
+    return counter.worst_per_s
+
+
+def light_on_s(shots: Sequence[Shot], shot_worst_s: float) -> np.ndarray:
+    """(n,) seconds at full level that each light is on, if every shot lasts its longest."""
+    return np.sum([shot.levels for shot in shots], axis=0) * shot_worst_s
+
+
+def check_shots(shots: Sequence[Shot], rig: Rig, config: SafetyConfig, shot_worst_s: float) -> None:
+    """Refuse a sequence that flashes too fast, or keeps a light on too long or too hot.
+
+    Args:
+        shots: what is to be lit.
+        rig: the lights.
+        config: the limits.
+        shot_worst_s: longest that one shot can last, when every deadline is used up.
+
+    Raises:
+        ConfigError: what was found and which limit it breaks, all in one message.
+    """
+    problems = _config_problems(config)
+    if problems:
+        raise one_error(problems)
+    rate = flash_rate_per_s(shots, config.light_interval_s)
+    if rate > config.max_flashes_per_s:
+        problems.append(
+            ConfigError(
+                "sequence",
+                field="flash rate",
+                found=f"up to {rate:g} flashes per second",
+                expected=f"at most {config.max_flashes_per_s:g} (max_flashes_per_s)",
+                hint="Give light_interval_s a larger value.",
+            )
+        )
+    on_s = light_on_s(shots, shot_worst_s)
+    heat = worst_heat(
+        np.array([shot.levels for shot in shots]), shot_worst_s, config.heat_time_constant_s
+    )
+    for field, values, limit, said, limit_said in (
+        ("duty", on_s, config.max_light_on_s, "{:.0f} s at full level", "{:g} s (max_light_on_s)"),
+        ("heat", heat, config.max_heat, "{:.2f} of full power's warmth", "{:g} (max_heat)"),
+    ):
+        over = int(np.sum(values > limit))
+        if not over:
+            continue
+        worst = rig.lights[int(np.argmax(values))]
+        problems.append(
+            ConfigError(
+                "sequence",
+                field=field,
+                found=f"{over} lights over the budget, light {worst.id} ({worst.name}) up to "
+                + said.format(values.max()),
+                expected="at most " + limit_said.format(limit),
+                hint="Split the sequence, or lower the cameras' deadline.",
+            )
+        )
+    if problems:
+        raise one_error(problems)
+
+
+def _config_problems(config: SafetyConfig) -> list[LightstageError]:
+    """Limits that are none."""
+    problems: list[LightstageError] = []
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        least_is_fine = field.name == "light_interval_s" and value == 0
+        if not (0 < value < np.inf or least_is_fine):
+            problems.append(
+                ConfigError("safety", field=field.name, found=f"{value:g}", expected="above 0")
+            )
+    return problems
