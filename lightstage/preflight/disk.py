@@ -71,6 +71,9 @@ def disk_findings(rig: Rig, out: Path, plan: Plan, config: PreflightConfig) -> l
     there = out.absolute()
     while not os.path.isdir(there) and there != there.parent:  # no name is too long for it
         there = there.parent
+    blocking = next(iter(out.absolute().relative_to(there).parts), None)
+    if blocking is not None and os.path.lexists(there / blocking):
+        return [_unusable(there / blocking, NotADirectoryError("a file, not a folder"))]
     findings = _space(rig, there, plan, config)
     findings += _names(rig, out.absolute(), there, plan)
     findings += _trial(rig, there, plan)

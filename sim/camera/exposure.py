@@ -11,7 +11,9 @@ from sim.errors import SimError
 
 WIDTH, HEIGHT, COMPRESSION, EXIF, ISO = 256, 257, 259, 34665, 34855
 STRIP_OFFSETS, STRIP_BYTES, BLACK, WHITE = 273, 279, 50714, 50717
+TIME, STOP, TAKEN, SERIAL = 33434, 33437, 36867, 42033
 _LETTERS = {1: "B", 3: "H", 4: "I"}
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1}
 
 
 def exposure_gain(iso: str, shutter: str, aperture: str) -> float:
@@ -62,10 +64,53 @@ def expose_again(dng: bytes, gain: float, iso: str) -> bytes:
         counts = np.frombuffer(data, "<u2", size // 2, offset)
         exposed = np.clip(np.round(black + (counts - black) * gain), 0, white).astype("<u2")
         data[offset : offset + size] = exposed.tobytes()
-    if EXIF in tags:
-        place = _places(data, tags[EXIF][0]).get(ISO)
-        if place is not None:
-            struct.pack_into("<H", data, place[2], min(int(Fraction(iso)), 65535))
+    return told_by(bytes(data), iso=iso)
+
+
+def told_by(
+    dng: bytes,
+    iso: str | None = None,
+    shutter: str | None = None,
+    aperture: str | None = None,
+    serial: str | None = None,
+    taken: str | None = None,
+) -> bytes:
+    """The same photograph with what a body writes of itself into its headers.
+
+    Only fields that are there already are written, and none grows: the file keeps its size. A file
+    without an EXIF directory comes back as it was.
+
+    Args:
+        dng: any bytes; a little-endian TIFF-like file is changed.
+        iso: a number.
+        shutter: seconds, such as ``1/60`` or ``0.0167s``.
+        aperture: such as ``f/8``.
+        serial: of the body.
+        taken: date and time, EXIF's form.
+
+    Raises:
+        SimError: a serial or time longer than the field.
+    """
+    data = bytearray(dng)
+    pointer = _entries(data, 4).get(EXIF)
+    if pointer is None:
+        return dng
+    places = _places(data, pointer[0])
+    if iso is not None and ISO in places:
+        struct.pack_into("<H", data, places[ISO][2], min(int(Fraction(iso)), 65535))
+    for tag, text in ((TIME, shutter), (STOP, aperture)):
+        if text is not None and tag in places:
+            value = Fraction(text.removeprefix("f/").removesuffix("s")).limit_denominator(10**6)
+            struct.pack_into("<II", data, places[tag][2], value.numerator, value.denominator)
+    for tag, text in ((SERIAL, serial), (TAKEN, taken)):
+        if text is not None and tag in places:
+            _, room, place = places[tag]
+            letters = text.encode("ascii", "replace")
+            if len(letters) >= room:
+                raise SimError(
+                    "photograph", found=repr(text), expected=f"at most {room - 1} letters"
+                )
+            data[place : place + room] = letters.ljust(room, b"\0")
     return bytes(data)
 
 
@@ -104,7 +149,7 @@ def _places(data: bytearray, directory: int) -> dict[int, tuple[int, int, int]]:
         entry = directory + 2 + 12 * index
         tag, kind, count = struct.unpack_from("<HHI", data, entry)
         place = entry + 8
-        if kind in _LETTERS and count * struct.calcsize(f"<{_LETTERS[kind]}") > 4:
+        if count * _SIZES.get(kind, 0) > 4:
             (place,) = struct.unpack_from("<I", data, place)
         places[tag] = kind, count, place
     return places

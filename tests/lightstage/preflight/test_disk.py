@@ -60,8 +60,14 @@ def test_a_photographs_size_is_guessed_from_its_pixels(small_rig):
 
 def test_a_session_inside_a_file_is_refused(tmp_path, small_rig):
     (tmp_path / "file").write_text("x")
-    (finding,) = disk_findings(small_rig, Path("/proc/nothing/session"), Plan(1), CONFIG)[:1]
-    assert finding.severity == "refuse"
+    for out in (tmp_path / "file", tmp_path / "file" / "s"):
+        (finding,) = disk_findings(small_rig, out, Plan(1), CONFIG)
+        assert (finding.severity, finding.found) == ("refuse", "a file, not a folder")
+
+
+def test_a_place_that_takes_no_folders_is_refused(small_rig):
+    found = disk_findings(small_rig, Path("/proc/nothing/session"), Plan(1, 10), CONFIG)
+    assert "disk" in codes(found)
 
 
 def test_a_folder_without_the_right_to_write_is_refused(small_rig):
