@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.formats.files import read_json
-from sim.camera.exposure import expose_again, preview_jpeg
+from sim.camera.exposure import expose_again, preview_jpeg, told_by
 from sim.devices.body_folder import NEXT, SCHEMA, put
 from sim.devices.camera_settings import CameraSettings, changed
 from sim.devices.faults import Due, FaultLog, Story
@@ -257,7 +257,8 @@ class CameraBody:
             return self._path(self._raws()[-1]).read_bytes()
         settings = self.settings()
         gain = settings.gain() / self._nominal.gain()
-        return light if gain == 1.0 else expose_again(light, gain, settings.iso)
+        exposed = light if gain == 1.0 else expose_again(light, gain, settings.iso)
+        return told_by(exposed, settings.iso, settings.shutter, settings.aperture)
 
     def _linked(self) -> None:
         """BodyError where the connection is gone."""

@@ -7,6 +7,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from sim.camera.exposure import told_by
 from sim.devices.faults import FaultLog, Story
 from sim.errors import SimError
 
@@ -14,6 +15,8 @@ PORT = "usb:001,001"
 """Where libgphoto2's virtual USB shows its one camera; each folder has a process of its own."""
 SEED = "SEED0001.JPG"
 """libgphoto2's virtual camera looks for a file of this kind; its bytes may be any."""
+SHUTTER, APERTURE = "0.0100s", "f/2.8"
+"""What libgphoto2's virtual camera tells of itself, whatever its file."""
 UNVERIFIABLE = (
     *("serial", "iso", "aperture", "shutter", "mode", "white_balance", "image_format", "focus"),
     *("owner", "artist", "copyright", "place"),
@@ -73,6 +76,7 @@ class CameraFolders:
         Raises:
             SimError: another size than the camera's first file.
         """
+        data = told_by(data, shutter=SHUTTER, aperture=APERTURE)
         size = self._sizes.setdefault(camera_id, len(data))
         if len(data) != size:
             raise SimError(
