@@ -1,0 +1,155 @@
+"""A whole stage whose photographs say who took them under which light: for trials by the thousand.
+
+An LED device behind a pseudo-terminal and simulated cameras with a story, before them whatever the
+lamps show (`CodedPhotographer`). Afterwards every photograph of a session is asked what it is.
+"""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from lightstage.formats.files import write_text
+from lightstage.formats.session import Session, load_session
+from lightstage.rig import Rig, save_rig
+from sim.devices.body_folder import NEXT, put
+from sim.devices.coded_photographer import CodedPhotographer, read_code
+from sim.devices.faults import FaultLog, Story
+from sim.devices.grainy_camera import grainy
+from sim.devices.led_device import LedDevice
+from sim.devices.simulated_camera import SimulatedCameras
+
+SETTINGS = {"iso": "100", "shutter": "1/60", "aperture": "f/8"}
+"""Of every camera, as its photographs say."""
+FULL_COUNT = 65535
+
+
+@dataclasses.dataclass(frozen=True)
+class Labels:
+    """What a finished session's photographs say of themselves.
+
+    Attributes:
+        right: taken by the camera, under the light, that the session says.
+        mislabelled: of another camera, or under another pattern of the sequence.
+        wrong_light: under a light that nobody asked for (a lamp that failed and did not tell).
+        unreadable: whose pixels say nothing.
+        doubled: one photograph under two names.
+        missing: patterns and cameras without a photograph.
+    """
+
+    right: int = 0
+    mislabelled: tuple[str, ...] = ()
+    wrong_light: tuple[str, ...] = ()
+    unreadable: tuple[str, ...] = ()
+    doubled: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+
+
+class CodedStage:
+    """Use as a context manager.
+
+    Args:
+        desk: a new folder for all that is simulated.
+        rig: the stage.
+        story: what goes wrong.
+        seed: of the photographs.
+        shown: called whenever the lamps changed and all cameras see it.
+
+    Attributes:
+        rig_path: rig.json.
+        cameras_path: the cameras file.
+        device: the LED device.
+        log: what went wrong.
+    """
+
+    def __init__(
+        self,
+        desk: Path,
+        rig: Rig,
+        story: Story | None = None,
+        seed: int = 0,
+        shown: Callable[[np.ndarray], None] | None = None,
+    ) -> None:
+        desk.mkdir(parents=True, exist_ok=True)
+        self.rig = rig
+        self.log = FaultLog(write_text(desk / "faults.jsonl", ""))
+        self._photographer = CodedPhotographer(rig, seed)
+        settings = {camera.id: SETTINGS for camera in rig.cameras}
+        self.cameras = SimulatedCameras(desk / "cameras", rig, story, self.log, settings)
+        self.rig_path = save_rig(rig, desk / "rig.json")
+        self.cameras_path = write_text(desk / "cameras.toml", grainy(self.cameras.cameras_file()))
+        self._shown = shown
+        count = len(rig.lights)
+        self._show(np.zeros(count))
+        banks = [light.bank for light in rig.lights]
+        self.device = LedDevice(count, self._show, 1, story, self.log, banks)
+
+    def __enter__(self) -> CodedStage:
+        self.device.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.device.__exit__(kind, error, trace)
+
+    def _show(self, levels: np.ndarray) -> None:
+        light = self._photographer.lit(levels)
+        for camera in self.rig.cameras:
+            data = self._photographer.photograph(camera, light)
+            put(self.cameras.folder(camera.id) / NEXT, data)
+        if self._shown is not None:
+            self._shown(levels)
+
+    def labels(self, root: Path) -> Labels:
+        """Ask every photograph of a finished session what it is."""
+        session = load_session(root)
+        found: dict[str, list[str]] = collections.defaultdict(list)
+        right = 0
+        seen: dict[str, str] = {}
+        for frame in session.file.frames:
+            own = f"{frame.pattern} by {frame.camera} ({frame.path})"
+            first = seen.setdefault(frame.sha256, own)
+            if first != own:
+                found["doubled"].append(f"{own} is {first}")
+            what, said = self._what(session, frame.pattern, frame.camera, root / frame.path)
+            if what == "right":
+                right += 1
+            else:
+                found[what].append(f"{own}: {said}")
+        there = {(frame.pattern, frame.camera) for frame in session.file.frames}
+        for pattern in session.file.sequence:
+            for camera in self.rig.cameras:
+                if (pattern, camera.id) not in there:
+                    found["missing"].append(f"{pattern} by {camera.id}")
+        return Labels(right, **{name: tuple(said) for name, said in found.items()})
+
+    def _what(self, session: Session, pattern: str, camera: str, path: Path) -> tuple[str, str]:
+        """Whether a photograph is what it is called; else which of Labels, and why."""
+        code = read_code(path)
+        if code is None:
+            return "unreadable", "no code in its pixels"
+        taken_by = self.rig.cameras[code.camera].id
+        if taken_by != camera:
+            return "mislabelled", f"taken by {taken_by}"
+        lit = _counts(self._photographer.states[code.light - 1])
+        asked = {name: _counts(session.levels(name)) for name in session.file.sequence}
+        if np.array_equal(lit, asked[pattern]):
+            return "right", ""
+        for name, counts in asked.items():
+            if np.array_equal(lit, counts):
+                return "mislabelled", f"taken under {name}"
+        wrong = int((lit != asked[pattern]).sum())
+        return "wrong_light", f"{wrong} lamps were not as asked"
+
+
+def _counts(levels: np.ndarray) -> np.ndarray:
+    return np.round(np.asarray(levels, float) * FULL_COUNT).astype(np.uint16)
