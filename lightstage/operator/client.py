@@ -73,9 +73,9 @@ def ask(session: Path, do: str) -> str | None:
     if not seen.socket or seen.over:
         raise nobody
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(ANSWER_S)
         try:
             connection.connect(seen.socket)
+            connection.settimeout(ANSWER_S)
             connection.sendall(json.dumps({"do": do}).encode() + b"\n")
             with connection.makefile("rb") as file:
                 answer = json.loads(file.readline())
@@ -107,10 +107,10 @@ class _Seen:
 def _live(path: str, after: int, stop: Callable[[], bool]) -> Iterator[dict[str, Any]]:
     """Lines from the socket until it closes; nothing where its process is gone."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-        connection.settimeout(LOOK_S)
         pending = b""
         with contextlib.suppress(ConnectionError, FileNotFoundError):
-            connection.connect(path)
+            connection.connect(path)  # waits where many come at once; without a wait it would fail
+            connection.settimeout(LOOK_S)
             connection.sendall(json.dumps({"after": after}).encode() + b"\n")
             while not stop():
                 try:

@@ -59,7 +59,7 @@ class _Client:
         self.connection = connection
         self.asked = b""
         self.waiting = bytearray()
-        self.next: int | None = None  # place in the index; None before it asked for lines
+        self.after: int | None = None  # the last id it has; None before it asked for lines
 
 
 class EventServer:
@@ -102,7 +102,7 @@ class EventServer:
             self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
             self._listener.bind(str(self.path))
             os.chmod(self.path, 0o600)
-            self._listener.listen(16)
+            self._listener.listen(self._config.clients)
         except BaseException:
             self._tail.close()
             if self._file >= 0:
@@ -159,14 +159,15 @@ class EventServer:
     def _serve(self) -> None:
         until_s = float("inf")
         while True:
-            if self._closing.is_set() and until_s == float("inf"):
+            closing = self._closing.is_set()  # asked once: what was told before it is served
+            if closing and until_s == float("inf"):
                 until_s = time.monotonic() + self._config.last_words_s
                 self._selector.unregister(self._listener)
             self._index()
             for client in list(self._clients.values()):
                 self._feed(client)
             done = all(self._is_served(client) for client in self._clients.values())
-            if self._closing.is_set() and (done or time.monotonic() >= until_s):
+            if closing and (done or time.monotonic() >= until_s):
                 return
             wait_s = None if until_s == float("inf") else max(0.0, until_s - time.monotonic())
             for key, events in self._selector.select(wait_s):
@@ -234,7 +235,7 @@ class EventServer:
         if isinstance(asked, dict):
             after, do = asked.get("after"), asked.get("do")
             if isinstance(after, int) and not isinstance(after, bool):
-                client.next = bisect.bisect_right(self._ids, after)
+                client.after = after
                 return None
             if isinstance(do, str):
                 why = self._request(do)
@@ -264,15 +265,22 @@ class EventServer:
         self._selector.modify(client.connection, wanted)
 
     def _fill(self, client: _Client) -> None:
-        while client.next is not None and client.next < len(self._ids):
-            if len(client.waiting) >= BUFFER_BYTES:
+        while len(client.waiting) < BUFFER_BYTES:
+            place = self._next(client)
+            if place is None:
                 return
-            begin, end = self._begins[client.next], self._ends[client.next]
+            begin, end = self._begins[place], self._ends[place]
             client.waiting += os.pread(self._file, end - begin, begin)
-            client.next += 1
+            client.after = self._ids[place]
+
+    def _next(self, client: _Client) -> int | None:
+        """Place in the index of the line that comes next for a client."""
+        if client.after is None or not self._ids or client.after >= self._ids[-1]:
+            return None
+        return bisect.bisect_right(self._ids, client.after)
 
     def _is_served(self, client: _Client) -> bool:
-        return not client.waiting and client.next in (None, len(self._ids))
+        return not client.waiting and self._next(client) is None
 
     def _drop(self, client: _Client) -> None:
         if self._clients.pop(client.connection.fileno(), None) is not None:
