@@ -35,18 +35,21 @@ SEQUENCES: dict[str, tuple[str, ...]] = {
 
 OLAT = "olat"
 MEANINGS: dict[str, str] = {
-    "binary": "full and three pairs of half spheres; what processing expects [Kampouris2018]",
-    "linear": "full and three pairs of linear gradients [Ma2007]",
+    "binary": "full and three pairs of half spheres; what processing expects",
+    "linear": "full and three pairs of linear gradients",
     "full": "every light: pictures, a look at the exposure",
     "ambient": "binary after a shot without light, which processing takes off all others",
     "polarised": "full by the vertical and by the horizontal bank",
-    "binary-polarised": "binary by the vertical bank, then by the horizontal one [Ghosh2011]",
-    "linear-polarised": "linear by the vertical bank, then by the horizontal one [Ma2007]",
+    "binary-polarised": "binary by the vertical bank, then by the horizontal one",
+    "linear-polarised": "linear by the vertical bank, then by the horizontal one",
     "mux": "x, y and z gradients at once in red, green and blue lights, then their complements",
     OLAT: "one light at a time, each at its full level",
 }
-"""What each named sequence is for."""
+"""What each named sequence is for: `binary` and `mux` in [Kampouris2018], the linear gradients and
+their polarised shots in [Ma2007], two banks without moving a polariser in [Ghosh2011]."""
 
+COLOURED = 0.8
+"""A light with more than this share of its gain in one channel is of that colour."""
 ON_PLANE = 1e-6
 """A light nearer to a splitting plane than this share of the radius lies on it: half in each."""
 
@@ -129,6 +132,15 @@ def sequence_patterns(name: str, rig: Rig | None = None) -> tuple[str, ...]:
     return tuple(patterns)
 
 
+def has_coloured_lights(rig: Rig) -> bool:
+    """Whether mux-1 and mux-2 hold six gradients here: some light of each channel, and of it alone.
+
+    Where lights are white they hold one diagonal gradient and its complement.
+    """
+    shares = _colours(rig)
+    return bool((shares.max(axis=0) > COLOURED).all())
+
+
 def is_reserved(name: str) -> bool:
     """Whether a name is a pattern's or a sequence's already, or looks like one."""
     return (
@@ -158,6 +170,13 @@ def _along(rig: Rig) -> np.ndarray:
     return np.asarray(rig.positions_mm / radii)
 
 
+def _colours(rig: Rig) -> np.ndarray:
+    """(n, 3) shares of red, green and blue in each light; a third each where it gives nothing."""
+    gains = rig.rgb_gains
+    total = gains.sum(axis=1, keepdims=True)
+    return np.where(total > 0, gains / np.where(total > 0, total, 1.0), 1 / 3)
+
+
 def _half(along: np.ndarray) -> np.ndarray:
     """1 where this is positive, 0 where negative, 0.5 on the plane; any shape."""
     return np.where(np.abs(along) < ON_PLANE, 0.5, (along > 0).astype(float))
@@ -173,10 +192,9 @@ def _unpolarised(base: str, name: str, rig: Rig) -> np.ndarray:
         along = _along(rig)[:, "xyz".index(base[-2])] * (1.0 if base[-1] == "+" else -1.0)
         return (1.0 + along) / 2.0 if base in LINEAR else _half(along)
     if base in ("mux-1", "mux-2"):
-        gains = rig.rgb_gains
-        total = gains.sum(axis=1, keepdims=True)
-        colour = np.where(total > 0, gains / np.where(total > 0, total, 1.0), 1 / 3)
-        return np.asarray((colour * _half(_along(rig) * (1.0 if base == "mux-1" else -1.0))).sum(1))
+        return np.asarray(
+            (_colours(rig) * _half(_along(rig) * (1.0 if base == "mux-1" else -1.0))).sum(1)
+        )
     match = re.fullmatch(r"olat-(\d{3,})", base)
     if match:
         wanted = [int(match.group(1)) == light.id for light in rig.lights]

@@ -30,6 +30,8 @@ def surroundings_flux(path: Path, rig: Rig, rotate_deg: float = 0.0) -> np.ndarr
     +z, and columns grow toward +x. A light set (`lightstage.environment/1`) gives each of its
     lights to the cell it stands in, and its ambient light to all by their solid angles.
 
+    A stage that shows the light of a place: [Debevec2002].
+
     Args:
         path: .exr or .hdr, twice as wide as high; or a light set, .json.
         rig: the lights.

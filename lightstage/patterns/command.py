@@ -1,0 +1,158 @@
+"""`lightstage patterns`: what a sequence will light, in figures and as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from lightstage.commands import JsonFlag, finish
+from lightstage.errors import PatternError
+from lightstage.patterns.drive import Drive, drive_levels
+from lightstage.patterns.names import (
+    MEANINGS,
+    bank_mask,
+    complement,
+    has_coloured_lights,
+    on_plane,
+    sequence_patterns,
+)
+from lightstage.patterns.own import UserPattern, read_patterns
+from lightstage.patterns.picture import pattern_sheet, write_sheet
+from lightstage.patterns.weights import unevenness
+from lightstage.rig import Rig, default_rig, load_rig
+from lightstage.sequence import plan_shots
+
+MOST_PICTURES = 600
+"""Patterns that one sheet shows."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command `patterns` to an application."""
+    app.command("patterns")(patterns_command)
+
+
+def patterns_command(
+    sequence: str = typer.Argument("", help="Named sequence, or pattern names with commas."),
+    rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
+    drive: str = typer.Option("solid-angle", help="How lights are driven: solid-angle or on-off."),
+    patterns: Path | None = typer.Option(None, help="Your own patterns (TOML)."),
+    out: Path | None = typer.Option(None, help="Picture of all of them, .png."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """List what each pattern lights, and draw it; with nothing given, list the sequences."""
+    how = _drive(drive)
+    if out is not None and (out.suffix.lower() != ".png" or out.is_dir()):
+        raise PatternError(out, field="--out", found=out.suffix or "no suffix", expected=".png")
+    the_rig = default_rig() if rig is None else load_rig(rig)
+    own = {} if patterns is None else read_patterns(patterns, the_rig)
+    if not sequence and out is None and not own:
+        _list_sequences(the_rig, as_json)
+        return
+    sequence = sequence or ",".join(own) or "binary"
+    shots = plan_shots(sequence_patterns(sequence, the_rig), the_rig, how, own)
+    if out is not None and len(shots) > MOST_PICTURES:
+        raise PatternError(
+            f"sequence {sequence!r}",
+            found=f"{len(shots)} patterns",
+            expected=f"at most {MOST_PICTURES} in one picture",
+            hint="Name some of them with commas.",
+        )
+    planes = on_plane(the_rig)
+    rows = [_row(s.pattern, s.levels, the_rig, planes) for s in shots]
+    even = unevenness(the_rig, drive_levels("full", the_rig, how))
+    facts: dict[str, Any] = {
+        "sequence": sequence,
+        "drive": how,
+        "lights": len(the_rig.lights),
+        "full_unevenness": round(even, 5),
+        "on_plane": planes,
+        "patterns": rows,
+        "own": {
+            name: {"kind": p.kind, "said": p.said, "scale": p.scale} for name, p in own.items()
+        },
+        "picture": None if out is None else str(out),
+    }
+    if not as_json:
+        _show(rows, own)
+        for axis, ids in planes.items():
+            some = ", ".join(map(str, ids[:12])) + (" .." if len(ids) > 12 else "")
+            print(f"On the plane {axis} = 0, half in each of a pair: {len(ids)} lights ({some})")
+        if any(s.pattern.startswith("mux-") for s in shots) and not has_coloured_lights(the_rig):
+            print("These lights are not red, green and blue: mux-1 and mux-2 hold one diagonal")
+            print("gradient and its complement, not six. Take `binary` for normals.")
+    if out is not None:
+        title = f"{len(the_rig.lights)} lights, driven {_words(how)}"
+        write_sheet(out, pattern_sheet(the_rig, [(s.pattern, s.levels) for s in shots], title))
+    drawn = "" if out is None else f", drawn in {out}"
+    finish(
+        f"{len(shots)} patterns on {len(the_rig.lights)} lights driven {_words(how)}; "
+        f"full is uneven by {100 * even:.2f} %{drawn}",
+        facts,
+        as_json,
+    )
+
+
+def _drive(drive: str) -> Drive:
+    for known in get_args(Drive):
+        if drive == known:
+            return known
+    raise PatternError(
+        "--drive", found=repr(drive), expected=" or ".join(map(str, get_args(Drive)))
+    )
+
+
+def _words(drive: Drive) -> str:
+    return "by solid angle" if drive == "solid-angle" else "on and off"
+
+
+def _row(
+    pattern: str, levels: np.ndarray, rig: Rig, planes: dict[str, list[int]]
+) -> dict[str, Any]:
+    """What one pattern lights, in figures."""
+    base = pattern.partition("@")[0]
+    axes = "xyz" if base.startswith("mux-") else base[-2:-1] if complement(base) else ""
+    halved = {light_id for axis in axes for light_id in planes.get(axis, ())}
+    left = bank_mask(pattern, rig) > 0
+    split = sum(light.id in halved for light, lit in zip(rig.lights, left, strict=True) if lit)
+    return {
+        "pattern": pattern,
+        "lit": int((levels > 0).sum()),
+        "mean_level": round(float(levels.mean()), 5),
+        "most_level": round(float(levels.max()), 5),
+        "on_plane": split,
+    }
+
+
+def _show(rows: list[dict[str, Any]], own: dict[str, UserPattern]) -> None:
+    table = Table(box=None, pad_edge=False)
+    for head in ("pattern", "lit", "mean level", "highest", "on a plane", ""):
+        table.add_column(head, justify="left" if head in ("pattern", "") else "right")
+    for row in rows:
+        name = row["pattern"]
+        mine = own.get(name.partition("@")[0])
+        table.add_row(
+            name,
+            str(row["lit"]),
+            f"{row['mean_level']:.4f}",
+            f"{row['most_level']:.4f}",
+            str(row["on_plane"] or ""),
+            "" if mine is None else f"your own, by {mine.kind}: {mine.said}",
+        )
+    Console().print(table)
+
+
+def _list_sequences(rig: Rig, as_json: bool) -> None:
+    counts = {name: len(sequence_patterns(name, rig)) for name in MEANINGS}
+    if not as_json:
+        table = Table(box=None, pad_edge=False)
+        for head in ("sequence", "shots", "what for"):
+            table.add_column(head, justify="right" if head == "shots" else "left")
+        for name, meaning in MEANINGS.items():
+            table.add_row(name, str(counts[name]), meaning)
+        Console().print(table)
+    finish(f"{len(counts)} named sequences", {"sequences": counts}, as_json)
