@@ -1,26 +1,22 @@
-"""The far end of the LED wire: a device behind a pseudo-terminal (docs/led_wire.md)."""
+"""LED devices at the far end of a line, each in a thread of its own (docs/led_wire.md)."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import os
 import select
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
+from typing import Literal, Self
 
 import numpy as np
 
 from sim.devices.faults import FaultLog, Story
+from sim.devices.led_ends import End, PtyEnd, TcpEnd
 from sim.devices.led_faults import FaultyLeds, Step, Wait
 from sim.devices.led_protocol import FULL_COUNT
-
-OPEN_POLL_MS = 5
-"""While nobody has the port open, the kernel tells of an opening only to those who ask."""
-READ_BYTES = 65536
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,63 +32,49 @@ class LitState:
     counts: np.ndarray
 
 
-class LedDevice:
-    """An LED device at the master end of a pseudo-terminal, in a thread of its own.
+class EndDevice:
+    """A device at one end of a line. Use as a context manager; a new device is dark.
 
-    Use as a context manager. A new device is dark. What `show` raises is kept in `failure`, and
-    the device falls silent: a lamp that did not settle is not acknowledged.
+    What `show` raises is kept in `failure`, and the device falls silent: a lamp that did not settle
+    is not acknowledged.
 
     Args:
         light_count: lights that it drives.
+        end: of the line.
         show: called with (n,) levels in 0..1 whenever what shines changes.
-        boot_id: changes with each reset.
-        story: what goes wrong; nothing by default.
-        log: where that is noted.
-        banks: polarisation bank of each light, for a story that swaps them.
+        log: where it is noted what goes wrong.
 
     Attributes:
-        path: of the end that the host opens.
+        path: the line, as it stands in a URL.
         states: what was lit, in order, the dark start included.
         log: what went wrong.
         failure: what `show` raised.
-        connected: set while a host has the port open, as far as the device has seen.
+        connected: set while a host has the line open, as far as the device has seen.
     """
 
     def __init__(
         self,
         light_count: int,
+        end: End,
         show: Callable[[np.ndarray], None],
-        boot_id: int = 1,
-        story: Story | None = None,
-        log: FaultLog | None = None,
-        banks: Sequence[str] = (),
+        log: FaultLog | None,
     ) -> None:
+        self._end = end
         self._show = show
         self.log = FaultLog() if log is None else log
-        self._leds = FaultyLeds(
-            light_count, boot_id, self._settle, story or Story(), self.log, banks
-        )
-        self.states = [LitState(time.monotonic(), self._leds.protocol.counts)]
+        self.states = [LitState(time.monotonic(), np.zeros(light_count, "<u2"))]
         self.failure: BaseException | None = None
         self.connected = threading.Event()
-        self._master, slave = os.openpty()
-        tty.setraw(slave)
-        self.path = os.ttyname(slave)
-        # Not kept open here: only so does the master learn when a host opens it.
-        os.close(slave)
+        self.path = end.place
         self._stop_read, self._stop_write = os.pipe()
         self._thread = threading.Thread(target=self._serve, name="led-device", daemon=True)
-
-    def url(self, timeout_s: float, attempts: int = 1) -> str:
-        """The device's address for `lightstage capture --leds`."""
-        return f"pty://{self.path}?timeout_s={timeout_s:g}&attempts={attempts}"
 
     @property
     def dark(self) -> bool:
         """Whether no light shines."""
         return not self.states[-1].counts.any()
 
-    def __enter__(self) -> LedDevice:
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 
@@ -104,8 +86,25 @@ class LedDevice:
     ) -> None:
         os.write(self._stop_write, b"x")
         self._thread.join()
-        for handle in (self._master, self._stop_read, self._stop_write):
+        self._end.close()
+        for handle in (self._stop_read, self._stop_write):
             os.close(handle)
+
+    def _opened(self) -> Iterable[Step]:
+        """A host has opened the line."""
+        raise NotImplementedError
+
+    def _feed(self, data: bytes) -> Iterable[Step]:
+        """Bytes have come."""
+        raise NotImplementedError
+
+    def _deadline_s(self) -> float | None:
+        """When the device does something by itself (monotonic)."""
+        raise NotImplementedError
+
+    def _expire(self) -> None:
+        """Do it."""
+        raise NotImplementedError
 
     def _settle(self, levels: np.ndarray) -> None:
         self._show(levels)
@@ -114,27 +113,24 @@ class LedDevice:
 
     def _serve(self) -> None:
         try:
-            while (ready := self._poll()) is not None:
-                if ready & select.POLLIN and self.connected.is_set():
-                    self._take(self._leds.feed(os.read(self._master, READ_BYTES)))
-                elif ready & select.POLLHUP and not ready & select.POLLIN:
+            while True:
+                due_s = self._deadline_s()
+                event = self._end.wait(
+                    self._stop_read, None if due_s is None else due_s - time.monotonic()
+                )
+                if event == "stop":
+                    return
+                if event == "data":
+                    self._take(self._feed(self._end.read()))
+                elif event == "closed":
                     self.connected.clear()
-                    if self._stopped(OPEN_POLL_MS / 1e3):
-                        return
-                elif not self.connected.is_set():
+                elif event == "opened":
                     self.connected.set()
-                    self._take(self._leds.opened())
+                    self._take(self._opened())
+                if due_s is not None and time.monotonic() >= due_s:
+                    self._expire()
         except BaseException as failure:  # whatever it is, the owner must learn of it
             self.failure = failure
-
-    def _poll(self) -> int | None:
-        """Events of the master: POLLHUP while nobody has the port open; None at the end."""
-        poll = select.poll()
-        poll.register(self._stop_read, select.POLLIN)
-        poll.register(self._master, select.POLLIN)
-        # Unconnected, that the port is open shows only as the absence of POLLHUP.
-        found = dict(poll.poll(None if self.connected.is_set() else 0))
-        return None if self._stop_read in found else found.get(self._master, 0)
 
     def _take(self, steps: Iterable[Step]) -> None:
         for step in steps:
@@ -144,19 +140,69 @@ class LedDevice:
                 if step.deaf:
                     self._forget()
             else:
-                self._send(step)
+                self._end.send(step)
 
     def _stopped(self, seconds: float) -> bool:
         """Wait, unless the device is taken down."""
         return bool(select.select([self._stop_read], [], [], seconds)[0])
 
-    def _send(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):  # nobody has the port open: said into the void
-            while data:
-                data = data[os.write(self._master, data) :]
-
     def _forget(self) -> None:
-        poll = select.poll()
-        poll.register(self._master, select.POLLIN)
-        while any(event & select.POLLIN for _, event in poll.poll(0)):
-            os.read(self._master, READ_BYTES)
+        while self._end.wait(self._stop_read, 0.0) == "data":
+            self._end.read()
+
+
+class LedDevice(EndDevice):
+    """A device of our own protocol on a pseudo-terminal or a TCP port.
+
+    Args:
+        light_count: lights that it drives.
+        show: called with (n,) levels in 0..1 whenever what shines changes.
+        boot_id: changes with each reset.
+        story: what goes wrong; nothing by default.
+        log: where that is noted.
+        banks: polarisation bank of each light, for a story that swaps them.
+        watchdog_s: dark after so long without a packet; None: the state stays, for tests that ask.
+        over: what the line is.
+    """
+
+    def __init__(
+        self,
+        light_count: int,
+        show: Callable[[np.ndarray], None],
+        boot_id: int = 1,
+        story: Story | None = None,
+        log: FaultLog | None = None,
+        banks: Sequence[str] = (),
+        watchdog_s: float | None = None,
+        over: Literal["pty", "socket"] = "pty",
+    ) -> None:
+        super().__init__(light_count, PtyEnd() if over == "pty" else TcpEnd(), show, log)
+        self._scheme = over
+        self._leds = FaultyLeds(
+            light_count, boot_id, self._settle, story or Story(), self.log, banks, watchdog_s
+        )
+        self._watchdog_s = watchdog_s
+        self._heard_s = time.monotonic()
+
+    def url(self, timeout_s: float, attempts: int = 1) -> str:
+        """The device's address for `lightstage capture --leds`."""
+        return f"{self._scheme}://{self.path}?timeout_s={timeout_s:g}&attempts={attempts}"
+
+    def _opened(self) -> Iterable[Step]:
+        return self._leds.opened()
+
+    def _feed(self, data: bytes) -> Iterable[Step]:
+        before = self._leds.protocol.heard
+        yield from self._leds.feed(data)
+        if self._leds.protocol.heard != before:
+            self._heard_s = time.monotonic()
+
+    def _deadline_s(self) -> float | None:
+        if self._watchdog_s is None or self._leds.dead or not self._leds.protocol.counts.any():
+            return None
+        return self._heard_s + self._watchdog_s
+
+    def _expire(self) -> None:
+        due_s = self._deadline_s()
+        if due_s is not None and time.monotonic() >= due_s:
+            self._leds.protocol.put_out()

@@ -112,6 +112,7 @@ class FaultyLeds:
         story: what goes wrong.
         log: where that is noted.
         banks: polarisation bank of each light; needed by a story with ``swapped-bank``.
+        watchdog_s: what its HELLO tells of it; whoever holds the clock keeps it.
 
     Raises:
         SimError: a light that is not there, or banks that cannot be swapped.
@@ -125,15 +126,21 @@ class FaultyLeds:
         story: Story,
         log: FaultLog,
         banks: Sequence[str] = (),
+        watchdog_s: float | None = None,
     ) -> None:
         self._lamps = FaultyLamps(banks)
-        _require_lights(story, light_count, self._lamps)
-        self.protocol = LedProtocol(light_count, boot_id, show, self._lamps)
+        require_lights(story, light_count, self._lamps)
+        self.protocol = LedProtocol(light_count, boot_id, show, self._lamps, watchdog_s)
         self._story = story
         self._log = log
         self._packets = self._opens = 0
         self._dead = False
         self._request, self._answer = Line("request", log), Line("answer", log)
+
+    @property
+    def dead(self) -> bool:
+        """Whether it died, with its lights as they were."""
+        return self._dead
 
     def opened(self) -> Iterator[Step]:
         """The host has opened the port."""
@@ -204,7 +211,8 @@ def _flipped(frame: bytes, due: Due) -> bytes:
     return np.packbits(bits).tobytes()
 
 
-def _require_lights(story: Story, light_count: int, lamps: FaultyLamps) -> None:
+def require_lights(story: Story, light_count: int, lamps: FaultyLamps) -> None:
+    """SimError when a story is of lights or banks that are not there."""
     for fault in story.faults:
         lights = fault["lights"] if "lights" in fault.kind.fields else ()
         beyond = [light for light in lights if light >= light_count]

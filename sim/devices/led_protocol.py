@@ -52,9 +52,11 @@ class LedProtocol:
         show: called with (n,) levels in 0..1 whenever what shines changes, before it is
             acknowledged.
         lamps: from (n,) commanded counts to what shines and what is told of it.
+        watchdog_s: told in HELLO; whoever holds the clock calls `put_out` after it.
 
     Attributes:
         counts: (n,) uint16 that were commanded.
+        heard: how many whole packets have come.
         lies: how many of the next acknowledgements tell levels that nobody asked for.
     """
 
@@ -64,7 +66,10 @@ class LedProtocol:
         boot_id: int,
         show: Callable[[np.ndarray], None],
         lamps: Callable[[np.ndarray], Shining] = sound_lamps,
+        watchdog_s: float | None = None,
     ) -> None:
+        self._fields = "" if watchdog_s is None else f"\0watchdog_ms={1e3 * watchdog_s:g}"
+        self.heard = 0
         self.counts = np.zeros(light_count, "<u2")
         self.boot_id = boot_id
         self.lies = 0
@@ -78,7 +83,9 @@ class LedProtocol:
 
     def hello(self, sequence: int = 0) -> bytes:
         """A HELLO packet; sequence 0 is the one sent unasked after a reset."""
-        payload = struct.pack("<IH", self.boot_id, len(self.counts)) + FIRMWARE.encode()
+        payload = (
+            struct.pack("<IH", self.boot_id, len(self.counts)) + (FIRMWARE + self._fields).encode()
+        )
         return self._packet(HELLO, sequence, payload)
 
     def reset(self, boot_id: int) -> None:
@@ -87,6 +94,10 @@ class LedProtocol:
         self._pending, self._last = b"", None
         self.counts = np.zeros_like(self.counts)
         self.refresh()
+
+    def put_out(self) -> None:
+        """Nobody has spoken for too long: all lights off."""
+        self._light(np.zeros_like(self.counts))
 
     def refresh(self) -> None:
         """Let the lamps do what was commanded; they are shown when that changes what shines."""
@@ -116,6 +127,7 @@ class LedProtocol:
         (checksum,) = struct.unpack("<H", body[-2:])
         if self._crc.checksum(body[:-2]) != checksum:
             return b""
+        self.heard += 1
         _, kind, sequence = struct.unpack("<BBH", body[:4])
         if self._last is not None:
             if self._last[0] == sequence:
