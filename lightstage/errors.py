@@ -56,6 +56,10 @@ class CaptureError(LightstageError):
     """A capture that could not be finished; what was taken before is kept."""
 
 
+class CutPhotographError(CaptureError):
+    """A photograph whose bytes on the disk are not those on the camera; it can be asked again."""
+
+
 def one_error(problems: list[LightstageError]) -> LightstageError:
     """Fold many errors into one message, so that five loose cables make one report.
 

@@ -7,7 +7,7 @@ import hashlib
 import os
 from pathlib import Path
 
-from lightstage.errors import CaptureError, FormatError
+from lightstage.errors import CaptureError, CutPhotographError, FormatError
 from lightstage.formats.files import fsync_path
 from lightstage.photograph import Kind, identify_file
 from lightstage.session.disk import disk_errors, rename_new
@@ -49,7 +49,8 @@ def settle(arrival: Arrival) -> tuple[Path, Kind]:
         Where it lies now, and what it is. The folder is flushed; no journal knows it yet.
 
     Raises:
-        CaptureError: another size or hash, a name that is taken, or the disk refuses.
+        CutPhotographError: another size or hash.
+        CaptureError: a name that is taken, or the disk refuses.
         FormatError: no photograph, or a truncated one.
         In all these cases the file stays under its temporary name.
     """
@@ -61,7 +62,7 @@ def settle(arrival: Arrival) -> tuple[Path, Kind]:
             forget_cache(handle)
             size = os.fstat(handle).st_size
         if size != arrival.size:
-            raise CaptureError(
+            raise CutPhotographError(
                 where,
                 field="size",
                 found=f"{size} bytes on the disk",
@@ -75,7 +76,7 @@ def settle(arrival: Arrival) -> tuple[Path, Kind]:
         with disk_errors(arrival.path):
             found = _sha256(handle)
         if found != arrival.sha256:
-            raise CaptureError(
+            raise CutPhotographError(
                 where,
                 field="sha256",
                 found=f"{found[:12]}.. on the disk",

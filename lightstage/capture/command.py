@@ -1,0 +1,167 @@
+"""The command `capture`: a session, begun or gone on with."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import typer
+
+from lightstage.calibrations.stale import use_calibrations
+from lightstage.cameras.binding import CamerasFile, read_cameras_file
+from lightstage.capture.config import CaptureConfig
+from lightstage.capture.session_run import Order, capture_session, unfinished
+from lightstage.capture.stage import Stage, open_stage
+from lightstage.commands import JsonFlag, finish
+from lightstage.errors import ConfigError, LightstageError, one_error
+from lightstage.formats.config import make_config, read_toml
+from lightstage.leds.address import parse_url
+from lightstage.operator import open_operator
+from lightstage.patterns import Drive, read_patterns, sequence_patterns
+from lightstage.rig import Rig, load_rig
+from lightstage.safety import check_shots
+from lightstage.sequence import plan_shots
+from lightstage.session import check_pseudonym, read_colour, require_new
+
+SUBJECT = "subject-1"
+EXPRESSION = "neutral"
+SEQUENCE = "binary"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to an application."""
+    app.command("capture")(capture_command)
+
+
+def read_config(path: Path | None, **given: Any) -> CaptureConfig:
+    """The configuration of a file, where there is one, and what the command line sets in it."""
+    config = CaptureConfig()
+    if path is not None:
+        config = make_config(CaptureConfig, read_toml(path), path)
+    return dataclasses.replace(config, **{k: v for k, v in given.items() if v is not None})
+
+
+def capture_command(
+    out: Path = typer.Option(..., "--out", help="The session's folder: new, or with --resume."),
+    rig: Path | None = typer.Option(
+        None, "--rig", help="rig.json: where lights and cameras stand."
+    ),
+    sequence: str | None = typer.Option(
+        None, help="Named sequence, or pattern names with commas (binary)."
+    ),
+    leds: str = typer.Option(..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.."),
+    cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
+    resume: bool = typer.Option(False, "--resume", help="Go on with the session in --out."),
+    subject: str | None = typer.Option(None, help="Pseudonym of the person (subject-1)."),
+    expression: str | None = typer.Option(None, help="Such as neutral, the default."),
+    consent: str | None = typer.Option(None, help="Id of the record of the person's consent."),
+    patterns: Path | None = typer.Option(None, help="Your own patterns (TOML)."),
+    drive: str | None = typer.Option(None, help="solid-angle (the default) or on-off."),
+    colour: Path | None = typer.Option(None, help="Colour calibration (lightstage.colour/1)."),
+    calibration: Path | None = typer.Option(
+        None, help="The lab's folder of calibration shots; stale ones are refused."
+    ),
+    allow_stale: list[str] = typer.Option(
+        [], help="A kind of calibration shots that may be missing or stale; may be repeated."
+    ),
+    clear: bool = typer.Option(False, "--clear", help="Clear owner and place on the cameras."),
+    delete: bool = typer.Option(
+        False, "--delete-from-cameras", help="Delete each photograph there once it is kept here."
+    ),
+    unattended: bool = typer.Option(False, "--unattended", help="Ask nobody; decide by rule."),
+    config: Path | None = typer.Option(None, help="TOML with values that differ from defaults."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Light, photograph and verify every pattern; lights end dark whatever happens."""
+    settings = read_config(config, drive=_drive(drive), delete_from_cameras=delete or None)
+    if clear:
+        preflight = dataclasses.replace(settings.preflight, clear=True)
+        settings = dataclasses.replace(settings, preflight=preflight)
+    if resume:
+        fixed = {
+            "--rig": rig, "--sequence": sequence, "--subject": subject, "--consent": consent,
+            "--expression": expression, "--patterns": patterns, "--drive": drive,
+            "--colour": colour,
+        }  # fmt: skip
+        _require_none(fixed)
+        the_rig, order = unfinished(out)
+    else:
+        the_rig, order = _new_order(
+            out, rig, sequence or SEQUENCE, subject or SUBJECT, expression or EXPRESSION,
+            consent, patterns, colour, settings,
+        )  # fmt: skip
+    worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
+    check_shots(order.shots, the_rig, settings.safety, worst_s)
+    file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
+    with (
+        open_stage(the_rig, leds, file, settings) as stage,
+        open_operator(out, settings.operator, ask=not unattended) as operator,
+    ):
+        if calibration is not None:
+            order = _with_calibration(order, stage, calibration, allow_stale, settings)
+        report = capture_session(stage, order, settings, operator)
+    finish(
+        f"{out}: {report.frames} frames in {report.seconds:.1f} s, "
+        f"overhead {report.overhead_s:.2f} s, {report.retakes} taken again, "
+        f"{report.warnings} warnings, largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
+        {"session": str(out), **dataclasses.asdict(report)},
+        as_json,
+    )
+
+
+def _new_order(
+    out: Path,
+    rig: Path | None,
+    sequence: str,
+    subject: str,
+    expression: str,
+    consent: str | None,
+    patterns: Path | None,
+    colour: Path | None,
+    config: CaptureConfig,
+) -> tuple[Rig, Order]:
+    """A new session's rig and order; everything is looked at before a device is opened."""
+    if rig is None:
+        raise ConfigError("--rig", found="nothing", expected="a rig.json, or --resume")
+    for text, field in ((subject, "subject"), (expression, "expression"), (consent, "consent")):
+        if text is not None:
+            check_pseudonym(text, field)
+    require_new(out)
+    the_rig = load_rig(rig)
+    own = {} if patterns is None else read_patterns(patterns, the_rig)
+    shots = plan_shots(sequence_patterns(sequence), the_rig, config.drive, own)
+    matrix = None if colour is None else read_colour(colour, the_rig)
+    return the_rig, Order(
+        out, shots, subject=subject, expression=expression, consent=consent, colour=matrix
+    )
+
+
+def _with_calibration(
+    order: Order, stage: Stage, lab: Path, allow_stale: list[str], config: CaptureConfig
+) -> Order:
+    used = use_calibrations(
+        lab, stage.rig, stage.told, stage.lights.hello, allow_stale, config.calibration
+    )
+    facts = {**order.facts, "calibration_shots": used.facts}
+    return dataclasses.replace(order, facts=facts, findings=[*order.findings, *used.findings])
+
+
+def _drive(text: str | None) -> Drive | None:
+    if text is None:
+        return None
+    for drive in get_args(Drive):
+        if text == drive:
+            return cast(Drive, drive)
+    raise ConfigError("--drive", found=repr(text), expected="solid-angle or on-off")
+
+
+def _require_none(fixed: dict[str, Any]) -> None:
+    """What a session began with cannot be given again."""
+    problems: list[LightstageError] = [
+        ConfigError(name, found=str(value), expected="nothing beside --resume: the session has it")
+        for name, value in fixed.items()
+        if value is not None
+    ]
+    if problems:
+        raise one_error(problems)

@@ -1,0 +1,67 @@
+"""How a capture runs: one dataclass with the parts' own."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from lightstage.calibrations.config import CalibrationConfig
+from lightstage.cameras.process import Deadlines
+from lightstage.checks.config import ChecksConfig
+from lightstage.errors import ConfigError
+from lightstage.operator import OperatorConfig
+from lightstage.patterns import Drive
+from lightstage.preflight import PreflightConfig
+from lightstage.safety import SafetyConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class CaptureConfig:
+    """How a capture runs.
+
+    Attributes:
+        trigger_lead_s: time between asking all cameras and the moment at which all trigger.
+        dark_after_s: how long a pattern stays lit while its photographs, all exposed, are still
+            being downloaded; then the stage is dark until the next one.
+        downloads: how often one file is asked for before its photograph counts as failed.
+        delete_from_cameras: delete a photograph on the camera once it is in the journal.
+        drive: levels weighted by the solid angle that a light stands for, or plain on and off.
+        deadlines: after which a camera that has not answered is ended.
+        safety: limits for person and lights.
+        preflight: what must hold before a light goes on.
+        checks: what a photograph must show.
+        operator: what is decided where nobody is asked.
+        calibration: which calibration shots a session wants, and how long they hold.
+    """
+
+    trigger_lead_s: float = 0.02
+    dark_after_s: float = 2.0
+    downloads: int = 2
+    delete_from_cameras: bool = False
+    drive: Drive = "solid-angle"
+    deadlines: Deadlines = dataclasses.field(default_factory=Deadlines)
+    safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
+    preflight: PreflightConfig = dataclasses.field(default_factory=PreflightConfig)
+    checks: ChecksConfig = dataclasses.field(default_factory=ChecksConfig)
+    operator: OperatorConfig = dataclasses.field(default_factory=OperatorConfig)
+    calibration: CalibrationConfig = dataclasses.field(default_factory=CalibrationConfig)
+
+    def __post_init__(self) -> None:
+        """ConfigError on values with which nothing could be taken."""
+        if self.downloads < 1:
+            raise ConfigError(
+                "config", field="downloads", found=str(self.downloads), expected="1 or more"
+            )
+        for name in ("trigger_lead_s", "dark_after_s"):
+            value = getattr(self, name)
+            if not 0 <= value < float("inf"):
+                raise ConfigError(
+                    "config", field=name, found=repr(value), expected="seconds from 0"
+                )
+
+    def worst_shot_s(self, acknowledge_s: float) -> float:
+        """Longest that a shot can keep its lights on, every deadline used up.
+
+        Args:
+            acknowledge_s: after which a silent LED device counts as failed.
+        """
+        return acknowledge_s + self.trigger_lead_s + self.deadlines.trigger_s + self.dark_after_s

@@ -1,0 +1,287 @@
+"""One camera's photograph of one pattern: triggered, found on its card, brought home, kept.
+
+A photograph that was exposed is never given up: a camera that fails afterwards is started again and
+its card is looked at. What lies there and cannot be told for certain is kept as recovered, and the
+camera takes the pattern again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import threading
+import time
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Protocol
+
+from lightstage.cameras.camera import CameraDevice, CardFile, Exposure, Summary
+from lightstage.capture.config import CaptureConfig
+from lightstage.errors import (
+    CaptureError,
+    CutPhotographError,
+    DeviceError,
+    FormatError,
+    LightstageError,
+)
+from lightstage.findings import Finding
+from lightstage.leds.controller import LedController, LightLostError
+from lightstage.preflight import drift, photograph_findings
+from lightstage.rig import Rig
+from lightstage.session import SessionWriter, arrived
+from lightstage.steps import step
+
+
+class OldPictureError(CaptureError):
+    """A camera gave a picture that the session has already."""
+
+
+class Checks(Protocol):
+    """What looks at photographs as they come (lightstage.checks.ShotChecks)."""
+
+    def photograph(self, pattern: str, camera_id: str, path: Path) -> list[Finding]:
+        """A photograph that is in the journal now; several threads may."""
+
+    def shot(self, pattern: str) -> list[Finding]:
+        """All photographs of a pattern are there: together, and beside the earlier patterns'."""
+
+    def forget(self, pattern: str, camera_id: str) -> None:
+        """A photograph no longer counts."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Taken:
+    """One photograph that is kept.
+
+    Attributes:
+        camera: whose.
+        triggered_s: time.monotonic() of its trigger.
+        exposed_s: when the camera said that it was there.
+        findings: what a look at it found.
+    """
+
+    camera: str
+    triggered_s: float
+    exposed_s: float
+    findings: tuple[Finding, ...]
+
+
+class Photographer:
+    """Takes photographs with all cameras of a session and remembers what is theirs.
+
+    Args:
+        rig: the cameras wanted.
+        lights: asked whether the light lasted.
+        writer: the session.
+        checks: looks at each photograph.
+        config: how often a file is asked for, and whether it is deleted on the camera.
+        told: what each camera tells about itself, by its id; what it must go on telling.
+        cards: what lay on each card before, by camera id.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        lights: LedController,
+        writer: SessionWriter,
+        checks: Checks,
+        config: CaptureConfig,
+        told: Mapping[str, Summary],
+        cards: Mapping[str, Collection[CardFile]],
+    ) -> None:
+        self._rig = rig
+        self._lights = lights
+        self._writer = writer
+        self._checks = checks
+        self._config = config
+        self._told = told
+        self._known = {camera_id: set(files) for camera_id, files in cards.items()}
+        self._kept = writer.state.kept_hashes()
+        self._lock = threading.Lock()
+
+    def take(
+        self,
+        pattern: str,
+        take: int,
+        camera: CameraDevice,
+        at_s: float,
+        exposed: Callable[[], None],
+    ) -> Taken:
+        """Take and keep one photograph.
+
+        Args:
+            pattern: what is lit.
+            take: 1, or more where it is taken again.
+            camera: whose.
+            at_s: time.monotonic() at which all trigger.
+            exposed: called, once, when this camera needs the light no more.
+
+        Raises:
+            LightLostError: the light may have changed; the picture is kept as recovered.
+            DeviceError, FormatError, CutPhotographError: the camera took no photograph, or it did
+                not come whole.
+            OldPictureError: it is one that the session has already.
+            CaptureError: this computer's disk failed.
+        """
+        try:
+            exposure, failure = self._trigger(pattern, camera, at_s)
+            light = self._light_lost()
+        finally:
+            exposed()
+        if exposure is None:
+            exposure = self._search(pattern, camera, at_s, failure)
+        if light is not None:
+            self._bring_home(camera, exposure.files, pattern, f"light not certain: {light}")
+            raise LightLostError(str(light))
+        file = exposure.files[0]
+        self._writer.exposed(
+            pattern,
+            take,
+            camera.id,
+            file,
+            exposure.files[1:],
+            triggered_after_s=round(exposure.triggered_s - at_s, 6),
+            exposure_s=round(exposure.exposed_s - exposure.triggered_s, 6),
+        )
+        step("exposed", pattern, camera.id)
+        path = self._fetch(pattern, take, camera, file)
+        findings = self._look(pattern, camera, path)
+        step("checked", pattern, camera.id)
+        if self._config.delete_from_cameras:
+            self._delete(pattern, camera, file)
+        return Taken(camera.id, exposure.triggered_s, exposure.exposed_s, tuple(findings))
+
+    def set_back(self, camera: CameraDevice) -> None:
+        """Give a camera the settings that it began with, where they drifted."""
+        before = self._told[camera.id]
+        try:
+            for finding in drift(before, camera.summary(), camera.id):
+                name = finding.where.rpartition(", ")[2]
+                if finding.code == "drift":
+                    camera.change(name, getattr(before, name))
+                    self._writer.note("note", camera=camera.id, said=f"{name} set back")
+        except LightstageError as error:
+            self._writer.note("note", camera=camera.id, said=f"not set back: {error}")
+
+    def _trigger(
+        self, pattern: str, camera: CameraDevice, at_s: float
+    ) -> tuple[Exposure | None, DeviceError]:
+        """Trigger; the exposure, or why there is none."""
+        try:
+            exposure = camera.trigger(at_s, pattern)
+        except DeviceError as error:
+            return None, error
+        self._known[camera.id] |= set(exposure.files)
+        if not exposure.files:
+            return None, DeviceError(f"camera {camera.id}", found="no picture after its trigger")
+        return exposure, DeviceError("")
+
+    def _light_lost(self) -> DeviceError | None:
+        """What speaks against the light having lasted until now."""
+        try:
+            self._lights.confirm()
+        except DeviceError as error:
+            return error
+        return None
+
+    def _search(
+        self, pattern: str, camera: CameraDevice, at_s: float, failure: DeviceError
+    ) -> Exposure:
+        """The picture that a camera took before it failed, from its card; `failure` if none."""
+        new = self._arrived(camera, failure)
+        if not new:
+            raise failure
+        names = ", ".join(file.name for file in new)
+        self._writer.note(
+            "note", camera=camera.id, pattern=pattern, said=f"{failure}; on its card: {names}"
+        )
+        if len({Path(file.name).stem for file in new}) > 1:
+            # Two pictures after one trigger: which one is this light's nobody can tell.
+            self._bring_home(camera, new, pattern, f"more than one picture: {failure}")
+            raise failure
+        return Exposure(new, at_s, time.monotonic())
+
+    def _arrived(self, camera: CameraDevice, failure: DeviceError) -> tuple[CardFile, ...]:
+        """What is new on the card of a camera that failed, which is started again where it must."""
+        try:
+            now = camera.card()
+        except DeviceError:
+            try:
+                camera.restart()
+                self._writer.note("note", camera=camera.id, said="started again")
+                now = camera.card()
+            except DeviceError as error:
+                raise DeviceError(f"{failure}\n  then: {error}") from None
+        new = arrived(self._known[camera.id], now)
+        self._known[camera.id] |= set(new)
+        return new
+
+    def _fetch(self, pattern: str, take: int, camera: CameraDevice, file: CardFile) -> Path:
+        """Bring a file from the card to its place; asked for again where it does not come whole."""
+        left = self._config.downloads
+        while True:
+            left -= 1
+            try:
+                return self._fetch_once(pattern, take, camera, file)
+            except (DeviceError, FormatError, CutPhotographError) as error:
+                self._writer.failed(pattern, take, camera.id, str(error))
+                if left == 0:
+                    raise
+                if isinstance(error, DeviceError):
+                    with contextlib.suppress(DeviceError):
+                        camera.restart()
+
+    def _fetch_once(self, pattern: str, take: int, camera: CameraDevice, file: CardFile) -> Path:
+        incoming = self._writer.incoming(pattern, camera.id, take)
+        got = camera.download(file.name, incoming, pattern)
+        own = f"{pattern} by {camera.id}, take {take}"
+        with self._lock:
+            first = self._kept.setdefault(got.sha256, own)
+        if first != own:
+            incoming.unlink(missing_ok=True)
+            raise OldPictureError(
+                own,
+                found=f"the bytes of {first}",
+                expected="a new photograph: a sensor's noise never repeats",
+                hint="The camera gave an old picture; switch it off and on.",
+            )
+        return self._writer.keep(
+            pattern, camera.id, take, incoming, file, got.sha256, download_s=round(got.seconds, 6)
+        )
+
+    def _look(self, pattern: str, camera: CameraDevice, path: Path) -> list[Finding]:
+        """What the photograph shows and tells, and whether the camera is set as before."""
+        told = self._told[camera.id]
+        findings = [
+            *photograph_findings(path, self._rig.camera(camera.id), told),
+            *self._checks.photograph(pattern, camera.id, path),
+        ]
+        # A camera that dies now is noticed at its next trigger; this photograph is safe.
+        with contextlib.suppress(DeviceError):
+            findings += drift(told, camera.summary(), camera.id)
+        findings = [dataclasses.replace(each, pattern=pattern) for each in findings]
+        for finding in findings:
+            self._writer.finding(finding)
+        return findings
+
+    def _bring_home(
+        self, camera: CameraDevice, files: Collection[CardFile], pattern: str, why: str
+    ) -> None:
+        """Keep pictures whose light or label is not certain; they stay on the card otherwise."""
+        for file in files:
+            try:
+                self._writer.recover(camera, file, pattern, why)
+            except LightstageError as error:
+                self._writer.note("note", camera=camera.id, said=f"{file.name}: {error}")
+
+    def _delete(self, pattern: str, camera: CameraDevice, file: CardFile) -> None:
+        """Delete a photograph on the camera; what lies beside it, such as a JPEG, stays."""
+        self._writer.deleting(pattern, camera.id, file)
+        step("deleting", pattern, camera.id)
+        try:
+            camera.delete(file.name)
+        except DeviceError as error:
+            self._writer.note("note", camera=camera.id, said=f"{file.name} not deleted: {error}")
+            return
+        self._writer.deleted(pattern, camera.id, file)
+        step("deleted", pattern, camera.id)

@@ -1,0 +1,266 @@
+"""All shots of a session, in order; only the failed camera or pattern is taken again."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import time
+from collections.abc import Collection, Mapping, Sequence
+
+from lightstage.cameras.camera import CameraDevice
+from lightstage.capture.config import CaptureConfig
+from lightstage.capture.photograph import Checks, Photographer
+from lightstage.capture.shot import ShotTaken, aborted, take_shot
+from lightstage.capture.wishes import Wishes
+from lightstage.errors import CaptureError, one_error
+from lightstage.findings import Finding
+from lightstage.leds.controller import LedController
+from lightstage.operator import Operator
+from lightstage.preflight import SkewReport, skew_findings
+from lightstage.sequence import Shot
+from lightstage.session import SessionWriter
+from lightstage.steps import step
+
+PAUSE_POLL_S = 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class CaptureReport:
+    """What a capture did.
+
+    Attributes:
+        frames: photographs kept that count.
+        shots: patterns taken, retakes among them.
+        retakes: photographs that were taken again.
+        warnings: findings that the operator should know.
+        seconds: from the first light to the last journal line.
+        lit_s: of these, waiting for the lights' acknowledgement.
+        exposed_s: of these, from the first trigger to the last picture of each shot.
+        paused_s: of these, waiting until the light may change, or the operator.
+        overhead_s: what is left: download, writing, hashing, checks, journal.
+        max_skew_s: largest time between the first and the last trigger of one shot.
+        skew: of each camera against the others, over all shots.
+    """
+
+    frames: int
+    shots: int
+    retakes: int
+    warnings: int
+    seconds: float
+    lit_s: float
+    exposed_s: float
+    paused_s: float
+    overhead_s: float
+    max_skew_s: float
+    skew: dict[str, dict[str, float]]
+
+
+class Run:
+    """Takes what a session still wants.
+
+    Args:
+        shots: in order, checked by safety.check_shots.
+        wanted: cameras that must still take each pattern; none where all its photographs are there
+            but the shot was not finished. A pattern that is not in it is done.
+        cameras: opened.
+        lights: the stage's, which end dark.
+        photographer: keeps the photographs.
+        writer: the session.
+        checks: knows the photographs so far.
+        operator: decides.
+        config: deadlines.
+    """
+
+    def __init__(
+        self,
+        shots: Sequence[Shot],
+        wanted: Mapping[str, Collection[str]],
+        cameras: Sequence[CameraDevice],
+        lights: LedController,
+        photographer: Photographer,
+        writer: SessionWriter,
+        checks: Checks,
+        operator: Operator,
+        config: CaptureConfig,
+    ) -> None:
+        self._shots = {shot.pattern: shot for shot in shots}
+        self._all = {camera.id for camera in cameras}
+        self._queue = collections.deque(
+            (shot.pattern, frozenset(wanted[shot.pattern]))
+            for shot in shots
+            if shot.pattern in wanted
+        )
+        self._left = dict.fromkeys(self._shots, config.operator.retakes)
+        self._cameras = cameras
+        self._lights = lights
+        self._photographer = photographer
+        self._writer = writer
+        self._checks = checks
+        self._operator = operator
+        self._wishes = Wishes(operator)
+        self._config = config
+        self._paused_s = 0.0
+        self._tries: list[ShotTaken] = []
+        self._skew = SkewReport()
+        self._retakes = self._rejected = self._warnings = 0
+
+    def take_all(self) -> CaptureReport:
+        """Take every shot that is wanted.
+
+        Raises:
+            AbortedError: by the operator, or where nothing is left to try.
+            CaptureError, DeviceError: this computer's disk, or the lights, failed.
+        """
+        started_s = time.monotonic()
+        last = None
+        while self._queue:
+            last, ids = self._queue.popleft()
+            self._take(self._shots[last], [c for c in self._cameras if c.id in ids])
+            self._heed(last)
+        seconds = time.monotonic() - started_s
+        lit_s = sum(each.lit_s for each in self._tries)
+        exposed_s = sum(each.exposed_s for each in self._tries)
+        return CaptureReport(
+            frames=sum(len(each.taken) for each in self._tries) - self._rejected,
+            shots=len(self._tries),
+            retakes=self._retakes,
+            warnings=self._warnings,
+            seconds=seconds,
+            lit_s=lit_s,
+            exposed_s=exposed_s,
+            paused_s=self._paused_s,
+            overhead_s=seconds - lit_s - exposed_s - self._paused_s,
+            max_skew_s=max((each.skew_s for each in self._tries), default=0.0),
+            skew=self._skew.facts(),
+        )
+
+    def _take(self, shot: Shot, cameras: Sequence[CameraDevice]) -> None:
+        """One try at a pattern; what does not do is queued again, if the operator says so."""
+        pattern = shot.pattern
+        result = self._try(shot, cameras) if cameras else ShotTaken((), (), 0.0)
+        kept = {each.camera for each in result.taken}
+        findings = [*result.findings, *self._look(shot, result)]
+        self._warnings += sum(each.severity == "warn" for each in findings)
+        bad = [each for each in findings if each.severity in ("retake", "refuse")]
+        again = self._again(pattern, bad)
+        missing = {camera.id for camera in cameras} - kept
+        if missing:
+            again[pattern] = again.get(pattern, set()) | missing
+        if again:
+            left = min(self._left[each] for each in again)
+            decision = self._operator.decide(bad, left)
+            if decision == "retake":
+                self._queue_again(again, bad)
+            elif decision == "accept" and not missing:
+                self._writer.note("note", pattern=pattern, said="accepted by the operator")
+                again = {}
+            else:
+                raise one_error([self._unfinished(each) for each in bad])
+        if pattern not in again:
+            self._writer.shot(
+                pattern,
+                acknowledged=self._lights.acknowledged,
+                trigger_skew_s=round(result.skew_s, 6),
+                exposed_s=round(result.exposed_s, 6),
+            )
+            step("shot-done", pattern)
+
+    def _try(self, shot: Shot, cameras: Sequence[CameraDevice]) -> ShotTaken:
+        takes = {c.id: self._writer.next_take(shot.pattern, c.id) for c in cameras}
+        result = take_shot(
+            shot,
+            takes,
+            cameras,
+            self._lights,
+            self._photographer,
+            self._writer,
+            self._wishes,
+            self._config,
+        )
+        if result.light_lost:
+            self._writer.note("note", said="the lights were lost; they are greeted again, dark")
+            self._lights.recover()
+        self._tries.append(result)
+        self._skew.add({each.camera: each.triggered_s for each in result.taken})
+        return result
+
+    def _look(self, shot: Shot, result: ShotTaken) -> list[Finding]:
+        """What the shot's photographs show together, and beside those of earlier patterns."""
+        triggers = {each.camera: each.triggered_s for each in result.taken}
+        limit_s = self._config.preflight.max_trigger_skew_s
+        findings = skew_findings(shot.pattern, triggers, limit_s)
+        if not self._writer.state.missing(shot.pattern):
+            findings += self._checks.shot(shot.pattern)
+        for finding in findings:
+            self._writer.finding(finding)
+        return findings
+
+    def _again(self, pattern: str, bad: Sequence[Finding]) -> dict[str, set[str]]:
+        """Cameras that should take a pattern again, by pattern; it may be an earlier one."""
+        again: dict[str, set[str]] = {}
+        for finding in bad:
+            wanted = self._all if finding.camera is None else {finding.camera}
+            again.setdefault(finding.pattern or pattern, set()).update(wanted)
+        return again
+
+    def _queue_again(self, again: Mapping[str, set[str]], bad: Sequence[Finding]) -> None:
+        for pattern, ids in again.items():
+            for camera in self._cameras:
+                if camera.id not in ids:
+                    continue
+                own = [each for each in bad if each.camera in (None, camera.id)]
+                self._reject(pattern, camera.id, "; ".join(str(each) for each in own))
+                if any(each.code == "drift" for each in own):
+                    self._photographer.set_back(camera)
+            self._left[pattern] -= 1
+            self._queue_first(pattern, ids)
+
+    def _reject(self, pattern: str, camera: str, why: str) -> None:
+        """A photograph that is there no longer counts; its file stays."""
+        if self._writer.state.accepted(pattern, camera) is not None:
+            self._writer.rejected(pattern, camera, why)
+            self._rejected += 1
+        self._checks.forget(pattern, camera)
+
+    def _queue_first(self, pattern: str, ids: Collection[str]) -> None:
+        """Take a pattern again before anything else, with the cameras it was queued for too."""
+        queued = [(name, also) for name, also in self._queue if name == pattern]
+        for entry in queued:
+            self._queue.remove(entry)
+        self._retakes += len(ids)
+        self._queue.appendleft((pattern, frozenset(ids).union(*(also for _, also in queued))))
+
+    def _unfinished(self, finding: Finding) -> CaptureError:
+        on = f"Go on with: lightstage capture --resume --out {self._writer.root}"
+        return CaptureError(
+            finding.where,
+            field=finding.code,
+            found=finding.found,
+            expected=finding.expected,
+            hint=f"{finding.hint} {on}".strip(),
+        )
+
+    def _heed(self, last: str) -> None:
+        """Act on what the operator wished since the last shot, whose pattern is given."""
+        while (wish := self._wishes.take()) is not None:
+            if wish == "abort":
+                raise aborted()
+            if wish == "pause":
+                self._pause()
+            if wish == "retake" and self._is_done(last):
+                for camera in self._all:
+                    self._reject(last, camera, "the operator wants it again")
+                self._queue_first(last, self._all)
+
+    def _is_done(self, pattern: str) -> bool:
+        return all(queued != pattern for queued, _ in self._queue)
+
+    def _pause(self) -> None:
+        begun_s = time.monotonic()
+        self._lights.dark()
+        self._writer.note("note", said="paused, the lights are dark")
+        while (wish := self._wishes.take()) != "resume":
+            if wish == "abort":
+                raise aborted()
+            time.sleep(PAUSE_POLL_S)
+        self._paused_s += time.monotonic() - begun_s

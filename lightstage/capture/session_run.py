@@ -1,0 +1,205 @@
+"""A whole session with connected devices: begun or gone on with, taken, written, told."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightstage import __version__
+from lightstage.cameras.camera import Summary
+from lightstage.capture.config import CaptureConfig
+from lightstage.capture.photograph import Photographer
+from lightstage.capture.run import CaptureReport, Run
+from lightstage.capture.stage import Stage
+from lightstage.checks import ShotChecks
+from lightstage.errors import LightstageError
+from lightstage.findings import Finding
+from lightstage.formats.config import as_dict
+from lightstage.operator import Operator, serve_events
+from lightstage.patterns import on_plane
+from lightstage.preflight import Plan, clear_privacy, drift, preflight, require
+from lightstage.rig import Rig, load_rig
+from lightstage.sequence import Shot
+from lightstage.session import SessionPlan, SessionWriter, read_journal, reconcile
+from lightstage.session.manifest import write_manifest
+from lightstage.steps import step
+
+SPARE = 1.5
+"""Photographs that cards and disk must have room for, against those that are planned."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Order:
+    """What is to be captured.
+
+    Attributes:
+        root: the session's folder; new, or of an unfinished session that is gone on with.
+        shots: in order; of a session that is gone on with, its own (`unfinished`).
+        resume: whether to go on with what lies in `root`.
+        subject: pseudonym.
+        expression: such as ``neutral``.
+        consent: id of the record of the subject's consent.
+        colour: a colour calibration to keep in the session.
+        facts: what else the journal and the manifest shall say, such as calibration shots.
+        findings: of whoever looked before, told with those of the preflight.
+    """
+
+    root: Path
+    shots: Sequence[Shot]
+    resume: bool = False
+    subject: str = "subject-1"
+    expression: str = "neutral"
+    consent: str | None = None
+    colour: dict[str, Any] | None = None
+    facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    findings: Sequence[Finding] = ()
+
+
+def capture_session(
+    stage: Stage, order: Order, config: CaptureConfig, operator: Operator
+) -> CaptureReport:
+    """Take what a session wants, with an opened stage, and finish it.
+
+    Args:
+        stage: opened.
+        order: what.
+        config: how.
+        operator: decides, and sees every line of the journal.
+
+    Raises:
+        DeviceError: something forbids the capture; no light went on. Or the lights failed.
+        CaptureError: it could not be finished; what was taken is kept and can be gone on with.
+    """
+    if config.preflight.clear:
+        stage.told.update(clear_privacy(stage.cameras))
+    count = len(order.shots)
+    lit = [level for shot in order.shots for level in shot.levels if level > 0]
+    plan = Plan(
+        round(count * SPARE) + 1,
+        patterns=tuple(shot.pattern for shot in order.shots),
+        lowest_level=min(lit, default=1.0),
+    )
+    looked = preflight(
+        stage.rig, stage.told, stage.file, stage.lights, order.root, plan, config.preflight
+    )
+    findings = [*order.findings, *looked]
+    require(findings)
+    with _writer(stage, order, config, findings) as writer, contextlib.ExitStack() as followed:
+        writer.listeners.append(operator.told)
+        followed.enter_context(serve_events(writer, operator.request))
+        operator.at_abort(stage.lights.dark)
+        try:
+            wanted = writer.state.wanted()
+            if order.resume:
+                wanted = reconcile(writer, stage.cameras).wanted
+            elif order.colour is not None:
+                writer.add_colour(order.colour)
+            report = _run(stage, order, config, operator, writer, wanted)
+            writer.finish()
+            write_manifest(order.root, _manifest_facts(stage, order, config))
+            step("manifest-written")
+            writer.end(**dataclasses.asdict(report))
+        except BaseException as error:
+            stage.lights.dark()
+            with contextlib.suppress(LightstageError):
+                writer.note("aborted", said=str(error) or type(error).__name__)
+            raise
+    return report
+
+
+def unfinished(root: Path) -> tuple[Rig, Order]:
+    """An unfinished session's rig, and the order to go on with it.
+
+    Raises:
+        FormatError: no session, or a damaged one.
+    """
+    begin = read_journal(root / "journal.jsonl")[0]
+    shots = [Shot(name, np.array(begin["levels"][name])) for name in begin["sequence"]]
+    return load_rig(root / "rig.json"), Order(
+        root,
+        shots,
+        resume=True,
+        subject=begin["subject"],
+        expression=begin["expression"],
+        consent=begin["consent"],
+    )
+
+
+@contextlib.contextmanager
+def _writer(
+    stage: Stage, order: Order, config: CaptureConfig, findings: Sequence[Finding]
+) -> Iterator[SessionWriter]:
+    """The session on the disk, begun or gone on with; what was found before is in its journal."""
+    cards = {camera.id: camera.card() for camera in stage.cameras}
+    serials = {camera_id: told.serial for camera_id, told in stage.told.items()}
+    facts = {
+        "version": __version__,
+        "led_device": {
+            **dataclasses.asdict(stage.lights.hello),
+            "acknowledged": stage.lights.acknowledged,
+            "pulse_hz": stage.lights.pulse_hz,
+        },
+        "told": {name: dataclasses.asdict(told) for name, told in stage.told.items()},
+        "not_verifiable": {name: told.untold() for name, told in stage.told.items()},
+        "on_plane": on_plane(stage.rig),
+        "config": as_dict(config),
+        **order.facts,
+    }
+    if order.resume:
+        writer = SessionWriter.resumed(order.root, stage.rig)
+    else:
+        levels = {shot.pattern: shot.levels.tolist() for shot in order.shots}
+        plan = SessionPlan(tuple(levels), order.subject, order.expression, levels, order.consent)
+        writer = SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts)
+    try:
+        if order.resume:
+            require(_changed(writer, stage))
+            writer.resume(cards, serials, **facts)
+        for finding in findings:
+            writer.finding(finding)
+        yield writer
+    finally:
+        writer.close()
+
+
+def _changed(writer: SessionWriter, stage: Stage) -> list[Finding]:
+    """Where cameras are no longer set as when the session began."""
+    began = {name: Summary(**told) for name, told in writer.state.begin["told"].items()}
+    return [
+        finding
+        for camera_id, told in stage.told.items()
+        for finding in drift(began[camera_id], told, camera_id)
+    ]
+
+
+def _run(
+    stage: Stage,
+    order: Order,
+    config: CaptureConfig,
+    operator: Operator,
+    writer: SessionWriter,
+    wanted: Mapping[str, Sequence[str]],
+) -> CaptureReport:
+    checks = ShotChecks(stage.rig, order.shots, config.checks)
+    for line in writer.state.frames():
+        # Photographs of before: later patterns are compared with them.
+        checks.photograph(line["pattern"], line["camera"], order.root / line["path"])
+    cards = {camera.id: camera.card() for camera in stage.cameras}
+    photographer = Photographer(stage.rig, stage.lights, writer, checks, config, stage.told, cards)
+    run = Run(
+        order.shots,
+        wanted,
+        stage.cameras,
+        stage.lights,
+        photographer,
+        writer,
+        checks,
+        operator,
+        config,
+    )
+    return run.take_all()

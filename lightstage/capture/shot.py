@@ -1,0 +1,201 @@
+"""One pattern: lit and acknowledged, all cameras at one moment, every photograph kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+
+from lightstage.cameras.camera import CameraDevice
+from lightstage.capture.config import CaptureConfig
+from lightstage.capture.photograph import OldPictureError, Photographer, Taken
+from lightstage.capture.wishes import Wishes
+from lightstage.errors import (
+    CaptureError,
+    CutPhotographError,
+    DeviceError,
+    FormatError,
+    LightstageError,
+)
+from lightstage.findings import Finding
+from lightstage.leds.controller import LedController, LightLostError
+from lightstage.sequence import Shot
+from lightstage.session import SessionWriter
+from lightstage.steps import step
+
+POLL_S = 0.03
+"""How long the operator's wish to abort may wait."""
+
+
+class AbortedError(CaptureError):
+    """The operator wants no more; what was taken is kept and can be resumed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ShotTaken:
+    """What one try at a pattern gave.
+
+    Attributes:
+        taken: photographs kept.
+        findings: what was found, photographs that did not come among it.
+        lit_s: from asking for the light until it was acknowledged.
+        light_lost: the lights are no longer known; they must recover first.
+    """
+
+    taken: tuple[Taken, ...]
+    findings: tuple[Finding, ...]
+    lit_s: float
+    light_lost: bool = False
+
+    @property
+    def skew_s(self) -> float:
+        """Time between the first and the last trigger."""
+        triggers = [each.triggered_s for each in self.taken]
+        return max(triggers) - min(triggers) if triggers else 0.0
+
+    @property
+    def exposed_s(self) -> float:
+        """From the first trigger until the last picture was there."""
+        if not self.taken:
+            return 0.0
+        last = max(each.exposed_s for each in self.taken)
+        return last - min(each.triggered_s for each in self.taken)
+
+
+class _Lamp:
+    """Turns a pattern off when all cameras have exposed and their downloads take long.
+
+    Args:
+        cameras: how many need the light.
+        lights: the stage's.
+        after_s: how long it stays lit after the last exposure.
+    """
+
+    def __init__(self, cameras: int, lights: LedController, after_s: float) -> None:
+        self._needed = cameras
+        self._lights = lights
+        self._after_s = after_s
+        self._due_s = math.inf
+        self._lock = threading.Lock()
+
+    def exposed(self) -> None:
+        """One camera needs the light no more."""
+        with self._lock:
+            self._needed -= 1
+            if self._needed == 0:
+                self._due_s = time.monotonic() + self._after_s
+
+    def dark_when_due(self) -> None:
+        """All lights off, once, when it is time."""
+        if time.monotonic() >= self._due_s:
+            self._due_s = math.inf
+            self._lights.dark()
+
+
+def take_shot(
+    shot: Shot,
+    takes: Mapping[str, int],
+    cameras: Sequence[CameraDevice],
+    lights: LedController,
+    photographer: Photographer,
+    writer: SessionWriter,
+    wishes: Wishes,
+    config: CaptureConfig,
+) -> ShotTaken:
+    """Light a pattern and let these cameras photograph it.
+
+    A camera that fails does not hold the others up: its failure is a finding.
+
+    Args:
+        shot: what to light.
+        takes: number of each camera's take, by camera id.
+        cameras: that shall take it.
+        lights: the stage's.
+        photographer: keeps what they take.
+        writer: the session.
+        wishes: the operator may abort.
+        config: times.
+
+    Raises:
+        AbortedError: by the operator.
+        CaptureError: this computer's disk failed.
+        DeviceError: the lights failed.
+    """
+    begun_s = time.monotonic()
+    try:
+        driven = lights.light(shot.levels)
+    except LightLostError as error:
+        findings = [not_taken(shot.pattern, camera.id, error) for camera in cameras]
+        return ShotTaken((), tuple(findings), time.monotonic() - begun_s, light_lost=True)
+    lit_s = time.monotonic() - begun_s
+    writer.lit(
+        shot.pattern,
+        driven.tolist(),
+        acknowledged=lights.acknowledged,
+        acknowledged_after_s=round(lit_s, 6),
+    )
+    step("lit", shot.pattern)
+    writer.trigger(shot.pattern, takes)
+    step("intended", shot.pattern)
+    pool = ThreadPoolExecutor(len(cameras))
+    taken: list[Taken] = []
+    failed: dict[str, LightstageError] = {}
+    disk: CaptureError | None = None
+    try:
+        lamp = _Lamp(len(cameras), lights, config.dark_after_s)
+        at_s = time.monotonic() + config.trigger_lead_s
+        pending: dict[Future[Taken], str] = {
+            pool.submit(photographer.take, shot.pattern, takes[c.id], c, at_s, lamp.exposed): c.id
+            for c in cameras
+        }
+        while pending:
+            ready, _ = wait(pending, timeout=POLL_S, return_when="FIRST_COMPLETED")
+            lamp.dark_when_due()
+            if wishes.aborted():
+                lights.dark()
+                # What is exposed still comes home.
+                wait(pending, timeout=config.deadlines.trigger_s)
+                raise aborted()
+            for future in ready:
+                camera = pending.pop(future)
+                try:
+                    taken.append(future.result())
+                except (DeviceError, FormatError, OldPictureError, CutPhotographError) as error:
+                    failed[camera] = error
+                except CaptureError as error:
+                    disk = error  # the others' photographs may still find room
+    finally:
+        # Not waited for: on a failure the lights come first; closing the cameras ends the rest.
+        pool.shutdown(wait=False)
+    if disk is not None:
+        raise disk
+    findings = [finding for each in taken for finding in each.findings]
+    findings += [
+        not_taken(shot.pattern, camera.id, failed[camera.id])
+        for camera in cameras
+        if camera.id in failed
+    ]
+    lost = any(isinstance(error, LightLostError) for error in failed.values())
+    return ShotTaken(tuple(taken), tuple(findings), lit_s, lost)
+
+
+def aborted() -> AbortedError:
+    """The error that ends a capture at the operator's wish."""
+    return AbortedError("capture", found="the operator's wish to end it")
+
+
+def not_taken(pattern: str, camera: str, error: LightstageError) -> Finding:
+    """A photograph that did not come, as a finding."""
+    return Finding(
+        "retake",
+        "not-taken",
+        f"{pattern} by {camera}",
+        found=str(error),
+        expected="a photograph",
+        hint=error.hint,
+        pattern=pattern,
+        camera=camera,
+    )

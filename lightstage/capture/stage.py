@@ -1,0 +1,94 @@
+"""The devices of a stage, opened together and let go together, lights dark first."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+from lightstage.cameras.binding import (
+    CamerasFile,
+    close_cameras,
+    find_cameras,
+    open_cameras,
+    summary_problems,
+)
+from lightstage.cameras.camera import CameraDevice, Summary
+from lightstage.cameras.process import detect_ports
+from lightstage.capture.config import CaptureConfig
+from lightstage.errors import DeviceError, LightstageError, one_error
+from lightstage.leds.address import parse_url
+from lightstage.leds.opening import open_leds
+from lightstage.rig import Rig
+from lightstage.safety import SafeLights
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """Devices that were checked against the rig.
+
+    Attributes:
+        rig: where they stand.
+        lights: dark, and dark again at the end.
+        cameras: opened, in the rig's order.
+        told: what each camera tells about itself, by its id; renewed when one is started again.
+        file: what the cameras file says of them.
+    """
+
+    rig: Rig
+    lights: SafeLights
+    cameras: tuple[CameraDevice, ...]
+    told: dict[str, Summary]
+    file: CamerasFile
+
+
+@contextlib.contextmanager
+def open_stage(rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig) -> Iterator[Stage]:
+    """Open all devices; on every way out the lights go dark, then the cameras are let go.
+
+    Lights that an earlier program left on are put out first.
+
+    Args:
+        rig: what must be there.
+        leds: the LED device's URL.
+        file: where cameras are, and what may stay unverified.
+        config: deadlines and limits.
+
+    Raises:
+        DeviceError: every device that is missing or wrong, in one message.
+    """
+    worst_s = config.worst_shot_s(parse_url(leds).worst_s)
+    with open_leds(leds, len(rig.lights)) as device:
+        cameras = find_cameras(rig, file, config.deadlines, detect_ports)
+        try:
+            with SafeLights(device, config.safety, rig, worst_s) as lights:
+                lights.dark()
+                told = _connect(rig, lights, cameras, file)
+                yield Stage(rig, lights, tuple(cameras), told, file)
+        finally:
+            close_cameras(cameras)
+
+
+def _connect(
+    rig: Rig, lights: SafeLights, cameras: Sequence[CameraDevice], file: CamerasFile
+) -> dict[str, Summary]:
+    """Open all cameras; what all devices tell must agree with the rig."""
+    problems: list[LightstageError] = []
+    if lights.hello.light_count != len(rig.lights):
+        problems.append(
+            DeviceError(
+                "LED device",
+                field="light count",
+                found=str(lights.hello.light_count),
+                expected=f"{len(rig.lights)} (rig.json)",
+                hint="Is this the rig file of this stage?",
+            )
+        )
+    told, failed = open_cameras(cameras)
+    problems += failed
+    if not failed:
+        by_id = [rig.camera(camera.id) for camera in cameras]
+        problems += summary_problems(by_id, told, file.allow_unverifiable)
+    if problems:
+        raise one_error(problems)
+    return {camera.id: each for camera, each in zip(cameras, told, strict=True)}

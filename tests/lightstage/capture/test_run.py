@@ -1,0 +1,252 @@
+"""The state machine, with devices that record what is asked of them."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from lightstage.capture.shot import AbortedError
+from lightstage.errors import CaptureError, DeviceError
+from lightstage.findings import Finding
+from lightstage.formats.session import load_session
+from lightstage.leds.controller import LightLostError
+
+
+def bad(code, camera=None, pattern=None, severity="retake"):
+    return Finding(severity, code, f"{pattern} by {camera}", "x", "y", "z", pattern, camera)
+
+
+def finished(bench):
+    bench.writer.finish()
+    return load_session(bench.root)
+
+
+def test_every_photograph_is_lit_intended_exposed_and_kept_in_this_order(bench):
+    report = bench.run()
+    assert report.frames == 9
+    assert report.retakes == 0
+    kinds = [line["event"] for line in bench.events("lit", "trigger", "exposed", "frame", "shot")]
+    for shot in range(3):
+        part = kinds[9 * shot : 9 * shot + 9]
+        assert part[:2] == ["lit", "trigger"]
+        assert sorted(part[2:8]) == ["exposed"] * 3 + ["frame"] * 3
+        assert part[-2:] == ["frame", "shot"]
+    session = finished(bench)
+    assert session.file.sequence == ["full", "x+", "x-"]
+    assert np.array_equal(session.levels("x+"), bench.shots[1].levels)
+    for camera in session.camera_ids():
+        lines = bench.events("exposed", "frame")
+        own = [line["event"] for line in lines if line["camera"] == camera]
+        assert own == ["exposed", "frame"] * 3
+
+
+def test_the_light_is_confirmed_after_each_exposure_and_before_its_download(bench):
+    bench.run()
+    for camera in bench.cameras:
+        for place, said in enumerate(bench.log):
+            if said == f"download {camera.id}":
+                before = bench.log[:place]
+                trigger = len(before) - before[::-1].index(f"trigger {camera.id}")
+                assert "confirm" in before[trigger:]
+
+
+def test_only_the_camera_that_failed_takes_the_pattern_again(bench):
+    bench.cameras[1].faults[2] = "fail"
+    report = bench.run()
+    assert [camera.shots for camera in bench.cameras] == [3, 4, 3]
+    assert report.retakes == 1
+    assert report.frames == 9
+    assert bench.kept("x+") == ["cam0.dng", "cam1.take2.dng", "cam2.dng"]
+    assert [f.camera for f in bench.operator.asked[0]] == ["cam1"]
+
+
+def test_a_picture_taken_before_its_camera_died_is_found_on_the_card_and_counts(bench):
+    bench.cameras[2].faults[1] = "after"
+    report = bench.run()
+    assert bench.cameras[2].restarts == 1
+    assert bench.cameras[2].shots == 3
+    assert report.retakes == 0
+    assert bench.kept("full") == ["cam0.dng", "cam1.dng", "cam2.dng"]
+
+
+def test_two_pictures_of_one_trigger_are_both_kept_and_neither_counts(bench):
+    bench.cameras[0].faults[2] = "two"
+    bench.run()
+    recovered = bench.events("recovered")
+    assert [line["camera"] for line in recovered] == ["cam0", "cam0"]
+    on_disk = {p.read_bytes() for p in (bench.root / "recovered" / "cam0").iterdir()}
+    card = bench.cameras[0].on_card
+    assert on_disk == {card["/DCIM/DSC_0002.DNG"], card["/DCIM/DSC_0003.DNG"]}
+    assert bench.kept("x+") == ["cam0.take2.dng", "cam1.dng", "cam2.dng"]
+
+
+def test_a_picture_under_a_light_that_may_have_gone_is_recovered_and_taken_again(bench):
+    lost = LightLostError("LED device", found="another boot id")
+    bench.lights.fail["confirm"] = (4, 6, lost)  # the second pattern's three
+    report = bench.run()
+    assert "recover" in bench.log
+    assert len(bench.events("recovered")) == 3
+    assert bench.kept("x+") == ["cam0.take2.dng", "cam1.take2.dng", "cam2.take2.dng"]
+    assert report.frames == 9
+
+
+def test_without_acknowledgement_no_camera_is_triggered(bench):
+    lost = LightLostError("LED device", found="another boot id")
+    bench.lights.fail["light"] = (1, 99, lost)
+    with pytest.raises(CaptureError, match="another boot id"):
+        bench.run()
+    assert not [said for said in bench.log if said.startswith("trigger")]
+
+
+def test_an_old_picture_is_never_kept_under_a_new_name(bench):
+    bench.cameras[1].faults[2] = "stale"
+    bench.run()
+    assert bench.kept("x+") == ["cam0.dng", "cam1.take2.dng", "cam2.dng"]
+    hashes = [line["sha256"] for line in bench.events("frame")]
+    assert len(set(hashes)) == 9
+    assert "the bytes of" in str(bench.operator.asked[0][0])
+
+
+def test_a_download_that_was_cut_is_asked_for_again_without_another_shot(bench):
+    bench.cameras[0].cut = 1
+    bench.run()
+    assert bench.cameras[0].shots == 3
+    assert len(bench.events("failed")) == 1
+    assert bench.log.count("download cam0") == 4
+
+
+def test_a_camera_that_is_gone_ends_the_capture_with_what_to_do_and_the_others_are_kept(bench):
+    bench.cameras[1].faults[2] = "after"
+    bench.cameras[1].restart = lambda: (_ for _ in ()).throw(
+        DeviceError("camera cam1", found="gone")
+    )
+    with pytest.raises(CaptureError, match=r"(?s)x\+ by cam1.*gone.*--resume"):
+        bench.run()
+    assert bench.kept("x+") == ["cam0.dng", "cam2.dng"]
+    assert bench.writer.state.wanted() == {"x+": ("cam1",), "x-": ("cam0", "cam1", "cam2")}
+
+
+def test_what_was_taken_is_not_taken_again_when_a_capture_goes_on(bench):
+    bench.cameras[1].faults = dict.fromkeys(range(2, 9), "fail")
+    with pytest.raises(CaptureError):
+        bench.run()
+    bench.cameras[1].faults = {}
+    before = [camera.shots for camera in bench.cameras]
+    report = bench.run()
+    assert [camera.shots - b for camera, b in zip(bench.cameras, before, strict=True)] == [1, 2, 1]
+    assert report.frames == 4
+    assert len(finished(bench).file.frames) == 9
+
+
+def test_an_earlier_pattern_that_turns_out_wrong_is_taken_again_and_the_old_file_stays(bench):
+    bench.checks.of_shots["x-"] = [[bad("sum", "cam1", "x+")]]
+    bench.run()
+    assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam1.take2.dng", "cam2.dng"]
+    assert ("x+", "cam1") in bench.checks.forgotten
+    assert [(e["pattern"], e["camera"], e["take"]) for e in bench.events("rejected")] == [
+        ("x+", "cam1", 1)
+    ]
+    frame = finished(bench).frame("x+", "cam1")
+    assert frame.path == "frames/x+/cam1.take2.dng"
+
+
+def test_a_finding_about_no_single_camera_takes_the_whole_pattern_again(bench):
+    bench.checks.of_shots["full"] = [[bad("not-lit", None, "full")]]
+    report = bench.run()
+    assert report.retakes == 3
+    assert [camera.shots for camera in bench.cameras] == [4, 4, 4]
+
+
+def test_retakes_end_when_the_operator_is_out_of_them_and_say_how_to_go_on(bench):
+    bench.checks.of_shots["full"] = [[bad("blurred", "cam0", "full")]] * 9
+    with pytest.raises(CaptureError, match=r"(?s)blurred.*lightstage capture --resume --out"):
+        bench.run()
+    assert bench.cameras[0].shots == 1 + bench.config.operator.retakes
+
+
+def test_an_operator_may_accept_what_a_check_refuses_but_never_a_missing_photograph(bench):
+    bench.checks.of_shots["full"] = [[bad("blurred", "cam0", "full")]]
+    bench.operator.answers = ["accept"]
+    assert bench.run().retakes == 0
+    assert any("accepted" in line.get("said", "") for line in bench.events("note"))
+
+
+def test_accepting_does_not_make_a_photograph(bench):
+    bench.cameras[0].faults[1] = "fail"
+    bench.operator.answers = ["accept"]
+    with pytest.raises(CaptureError, match="full by cam0"):
+        bench.run()
+
+
+def test_an_abort_makes_the_stage_dark_first_and_what_was_exposed_still_comes_home(bench):
+    bench.cameras[2].faults[1] = "late"
+    bench.operator.wishes = [None, "abort"]
+    with pytest.raises(AbortedError):
+        bench.run()
+    assert bench.log.index("dark") < bench.log.index("download cam2")
+    assert not bench.lights.levels.any()
+
+
+def test_a_pause_is_dark_and_goes_on_where_it_was(bench):
+    bench.operator.wishes = ["pause", None, None, None, "resume"]
+    report = bench.run()
+    assert "dark" in bench.log
+    assert report.frames == 9
+
+
+def test_the_operator_gets_the_last_pattern_again_for_asking(bench):
+    bench.operator.wishes = ["retake"]
+    report = bench.run()
+    assert report.retakes == 3
+    assert bench.kept("full") == sorted(
+        f"cam{i}{take}.dng" for i in range(3) for take in ("", ".take2")
+    )
+
+
+def test_photographs_stay_on_the_cameras_unless_the_lab_wants_otherwise(bench):
+    bench.run()
+    assert [len(camera.on_card) for camera in bench.cameras] == [3, 3, 3]
+
+
+def test_a_photograph_is_deleted_on_the_camera_only_after_its_line_is_on_the_disk(bench):
+    bench.config = dataclasses.replace(bench.config, delete_from_cameras=True)
+    journal = bench.root / "journal.jsonl"
+    for camera in bench.cameras:
+        delete = camera.delete
+
+        def checked(name, camera=camera, delete=delete):
+            lines = [json.loads(line) for line in journal.read_text().splitlines()]
+            own = [e for e in lines if e["event"] == "frame" and e["camera"] == camera.id]
+            assert own[-1]["file"] == name
+            delete(name)
+
+        camera.delete = checked
+    bench.run()
+    assert [len(camera.on_card) for camera in bench.cameras] == [0, 0, 0]
+    assert len(bench.events("deleted")) == 9
+
+
+def test_a_full_disk_ends_the_capture_and_the_other_photographs_are_kept(bench):
+    full = CaptureError("disk", found="no space left", expected="space")
+    bench.cameras[1].download = lambda *_: (_ for _ in ()).throw(full)
+    with pytest.raises(CaptureError, match="no space left"):
+        bench.run()
+    assert bench.kept("full") == ["cam0.dng", "cam2.dng"]
+
+
+def test_a_setting_that_drifted_is_told_set_back_and_the_photograph_taken_again(bench):
+    camera = bench.cameras[0]
+    told = camera.open()
+    camera.told = told
+    drifted = dataclasses.replace(told, white_balance="Auto")
+
+    def summary():
+        return drifted if camera.shots == 2 and not camera.changed else told
+
+    camera.changed = []
+    camera.summary = summary
+    camera.change = lambda name, value: camera.changed.append((name, value))
+    bench.run()
+    assert camera.changed == [("white_balance", "Daylight")]
+    assert bench.kept("x+") == ["cam0.dng", "cam0.take2.dng", "cam1.dng", "cam2.dng"]
