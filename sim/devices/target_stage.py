@@ -1,0 +1,139 @@
+"""A stage with a calibration target in it, and somebody who holds it: `lightstage calibrate`."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from lightstage.formats.files import write_text
+from lightstage.rig import Rig, save_rig
+from sim.camera.flaws import CaptureFlaws
+from sim.devices.body_folder import NEXT, put
+from sim.devices.grainy_camera import grainy
+from sim.devices.led_device import LedDevice
+from sim.devices.simulated_camera import SimulatedCameras
+from sim.devices.target_photographer import TargetPhotographer
+
+TIMEOUT_S = 20.0
+"""Lamps of the simulator settle when all cameras' pictures are rendered."""
+_POSE = re.compile(r"Pose (\d+) of \d+: ")
+
+
+class TargetStage:
+    """Lamps and cameras around a target. Use as a context manager.
+
+    Args:
+        desk: a new folder for all that is simulated.
+        rig: the stage.
+        kind: of target_photographer.KINDS.
+        seed: of poses, lenses, sensors and noise.
+        flaws: what lamps, lens, room and sensor do.
+
+    Attributes:
+        rig_path: rig.json.
+        cameras_path: the cameras file.
+        device: the LED device.
+        photographer: what lies before the cameras.
+    """
+
+    def __init__(
+        self,
+        desk: Path,
+        rig: Rig,
+        kind: str,
+        seed: int = 0,
+        flaws: CaptureFlaws | None = None,
+    ) -> None:
+        desk.mkdir(parents=True, exist_ok=True)
+        self.rig = rig
+        self.photographer = TargetPhotographer(rig, kind, seed, flaws)
+        self._cameras = SimulatedCameras(
+            desk / "cameras", rig, settings=self.photographer.settings()
+        )
+        self.rig_path = save_rig(rig, desk / "rig.json")
+        self.cameras_path = write_text(desk / "cameras.toml", grainy(self._cameras.cameras_file()))
+        self._lock = threading.Lock()
+        self._levels = np.zeros(len(rig.lights))
+        self._show(self._levels)
+        self.device = LedDevice(len(rig.lights), self._show)
+
+    def __enter__(self) -> TargetStage:
+        self.device.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.device.__exit__(kind, error, trace)
+
+    def hold(self, pose: int) -> None:
+        """Hold the target as pose `pose` (from 0)."""
+        self.photographer.pose = pose
+        self._show(self._levels)
+
+    def swap(self, kind: str) -> None:
+        """Put another target, or ``nothing``, in its place; exposed as before."""
+        self.photographer.kind = kind
+        self._show(self._levels)
+
+    def arguments(self, lab: Path, kind: str, *more: str) -> list[str]:
+        """The command line of `lightstage calibrate` for this stage."""
+        return [
+            *(sys.executable, "-m", "lightstage", "calibrate", kind),
+            *("--rig", str(self.rig_path), "--out", str(lab)),
+            *("--leds", self.device.url(TIMEOUT_S), "--cameras", str(self.cameras_path)),
+            *more,
+        ]
+
+    def calibrate(
+        self, lab: Path, kind: str, *more: str, answers: Sequence[str] = ()
+    ) -> subprocess.CompletedProcess[str]:
+        """Run `lightstage calibrate` as an operator does: hold what is asked for, press Enter.
+
+        Args:
+            lab: the lab's folder.
+            kind: what the command is asked to take.
+            more: further arguments.
+            answers: given in order in place of Enter, at each question; then Enter.
+        """
+        child = subprocess.Popen(
+            self.arguments(lab, kind, *more),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert child.stdin is not None
+        assert child.stdout is not None
+        assert child.stderr is not None
+        left = list(answers)
+        said, line = "", ""
+        while letter := child.stderr.read(1):
+            said += letter
+            line = "" if letter == "\n" else line + letter
+            asked = _POSE.match(line)
+            if letter == " " and asked and not line[asked.end() :]:
+                self.hold(int(asked[1]) - 1)
+            if line.endswith("q stops: "):
+                child.stdin.write((left.pop(0) if left else "") + "\n")
+                child.stdin.flush()
+        out = child.stdout.read()
+        child.stdin.close()
+        return subprocess.CompletedProcess(child.args, child.wait(), out, said)
+
+    def _show(self, levels: np.ndarray) -> None:
+        with self._lock:
+            self._levels = np.array(levels)
+            for camera in self.rig.cameras:
+                data = self.photographer.photograph(camera, self._levels)
+                put(self._cameras.folder(camera.id) / NEXT, data)
