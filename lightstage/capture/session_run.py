@@ -13,10 +13,10 @@ import numpy as np
 from lightstage import __version__
 from lightstage.cameras.camera import Summary
 from lightstage.capture.config import CaptureConfig
+from lightstage.capture.no_checks import ShotChecks
 from lightstage.capture.photograph import Photographer
 from lightstage.capture.run import CaptureReport, Run
 from lightstage.capture.stage import Stage
-from lightstage.checks import ShotChecks
 from lightstage.errors import LightstageError
 from lightstage.findings import Finding
 from lightstage.formats.config import as_dict
@@ -101,7 +101,7 @@ def capture_session(
                 writer.add_colour(order.colour)
             report = _run(stage, order, config, operator, writer, wanted)
             writer.finish()
-            write_manifest(order.root, _manifest_facts(stage, order, config))
+            write_manifest(order.root, {**order.facts, "capture": dataclasses.asdict(report)})
             step("manifest-written")
             writer.end(**dataclasses.asdict(report))
         except BaseException as error:
