@@ -63,25 +63,29 @@ def arrived(before: Collection[CardFile], now: Collection[CardFile]) -> tuple[Ca
     return tuple(file for file in now if file not in known)
 
 
-def reconcile(writer: SessionWriter, cameras: Sequence[CameraDevice]) -> Reconciled:
+def reconcile(
+    writer: SessionWriter, cameras: Sequence[CameraDevice], *, delete: bool = False
+) -> Reconciled:
     """Bring journal, disk and cards together, after a crash or after a camera failed.
 
     Args:
         writer: of the session, resumed and `resume` told.
         cameras: opened; all of the session's, or those that failed in it. The disk is looked
             through only where all are given.
+        delete: delete on the cards what is kept. A deletion that was begun is ended anyway.
 
     Raises:
         DeviceError: a camera is another one than before, or cannot be read. What concerns the
             others is done by then, and nothing of this one is given up: resume again.
         CaptureError: this computer's disk refuses.
     """
-    return _Reconciler(writer).all(cameras)
+    return _Reconciler(writer, delete).all(cameras)
 
 
 class _Reconciler:
-    def __init__(self, writer: SessionWriter) -> None:
+    def __init__(self, writer: SessionWriter, delete: bool) -> None:
         self.writer = writer
+        self.delete = delete
         self.state = writer.state
         self.root = writer.root
         self.adopted: list[Key] = []
@@ -265,15 +269,23 @@ class _Reconciler:
         )
 
     def _finish_deleting(self, camera: CameraDevice, now: Collection[CardFile]) -> None:
-        kept = {line.get("file") for line in self.state.frames() if line["camera"] == camera.id}
-        for file, pattern in self.state.deleting(camera.id).items():
-            if file in now:
-                if file.name not in kept:
-                    continue
+        kept = {
+            CardFile(line["file"], line["size"]): line["pattern"]
+            for line in self.state.frames()
+            if line["camera"] == camera.id
+        }
+        begun = self.state.deleting(camera.id)
+        for file, pattern in begun.items():
+            if file not in now:
+                self.writer.deleted(pattern, camera.id, file)
+        for file, pattern in kept.items():
+            if file in now and (self.delete or file in begun):
+                if file not in begun:
+                    self.writer.deleting(pattern, camera.id, file)
                 step("deleting", pattern, camera.id)
                 camera.delete(file.name)
-            self.writer.deleted(pattern, camera.id, file)
-            step("deleted", pattern, camera.id)
+                self.writer.deleted(pattern, camera.id, file)
+                step("deleted", pattern, camera.id)
 
     # -- photographs that were kept
 
