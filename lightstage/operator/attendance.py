@@ -127,7 +127,9 @@ class Requests:
             if self._question:
                 return self._take_answer(do)
             why = self._why_not(do)
-            if why is None:
+            if why is None and do == "resume" and "pause" in self._wishes:
+                self._wishes.remove("pause")  # it did not come to it
+            elif why is None:
                 self._wishes.extend(wish for wish in get_args(Wish) if wish == do)
             return why
 
@@ -194,7 +196,8 @@ class Requests:
             return "it is paused already" if do == "pause" else "it is paused; continue first"
         if do == "retake" and not self._shot:
             return "no pattern is done yet"
-        return "it is asked for already" if do in self._wishes else None
+        again = do == "retake" and "retake" in self._wishes
+        return "it is asked for already" if again else None
 
 
 def _do(act: Callable[[], None]) -> None:

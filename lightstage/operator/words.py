@@ -187,7 +187,11 @@ def _note(line: Line) -> Said:
 
 
 def _aborted(line: Line) -> Said:
-    why = text_of(line, "said") or text_of(line, "why") or "at the operator's wish"
+    why = text_of(line, "said") or text_of(line, "why")
+    if why == "KeyboardInterrupt":
+        return Said("stop", "Stopped by Ctrl-C or a signal", RESUME)
+    if not why or "operator's wish" in why:
+        return Said("stop", "Stopped, as the operator wished", RESUME)
     return Said("stop", f"Stopped: {why}", RESUME)
 
 
@@ -217,6 +221,7 @@ _WORDS: dict[str, Callable[[Line], Said]] = {
     "finding": _finding,
     "rejected": _rejected,
     "recovered": _recovered,
+    "deleting": _quiet,
     "deleted": _quiet,
     "shot": _shot,
     "calibration": _always("A calibration is kept with the session"),

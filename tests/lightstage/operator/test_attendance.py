@@ -1,0 +1,183 @@
+"""Who decides: the rule without anybody, and requests that are neither lost nor contradictory."""
+
+import threading
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lightstage.errors import ConfigError, DeviceError
+from lightstage.findings import Finding
+from lightstage.formats.config import make_config
+from lightstage.operator import OperatorConfig, Unattended
+from lightstage.operator.attendance import Request, Requests, by_rule
+
+BAD = Finding("retake", "blur", "x+ by cam0", "blurred", "sharp", pattern="x+", camera="cam0")
+LOOK = Finding("warn", "dim", "x+ by cam0", "dim", "bright")
+MISSING = Finding("retake", "not-taken", "x+ by cam0", "no answer", "a photograph")
+
+
+def test_without_anybody_it_retakes_while_it_may_and_then_gives_up():
+    nobody = Unattended(OperatorConfig(retakes=2))
+    assert [nobody.decide([BAD], left) for left in (2, 1, 0)] == ["retake", "retake", "abort"]
+
+
+@pytest.mark.parametrize(
+    ("findings", "left", "then", "decision"),
+    [
+        ([LOOK], 0, "abort", "accept"),
+        ([], 0, "abort", "accept"),
+        ([LOOK, BAD], 1, "accept", "retake"),
+        ([BAD], 0, "accept", "accept"),
+        ([BAD, MISSING], 0, "accept", "abort"),
+        ([BAD], 0, "abort", "abort"),
+    ],
+)
+def test_the_rule(findings, left, then, decision):
+    assert by_rule(findings, left, OperatorConfig(then=then)) == decision
+
+
+def test_the_rule_comes_from_a_file_and_a_wrong_one_is_refused():
+    config = make_config(OperatorConfig, {"retakes": 5, "then": "accept"}, "x.toml")
+    assert config == OperatorConfig(5, "accept")
+    with pytest.raises(ConfigError, match="then"):
+        make_config(OperatorConfig, {"then": "shrug"}, "x.toml")
+
+
+def test_an_abort_darkens_the_lights_before_anybody_who_waits_is_told():
+    requests, order = Requests(), []
+    requests.at_abort(lambda: order.append("dark"))
+
+    def wait():
+        order.append(requests.ask(("retake", "accept", "abort")))
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    while requests.possible != ("retake", "accept", "abort"):
+        pass
+    assert requests.request("abort") is None
+    waiting.join(10)
+    assert order == ["dark", "abort"]
+    assert requests.command() == "abort"
+    assert requests.command() == "abort"
+    assert requests.request("abort") is None
+    assert order == ["dark", "abort"]
+
+
+def test_lights_that_fail_at_an_abort_do_not_swallow_it():
+    requests, others = Requests(), []
+
+    def fail():
+        raise DeviceError("lights", found="silence")
+
+    requests.at_abort(fail)
+    requests.at_abort(lambda: others.append("done"))
+    assert requests.request("abort") is None
+    assert others == ["done"]
+    assert requests.command() == "abort"
+
+
+def test_who_comes_after_the_abort_acts_at_once():
+    requests, acted = Requests(), []
+    requests.request("abort")
+    requests.at_abort(lambda: acted.append("dark"))
+    assert acted == ["dark"]
+
+
+@pytest.mark.parametrize(
+    ("lines", "asked", "do", "why"),
+    [
+        ([], [], "retake", "no pattern is done yet"),
+        (["shot"], ["retake"], "retake", "asked for already"),
+        ([], [], "accept", "nothing waits"),
+        ([], [], "resume", "not paused"),
+        (["shot"], ["pause"], "pause", "paused already"),
+        (["shot"], ["pause"], "retake", "continue first"),
+        ([], ["abort"], "pause", "ending"),
+        (["end"], [], "pause", "ending"),
+        (["aborted"], [], "abort", "over"),
+        ([], [], "explode", "unknown: 'explode'"),
+        ([], [], "x" * 1000, "unknown"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_with_the_reason(lines, asked, do, why):
+    requests = Requests()
+    for event in lines:
+        requests.told({"event": event})
+    for each in asked:
+        assert requests.request(each) is None
+    assert why in requests.request(do)
+
+
+def test_wishes_come_in_their_order():
+    requests = Requests()
+    requests.told({"event": "shot"})
+    for do in ("retake", "pause"):
+        assert requests.request(do) is None
+    assert [requests.command() for _ in range(3)] == ["retake", "pause", None]
+    for do in ("resume", "retake", "pause"):
+        assert requests.request(do) is None
+    assert [requests.command() for _ in range(4)] == ["resume", "retake", "pause", None]
+    assert requests.possible == ("resume", "abort")
+
+
+def test_a_pause_taken_back_before_it_came_to_it_is_none():
+    requests = Requests()
+    for _ in range(1000):
+        assert requests.request("pause") is None
+        assert requests.request("resume") is None
+    assert requests.command() is None
+
+
+@pytest.mark.parametrize("answer", ["retake", "accept"])
+def test_a_question_is_answered_once_and_by_what_was_offered(answer):
+    requests, got = Requests(), []
+    choices = ("retake", answer, "abort") if answer == "accept" else ("retake", "abort")
+    waiting = threading.Thread(target=lambda: got.append(requests.ask(choices)))
+    waiting.start()
+    while requests.possible != choices:
+        pass
+    assert requests.request("pause") == "a question waits for its answer"
+    if answer == "retake":
+        assert requests.request("accept") == "there is no photograph to accept"
+    assert requests.request(answer) is None
+    waiting.join(10)
+    assert got == [answer]
+    assert requests.command() is None
+
+
+@given(st.lists(st.sampled_from([*get_args(Request), "take", "told"]), max_size=40))
+def test_no_order_of_requests_leads_to_contradictory_wishes(steps):
+    requests = Requests()
+    paused = aborted = done = False
+    for step in steps:
+        if step == "told":
+            requests.told({"event": "shot"})
+            done = True
+        elif step != "take":
+            accepted = requests.request(step) is None
+            aborted = aborted or step == "abort"
+            if aborted:
+                assert accepted == (step == "abort")
+        else:
+            wish = requests.command()
+            if aborted:
+                assert wish == "abort"
+                continue
+            assert wish != "accept"
+            assert wish != "retake" or (done and not paused)
+            assert wish != "pause" or not paused
+            assert wish != "resume" or paused
+            paused = wish == "pause" or (paused and wish != "resume")
+
+
+def test_clients_can_stop_a_capture_that_nobody_attends():
+    nobody, dark = Unattended(), []
+    nobody.at_abort(lambda: dark.append(True))
+    assert nobody.request("abort") is None
+    assert dark == [True]
+    assert nobody.command() == "abort"
+    assert nobody.decide([BAD], 2) == "abort"
+    nobody.told({"event": "aborted"})
+    assert nobody.request("abort") == "the capture is over"

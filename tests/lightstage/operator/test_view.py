@@ -1,0 +1,157 @@
+"""The view stands as the journal says, and the same lines always give the same view."""
+
+import itertools
+
+from lightstage.operator.view import View
+
+
+def shown(lines):
+    view = View("S")
+    for line in lines:
+        view.told(line)
+    return view
+
+
+def standing(view):
+    cameras = {name: vars(camera) for name, camera in view.cameras.items()}
+    return (view.marks, view.takes, view.done, view.phase, view.pattern, cameras, view.left_s())
+
+
+def test_a_whole_capture_is_complete_in_the_end(replay):
+    view = shown(replay)
+    assert view.phase == "complete"
+    assert view.kept == view.wanted == 63
+    assert view.left_s() == 0
+    assert view.takes["y+", "cam4"] == 2
+    assert view.lights == "168 lights, firmware stage 1.4, boot 4711"
+    assert view.acknowledged is True
+    assert [camera.serial for camera in view.cameras.values()][:2] == ["6012305", "6012315"]
+    assert not [words for words in view.news if words.tone == "problem"]  # it was mended
+
+
+def test_each_step_of_a_shot_is_seen(story):
+    told = story(3)
+    told.begin()
+    view = shown(told.lines)
+
+    def states():
+        for line in told.lines[view.last_id :]:
+            view.told(line)
+        return [camera.state for camera in view.cameras.values()]
+
+    assert states() == ["idle"] * 3
+    told.light("full", cameras=["cam0", "cam1"])
+    assert states() == ["triggering", "triggering", "idle"]
+    assert view.pattern == "full"
+    told.expose("full", "cam0")
+    assert states() == ["downloading", "triggering", "idle"]
+    told.keep("full", "cam0")
+    told.add("failed", pattern="full", camera="cam1", take=1, said="gone")
+    assert states() == ["kept", "failed", "idle"]
+    assert view.marks == {("full", "cam0"): "kept", ("full", "cam1"): "failed"}
+    told.add("note", camera="cam1", said="restarting")
+    assert states()[1] == "restarting"
+    told.add("note", camera="cam1", said="started again")
+    assert states()[1] == "idle"
+
+
+def test_a_rejected_take_does_not_count(story):
+    told = story(2)
+    told.begin()
+    told.shoot("full")
+    told.add("rejected", pattern="full", camera="cam1", take=1, why="blurred")
+    view = shown(told.lines)
+    assert view.kept == 1
+    assert view.marks["full", "cam1"] == "again"
+    assert view.done == set()
+
+
+def test_a_retake_is_told_beside_the_first_take(story):
+    told = story(2)
+    told.begin()
+    told.shoot("full")
+    told.add("rejected", pattern="full", camera="cam1", take=1, why="blurred")
+    told.light("full", 2, ["cam1"])
+    told.keep("full", "cam1", 2)
+    told.add("shot", pattern="full")
+    view = shown(told.lines)
+    assert view.kept == 2
+    assert view.takes == {("full", "cam0"): 1, ("full", "cam1"): 2}
+
+
+def test_time_left_is_that_of_the_shots_so_far(story):
+    told = story(2)
+    told.begin()
+    assert shown(told.lines).left_s() is None
+    for pattern in told.patterns[:4]:
+        told.shoot(pattern)
+    first = next(line["elapsed_s"] for line in told.lines if line["event"] == "lit")
+    shots = [first] + [line["elapsed_s"] for line in told.lines if line["event"] == "shot"]
+    gaps = sorted(after - before for before, after in itertools.pairwise(shots))
+    wanted = 3 * (gaps[1] + gaps[2]) / 2
+    assert abs(shown(told.lines).left_s() - wanted) < 1e-9
+
+
+def test_one_slow_shot_or_a_pause_does_not_change_the_time_left(story):
+    told = story(2)
+    told.begin()
+    for pattern in told.patterns[:3]:
+        told.shoot(pattern)
+    each_s = shown(told.lines).left_s() / 4
+    told.add("note", said="paused, the lights are dark")
+    told.s += 3600
+    told.shoot(told.patterns[3])
+    assert abs(shown(told.lines).left_s() - 3 * each_s) < 1.0
+
+
+def test_a_resumed_capture_goes_on_from_what_is_kept(story):
+    told = story(2)
+    told.begin()
+    told.shoot("full")
+    told.light("x+")
+    told.keep("x+", "cam0")
+    told.add("aborted", said="Ctrl-C")
+    view = shown(told.lines)
+    assert view.phase == "aborted"
+    assert view.pattern is None
+    told.s = 0.0
+    told.add("resume", schema="lightstage.journal/2")
+    told.light("x+", 2, ["cam1"])
+    told.keep("x+", "cam1", 2)
+    told.add("shot", pattern="x+")
+    view = shown(told.lines)
+    assert view.phase == "running"
+    assert view.kept == 4
+    assert view.left_s() > 0
+
+
+def test_a_capture_killed_in_the_middle_has_nothing_under_way_after_its_resume(story):
+    told = story(2)
+    told.begin()
+    told.light("full")
+    told.add("resume")
+    view = shown(told.lines)
+    assert set(view.marks.values()) == {"again"}
+    assert {camera.state for camera in view.cameras.values()} == {"idle"}
+
+
+def test_a_card_loses_what_is_put_on_it(story):
+    told = story(1)
+    told.begin()
+    told.shoot("full")
+    free = shown(told.lines).cameras["cam0"].card_free_bytes
+    assert free == 61_000_000_000 - 24_300_000
+
+
+def test_a_replay_gives_what_was_seen_live(replay):
+    live = View("S")
+    for count, line in enumerate(replay, 1):
+        live.told(line)
+        assert standing(live) == standing(shown(replay[:count]))
+
+
+def test_lights_that_do_not_acknowledge_are_known(story):
+    told = story(1)
+    told.begin()
+    told.add("lit", pattern="full", acknowledged=False)
+    assert shown(told.lines).acknowledged is False

@@ -1,0 +1,147 @@
+"""Every line of a journal reads well, says what to do, and carries nothing dangerous."""
+
+import typing
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lightstage.findings import Severity
+from lightstage.operator.view import State, View
+from lightstage.operator.words import (
+    _WORDS,
+    FINDING,
+    HEARD,
+    KEYS,
+    SIGNS,
+    STATES,
+    Tone,
+    clean,
+    duration,
+    said,
+)
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=30),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner),
+    max_leaves=8,
+)
+EVENTS = [*_WORDS]
+    "begin",
+    "resume",
+    "devices",
+    "lit",
+    "trigger",
+    "exposed",
+    "frame",
+    "failed",
+    "finding",
+    "rejected",
+    "recovered",
+    "deleting",
+    "deleted",
+    "shot",
+    "calibration",
+    "note",
+    "aborted",
+    "end",
+]
+FIELDS = [
+]
+    "id",
+    "time_utc",
+    "elapsed_s",
+    "pattern",
+    "camera",
+    "take",
+    "takes",
+    "cameras",
+    "sequence",
+    "subject",
+    "severity",
+    "code",
+    "where",
+    "found",
+    "expected",
+    "hint",
+    "said",
+    "why",
+    "path",
+    "size",
+    "told",
+    "led_device",
+    "acknowledged",
+    "frames",
+    "socket",
+]
+
+
+def test_every_severity_state_and_tone_has_words():
+    assert set(FINDING) == set(typing.get_args(Severity))
+    assert set(STATES) == set(typing.get_args(State))
+    assert set(SIGNS) == set(typing.get_args(Tone))
+    assert set(HEARD) <= set(KEYS)
+    assert len({key for key, _ in KEYS.values()}) == len(KEYS) - 1  # leaving is q, too
+
+
+@pytest.mark.parametrize("severity", ["refuse", "retake", "warn"])
+def test_what_is_wrong_always_says_what_to_do(severity):
+    line = {"event": "finding", "severity": severity, "where": "cam3", "found": "ISO 400"}
+    words = said(line | {"expected": "ISO 100"})
+    assert words.todo
+    assert "cam3: ISO 400 (wanted: ISO 100)" in words.text
+    assert said(line | {"hint": "Set ISO 100."}).todo == "Set ISO 100."
+
+
+@pytest.mark.parametrize("event", ["failed", "recovered", "aborted"])
+def test_what_went_wrong_says_what_to_do(event):
+    words = said({"event": event, "said": "no answer", "camera": "cam3"}, "S/1")
+    assert words.todo
+    assert words.tone in ("warning", "problem", "stop")
+
+
+def test_an_abort_says_how_to_go_on():
+    words = said({"event": "aborted", "said": "camera cam3 is gone"}, "sessions/P1")
+    assert "lightstage capture --resume --out sessions/P1" in words.todo
+    assert "camera cam3 is gone" in words.text
+
+
+def test_braces_in_what_devices_say_stay_as_they_are():
+    assert "{session}" not in said({"event": "aborted", "said": "x"}, "S").todo
+    assert "{0} {x}" in str(said({"event": "failed", "said": "{0} {x}"}))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (None, "time left not known yet"),
+        (0.2, "about 0 s left"),
+        (89.0, "about 89 s left"),
+        (600.0, "about 10 min left"),
+        (9000.0, "about 2.5 h left"),
+    ],
+)
+def test_time_left_in_words(seconds, words):
+    assert duration(seconds) == words
+
+
+def test_control_characters_never_reach_the_terminal():
+    text = clean("a\x1b[2Jb\x07\r\n\tc\u202ed\x9b31m")
+    assert text.isprintable()
+    assert len(clean("x" * 10_000)) == 300
+
+
+@given(
+    st.sampled_from(EVENTS) | st.text(max_size=10),
+    st.dictionaries(st.sampled_from(FIELDS), JSON | st.text(max_size=500)),
+)
+def test_any_line_reads_as_one_printable_line_and_can_be_told(event, fields):
+    line = {**fields, "event": event}
+    words = said(line)
+    assert str(words).isprintable()
+    assert len(str(words)) < 2000
+    view = View()
+    view.told({"event": "begin", "sequence": ["x+", "x-"], "cameras": ["cam0", "cam1"]})
+    view.told(line)
+    assert 0 <= view.kept <= view.wanted
+    assert view.progress().isprintable()
