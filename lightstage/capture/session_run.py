@@ -14,7 +14,7 @@ from lightstage import __version__
 from lightstage.cameras.camera import Summary
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.no_checks import ShotChecks
-from lightstage.capture.photograph import Photographer
+from lightstage.capture.photograph import Checks, Photographer
 from lightstage.capture.run import CaptureReport, Run
 from lightstage.capture.stage import Stage
 from lightstage.errors import LightstageError
@@ -47,6 +47,7 @@ class Order:
         colour: a colour calibration to keep in the session.
         facts: what else the journal and the manifest shall say, such as calibration shots.
         findings: of whoever looked before, told with those of the preflight.
+        checks: look at the photographs; None: those of a face (ShotChecks).
     """
 
     root: Path
@@ -58,10 +59,15 @@ class Order:
     colour: dict[str, Any] | None = None
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     findings: Sequence[Finding] = ()
+    checks: Checks | None = None
 
 
 def capture_session(
-    stage: Stage, order: Order, config: CaptureConfig, operator: Operator
+    stage: Stage,
+    order: Order,
+    config: CaptureConfig,
+    operator: Operator,
+    checks: Checks | None = None,
 ) -> CaptureReport:
     """Take what a session wants, with an opened stage, and finish it.
 
@@ -70,6 +76,7 @@ def capture_session(
         order: what.
         config: how.
         operator: decides, and sees every line of the journal.
+        checks: looks at each photograph; by default as at one of a face.
 
     Raises:
         DeviceError: something forbids the capture; no light went on. Or the lights failed.
@@ -99,7 +106,7 @@ def capture_session(
                 wanted = reconcile(writer, stage.cameras).wanted
             elif order.colour is not None:
                 writer.add_colour(order.colour)
-            report = _run(stage, order, config, operator, writer, wanted)
+            report = _run(stage, order, config, operator, writer, wanted, checks)
             writer.finish()
             write_manifest(order.root, {**order.facts, "capture": dataclasses.asdict(report)})
             step("manifest-written")
@@ -184,8 +191,9 @@ def _run(
     operator: Operator,
     writer: SessionWriter,
     wanted: Mapping[str, Sequence[str]],
+    checks: Checks | None,
 ) -> CaptureReport:
-    checks = ShotChecks(stage.rig, order.shots, config.checks)
+    checks = checks or ShotChecks(stage.rig, order.shots, config.checks)
     for line in writer.state.frames():
         # Photographs of before: later patterns are compared with them.
         checks.photograph(line["pattern"], line["camera"], order.root / line["path"])
