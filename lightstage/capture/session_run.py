@@ -97,6 +97,8 @@ def capture_session(
     findings = [*order.findings, *looked]
     require(findings)
     with _writer(stage, order, config, findings) as writer, contextlib.ExitStack() as followed:
+        for line in read_journal(writer.journal.path):
+            operator.told(line)
         writer.listeners.append(operator.told)
         followed.enter_context(serve_events(writer, operator.request))
         operator.at_abort(stage.lights.dark)
@@ -110,7 +112,7 @@ def capture_session(
             writer.finish()
             write_manifest(order.root, {**order.facts, "capture": dataclasses.asdict(report)})
             step("manifest-written")
-            writer.end(**dataclasses.asdict(report))
+            writer.end(capture=dataclasses.asdict(report))
         except BaseException as error:
             stage.lights.dark()
             with contextlib.suppress(LightstageError):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import io
+import json
 import os
 import pty
 import struct
@@ -24,6 +25,12 @@ from cobs import cobs
 from crc import Calculator, Crc16
 
 from lightstage.rig import Camera, Light, Rig, look_at, save_rig
+
+UNTOLD = [
+    *("serial", "mode", "iso", "white_balance", "image_format", "focus"),
+    *("owner", "artist", "copyright", "place"),
+]
+"""What libgphoto2's virtual camera cannot tell."""
 
 CRC = Calculator(Crc16.IBM_3740, optimized=True)
 CORNERS = [(x, y, z) for x in (-700.0, 700.0) for y in (-700.0, 700.0) for z in (-700.0, 700.0)]
@@ -184,7 +191,7 @@ def dng() -> Callable[..., bytes]:
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[Stage]:
     rig = make_rig()
-    text = 'allow_unverifiable = ["serial", "iso"]\n'
+    text = f"allow_unverifiable = {json.dumps(UNTOLD)}\n"
     seeds = []
     for camera in rig.cameras:
         folder = tmp_path / "virtual" / camera.id
