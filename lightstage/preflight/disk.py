@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import fcntl
 import json
 import os
 import secrets
@@ -15,6 +16,7 @@ from lightstage.cameras.camera import Summary
 from lightstage.findings import Finding
 from lightstage.preflight.config import Plan, PreflightConfig
 from lightstage.rig import Camera, Rig
+from lightstage.session.disk import rename_new
 
 BYTES_PER_PIXEL = 2.0
 """Of a RAW that is not compressed: 14 or 16 bits, previews on top of packed ones."""
@@ -228,10 +230,11 @@ def _trial(rig: Rig, there: Path, plan: Plan) -> list[Finding]:
             handle.write(b"trial")
             handle.flush()
             os.fsync(handle.fileno())
-        os.link(partial, named)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        rename_new(partial, named)
+        partial.write_bytes(b"another")
         if not _refuses_second(partial, named):
             raise OSError("a file can be named over another one")
-        partial.unlink()
         folder_handle = os.open(inner, os.O_RDONLY)
         try:
             os.fsync(folder_handle)
@@ -248,7 +251,7 @@ def _trial(rig: Rig, there: Path, plan: Plan) -> list[Finding]:
 
 def _refuses_second(partial: Path, named: Path) -> bool:
     try:
-        os.link(partial, named)
+        rename_new(partial, named)
     except FileExistsError:
         return True
     return False
@@ -279,7 +282,7 @@ def _unusable(there: Path, error: OSError) -> Finding:
         "disk",
         f"folder {there}",
         error.strerror or str(error),
-        "a folder in which files can be written, flushed and linked",
+        "a folder in which files can be written, flushed, named and locked",
         "Give an --out on a local disk that you may write to.",
     )
 

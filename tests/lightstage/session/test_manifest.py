@@ -146,7 +146,10 @@ def test_a_path_out_of_the_session_is_not_followed(session, name):
 
 
 def damaged():
-    broken = st.sampled_from([None, 7, "x", [], {}, {"bytes": "x"}, {"a": None}, -1, 1e300])
+    journal = {"bytes": 1e300, "last_id": 1, "sha256": ""}
+    broken = st.sampled_from(
+        [None, 7, "x", [], {}, {"bytes": "x"}, {"a": None}, -1, 1e300, journal]
+    )
     names = st.sampled_from(["files", "journal", "light_map_sha256", "session"])
     return st.dictionaries(names, broken, min_size=1)
 

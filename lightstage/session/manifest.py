@@ -1,0 +1,232 @@
+"""The manifest: what a session was made with and of, so that it can be checked years later.
+
+It holds versions, devices, hashes and settings, and of the person a pseudonym and the id of the
+consent record alone. No host, no user and no absolute path get into it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePath, PurePosixPath
+from typing import Any
+
+from lightstage.errors import FormatError, LightstageError
+from lightstage.formats.files import read_json, sha256_file, write_json
+from lightstage.rig import Rig, load_rig, rig_to_json
+from lightstage.session.journal import Line, read_journal
+from lightstage.session.state import SessionState
+from lightstage.session.versions import software_versions, system_facts
+
+SCHEMA = "lightstage.manifest/1"
+MANIFEST = "manifest.json"
+JOURNAL = "journal.jsonl"
+MAX_BYTES = 1 << 40
+"""Of a journal; a larger number is damage."""
+OF_CAMERA = (
+    *("serial", "model", "firmware", "mode", "iso", "shutter", "aperture"),
+    *("white_balance", "image_format", "focus"),
+)
+"""What is told of each camera: never its owner, artist, copyright or place."""
+_ABSOLUTE = re.compile(r"(?<![\w.+@)-])(?:file:)?(?:/+|~/|[A-Za-z]:[\\/]|\\\\)[\w.~@+-][^\s'\",;]*")
+_PATH = "(path)"
+
+
+def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
+    """Write manifest.json of a session whose session.json is there; atomically, also a second time.
+
+    Photographs' hashes are those of the journal, which were read back from the disk; the hashes of
+    the small files are taken anew.
+
+    Args:
+        root: the session's folder.
+        facts: what else the manifest shall hold under ``facts``, such as figures of safety and
+            calibration shots. Absolute paths in it are replaced by ``(path)``.
+
+    Raises:
+        FormatError: no journal or session, or damaged ones.
+    """
+    path = root / JOURNAL
+    data = path.read_bytes() if path.is_file() else b""
+    lines = read_journal(path)
+    whole = data[: data.rfind(b"\n") + 1]
+    state = SessionState(lines)
+    session = read_json(root / "session.json", "lightstage.session/1")
+    rig = load_rig(root / "rig.json")
+    begins = [line for line in lines if line["event"] in ("begin", "resume")]
+    said = {key: value for line in begins for key, value in line.items()}
+    manifest = {
+        "schema": SCHEMA,
+        "session": session["id"],
+        "created_utc": session["created_utc"],
+        "subject": session["subject"],
+        "expression": session["expression"],
+        "consent": session.get("consent"),
+        "software": software_versions(),
+        "began_with": lines[0].get("version"),
+        "system": system_facts(),
+        "leds": said.get("led_device"),
+        "cameras": _cameras(said.get("told") or {}),
+        "not_verifiable": said.get("not_verifiable") or {},
+        "unacknowledged": [
+            pattern
+            for pattern in state.patterns
+            if (lit := state.lit(pattern)) is not None and lit.get("acknowledged") is False
+        ],
+        "configuration": said.get("config") or {},
+        "calibration": {
+            kind: file for kind, file in session.get("calibration", {}).items() if file is not None
+        },
+        "resumed": len(begins) - 1,
+        "light_map_sha256": light_map_hash(rig),
+        "files": dict(sorted(_files(root, state))),
+        "journal": {
+            "path": JOURNAL,
+            "last_id": lines[-1]["id"],
+            "bytes": len(whole),
+            "sha256": hashlib.sha256(whole).hexdigest(),
+        },
+        "facts": dict(facts or {}),
+    }
+    return write_json(root / MANIFEST, _without_paths(manifest))
+
+
+def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[LightstageError]:
+    """Compare a session's folder with its manifest.
+
+    Args:
+        root: the session's folder.
+        known: hashes that were taken just now, by path in the session; these files are not read
+            again.
+
+    Returns:
+        One error for each file that is missing, changed or not in the manifest, and for a journal
+        whose part up to the manifest's line was changed. None where there is no manifest because
+        the photographs were imported.
+    """
+    path = root / MANIFEST
+    if not path.is_file():
+        return [] if _needs_none(root) else [_wrong(path, "no such file", "the manifest", "")]
+    try:
+        manifest = read_json(path, SCHEMA)
+        files, journal = dict(manifest["files"]), dict(manifest["journal"])
+        limit, line = min(max(0, int(journal["bytes"])), MAX_BYTES), int(journal["last_id"])
+        light_map, whole = str(manifest["light_map_sha256"]), str(journal["sha256"])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        return [_wrong(path, f"no readable {error}", "the fields of a manifest", "Restore it.")]
+    except LightstageError as problem:
+        return [problem]
+    problems: list[LightstageError] = []
+    for name, sha256 in files.items():
+        problems += _file_problems(root, str(name), str(sha256), known or {})
+    for name in _photographs_on_disk(root):
+        if name not in files:
+            problems.append(
+                _wrong(root / name, "a file", "none that the manifest does not list", "")
+            )
+    try:
+        with (root / JOURNAL).open("rb") as file:
+            found = hashlib.sha256(file.read(limit)).hexdigest()
+    except OSError:
+        found = ""
+    if found != whole:
+        problems.append(
+            _wrong(root / JOURNAL, "another beginning", f"its lines up to {line} as written", "")
+        )
+    if files.get("rig.json") == _hash_of(root / "rig.json"):
+        try:
+            same = light_map_hash(load_rig(root / "rig.json")) == light_map
+        except LightstageError as problem:
+            problems.append(problem)
+        else:
+            if not same:
+                problems.append(_wrong(path, "another light map", "that of rig.json", ""))
+    return problems
+
+
+def light_map_hash(rig: Rig) -> str:
+    """SHA-256 of where the lights are, in which bank, and how strong, in the rig's order."""
+    text = json.dumps(rig_to_json(rig)["lights"], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _cameras(told: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    return {
+        camera: {name: summary.get(name) for name in OF_CAMERA} for camera, summary in told.items()
+    }
+
+
+def _files(root: Path, state: SessionState) -> Iterator[tuple[str, str]]:
+    """Path in the session and hash of everything that stays as it is."""
+    for line in (*state.all_frames(), *state.recovered().values()):
+        yield _entry(line)
+    for path in (root / "session.json", root / "rig.json", *sorted(root.glob("calibration/**/*"))):
+        if path.is_file():
+            yield path.relative_to(root).as_posix(), sha256_file(path)
+
+
+def _entry(line: Line) -> tuple[str, str]:
+    return line["path"], line["sha256"]
+
+
+def _photographs_on_disk(root: Path) -> Iterator[str]:
+    for folder in ("frames", "recovered"):
+        for path in sorted((root / folder).rglob("*")):
+            # What was being written when a capture was ended (.cam0.take1.partial) is no photograph.
+            if path.is_file() and not path.name.startswith("."):
+                yield path.relative_to(root).as_posix()
+
+
+def _file_problems(
+    root: Path, name: str, sha256: str, known: Mapping[str, str]
+) -> list[LightstageError]:
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts:
+        return [_wrong(root / MANIFEST, repr(name), "paths in the session", "")]
+    found = known.get(name) or _hash_of(root / name)
+    if found == sha256:
+        return []
+    if not (root / name).is_file():
+        hint = "Copy it back from the camera or from a copy of the session."
+        return [_wrong(root / name, "no such file", "the one in the manifest", hint)]
+    hint = "The file changed or was cut since the capture; restore it."
+    return [_wrong(root / name, f"sha256 {found[:12]}..", f"{sha256[:12]}..", hint)]
+
+
+def _hash_of(path: Path) -> str:
+    try:
+        return sha256_file(path)
+    except OSError:
+        return ""
+
+
+def _needs_none(root: Path) -> bool:
+    """Whether a session has no manifest because it was not captured here, or not to its end."""
+    try:
+        lines = read_journal(root / JOURNAL)
+    except LightstageError:
+        return True  # photographs from elsewhere; the journal is another check's
+    return "led_device" not in lines[0] or lines[-1]["event"] != "end" or _is_older(lines[0])
+
+
+def _is_older(begin: Line) -> bool:
+    return begin.get("schema") == "lightstage.journal/1"
+
+
+def _without_paths(value: Any) -> Any:
+    """The same with every absolute path replaced, whoever put it there."""
+    if isinstance(value, Mapping):
+        return {_without_paths(str(key)): _without_paths(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_paths(each) for each in value]
+    if isinstance(value, PurePath):
+        return _PATH if value.is_absolute() else value.as_posix()
+    if isinstance(value, str):
+        return _ABSOLUTE.sub(_PATH, value)
+    return value
+
+
+def _wrong(path: Path, found: str, expected: str, hint: str) -> FormatError:
+    return FormatError(path, found=found, expected=expected, hint=hint)
