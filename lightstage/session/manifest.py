@@ -130,7 +130,7 @@ def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[L
         with (root / JOURNAL).open("rb") as file:
             found = hashlib.sha256(file.read(limit)).hexdigest()
     except OSError:
-        found = ""
+        found = "none"
     if found != whole:
         problems.append(
             _wrong(root / JOURNAL, "another beginning", f"its lines up to {line} as written", "")
@@ -174,7 +174,7 @@ def _entry(line: Line) -> tuple[str, str]:
 def _photographs_on_disk(root: Path) -> Iterator[str]:
     for folder in ("frames", "recovered"):
         for path in sorted((root / folder).rglob("*")):
-            # What was being written when a capture was ended (.cam0.take1.partial) is no photograph.
+            # What a capture was writing when it was ended (.cam0.take1.partial) is no photograph.
             if path.is_file() and not path.name.startswith("."):
                 yield path.relative_to(root).as_posix()
 
