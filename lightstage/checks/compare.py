@@ -1,0 +1,265 @@
+"""Comparisons that need no sum: between cameras, with `full`, with a session before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lightstage.checks.ball import BallModel, brightness, seen_shares, unlikeness
+from lightstage.checks.config import ChecksConfig
+from lightstage.checks.photo import Photo
+from lightstage.checks.sharpness import sharpness
+from lightstage.checks.single import where
+from lightstage.checks.sums import MIN_CELLS, lit_cells
+from lightstage.findings import Finding
+
+UNLIKE, UNLIKE_RATIO = 0.2, 1.5
+"""A photograph shows another pattern when it is this far from its own and this many times nearer
+to the other."""
+EXCESS_CELLS = 0.1
+"""Share of lit cells that may be brighter than under `full` before it is told."""
+
+
+def unlike_findings(
+    pattern: str, photos: Mapping[str, Photo], model: BallModel, config: ChecksConfig
+) -> list[Finding]:
+    """Cameras whose exposure under the brightest pattern leaves the others'."""
+    del model
+    levels = {camera: photo.signal for camera, photo in photos.items() if photo.signal > 0}
+    if len(levels) < 3:
+        return []
+    middle = float(np.median(list(levels.values())))
+    out = []
+    for camera, level in levels.items():
+        ratio = level / middle
+        if max(ratio, 1 / ratio) > config.max_unlike_ratio:
+            out.append(
+                Finding(
+                    "warn",
+                    "unlike-others",
+                    where(pattern, camera),
+                    f"{ratio:.2g} times the light of the other cameras",
+                    f"within a factor of {config.max_unlike_ratio:g}",
+                    "Read back its ISO, shutter and aperture; is something before the lens?",
+                    pattern,
+                    camera,
+                )
+            )
+    return out
+
+
+def looks_like(
+    name: str, patterns: Sequence[str], unlike: np.ndarray, allowed: Sequence[str]
+) -> tuple[str, float]:
+    """Which pattern a photograph is most like, and how many times nearer than to its own."""
+    own = float(unlike[patterns.index(name)])
+    best = min(allowed, key=lambda other: unlike[patterns.index(other)])
+    return best, own / max(float(unlike[patterns.index(best)]), 1e-6)
+
+
+def expected_findings(
+    pattern: str,
+    whole: str,
+    photos: Mapping[str, Photo],
+    wholes: Mapping[str, Photo],
+    model: BallModel,
+    allowed: Sequence[str],
+    config: ChecksConfig,
+) -> list[Finding]:
+    """Photographs that show another pattern, are brighter than `full`, or far too dark."""
+    index = model.patterns.index(pattern)
+    other: dict[str, str] = {}
+    bright: dict[str, float] = {}
+    dim: dict[str, float] = {}
+    known = 0
+    for camera, photo in photos.items():
+        if camera not in wholes:
+            continue
+        seen = seen_shares(photo, wholes[camera])
+        expected = model.shares(camera, wholes[camera], whole)
+        if seen is None or expected is None:
+            continue
+        known += 1
+        apart = unlikeness(seen, expected)
+        name, ratio = looks_like(pattern, model.patterns, apart, allowed)
+        if apart[index] > UNLIKE and ratio > UNLIKE_RATIO:
+            other[camera] = name
+        over = float(np.quantile(seen, 1 - EXCESS_CELLS)) - 1.0
+        if over > config.max_excess_share:
+            bright[camera] = over
+        cells = lit_cells(wholes[camera])
+        weight = wholes[camera].coarse[..., 1][cells].astype(float)
+        level = brightness(seen, expected[index], weight)
+        if level < 1 / config.max_expected_ratio:
+            dim[camera] = level
+    out = _shared("wrong-light", "wrong-picture", pattern, other, known, _said_other)
+    named = {finding.camera for finding in out}
+    if None in named:
+        return out
+    for code, values, say in (("too-bright", bright, _said_bright), ("too-dark", dim, _said_dim)):
+        rest = {camera: value for camera, value in values.items() if camera not in named}
+        found = _shared(code, code, pattern, rest, known, say)
+        out += found
+        named |= set(rest)
+    return out
+
+
+def _said_other(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
+    best = max(set(values), key=list(values).count)
+    return (
+        f"light that looks like {best}",
+        f"that of {pattern}",
+        "Take it again; if it stays so, look at the lights' order and wiring.",
+    )
+
+
+def _said_bright(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
+    return (
+        f"up to {100 * float(np.median(values)):.2g} % more light than under all lamps",
+        f"{pattern} to be a part of them",
+        "Exposure or ISO has changed since, or room light came on: read the settings back.",
+    )
+
+
+def _said_dim(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
+    return (
+        f"{100 * float(np.median(values)):.2g} % of the light expected",
+        f"that of {pattern}",
+        "Did the lights come on while the shutter was open? Take it again.",
+    )
+
+
+def _shared(
+    shared_code: str, own_code: str, pattern: str, values: Mapping[str, Any], known: int, say: Any
+) -> list[Finding]:
+    """One finding where most cameras agree, else one for each camera."""
+    if len(values) > known / 2 and known > 1:
+        found, expected, hint = say(pattern, list(values.values()))
+        place = f"{len(values)} of {known} cameras, pattern {pattern}"
+        return [Finding("retake", shared_code, place, found, expected, hint, pattern, None)]
+    out = []
+    for camera, value in values.items():
+        found, expected, hint = say(pattern, [value])
+        place = where(pattern, camera)
+        out.append(Finding("retake", own_code, place, found, expected, hint, pattern, camera))
+    return out
+
+
+def sharpness_findings(
+    pattern: str,
+    photos: Mapping[str, Photo],
+    references: Mapping[str, tuple[str, Photo]],
+    config: ChecksConfig,
+) -> list[Finding]:
+    """Photographs less sharp than another of the same camera, whichever of both it is."""
+    out = []
+    for camera, photo in photos.items():
+        if camera not in references:
+            continue
+        name, reference = references[camera]
+        ratio = sharpness(photo, reference)
+        if ratio is None or ratio <= 0:
+            continue
+        blurred, than = (pattern, name) if ratio < 1 else (name, pattern)
+        worse = min(ratio, 1 / ratio)
+        if worse >= config.warn_sharpness:
+            continue
+        out.append(
+            Finding(
+                "retake" if worse < config.min_sharpness else "warn",
+                "blurred",
+                where(blurred, camera),
+                f"{100 * worse:.0f} % of the fine detail of its photograph under {than}",
+                f"at least {100 * config.warn_sharpness:g} %",
+                "Did the focus or the subject move while the shutter was open? Take it again.",
+                blurred,
+                camera,
+            )
+        )
+    return out
+
+
+def whiteness(parallel: Photo, cross: Photo) -> float | None:
+    """Logarithm of how much bluer a parallel photograph is than a cross one, against red.
+
+    The mirror reflection is white and skin is red, so parallel is the whiter of the two whatever
+    the white balance; None where too little is lit.
+    """
+    if parallel.coarse.shape != cross.coarse.shape:
+        return None
+    cells = lit_cells(parallel) & lit_cells(cross) & parallel.usable & cross.usable
+    red, blue = (
+        [np.maximum(photo.coarse[cells][:, colour], 1e-9) for photo in (parallel, cross)]
+        for colour in (0, 2)
+    )
+    if cells.sum() < MIN_CELLS:
+        return None
+    return float(np.median(np.log(blue[0] / red[0]) - np.log(blue[1] / red[1])))
+
+
+def highlight_findings(
+    pattern: str,
+    photos: Mapping[tuple[str, str], Photo],
+    levels: Mapping[str, np.ndarray],
+    config: ChecksConfig,
+) -> list[Finding]:
+    """Swapped polarisation banks: the cross photograph shows the mirror reflection."""
+    base, _, kind = pattern.partition("@")
+    names = f"{base}@parallel", f"{base}@cross"
+    if kind not in ("parallel", "cross") or not all(name in levels for name in names):
+        return []
+    values = []
+    for name, camera in photos:
+        if name == names[0] and (names[1], camera) in photos:
+            value = whiteness(photos[names[0], camera], photos[names[1], camera])
+            values += [value] if value is not None else []
+    if not values or float(np.median(values)) >= config.min_highlight_ratio:
+        return []
+    swapped = float(np.median(values)) < -config.min_highlight_ratio
+    return [
+        Finding(
+            "retake",
+            "bank-swapped" if swapped else "no-polarisation",
+            f"all cameras, pattern {pattern}",
+            f"{'less' if swapped else 'no more'} mirror reflection under {names[0]} than under "
+            f"{names[1]}",
+            "more",
+            "The two banks are plugged in the other way round."
+            if swapped
+            else "Are the polarisers on lamps and lenses?",
+            pattern,
+            None,
+        )
+    ]
+
+
+def baseline_findings(
+    pattern: str,
+    shares: Mapping[str, Mapping[str, float]],
+    baseline: Mapping[str, Any] | None,
+    config: ChecksConfig,
+) -> list[Finding]:
+    """A pattern whose light against `full` has left an earlier session's in most cameras."""
+    before = (baseline or {}).get("shares", {}).get(pattern, {})
+    logs = [
+        float(np.log(share / before[camera]))
+        for camera, share in shares.get(pattern, {}).items()
+        if before.get(camera, 0) > 0 and share > 0
+    ]
+    if not logs or abs(float(np.median(logs))) <= np.log1p(config.max_baseline_change):
+        return []
+    off = float(np.expm1(np.median(logs)))
+    return [
+        Finding(
+            "warn",
+            "unlike-before",
+            f"all cameras, pattern {pattern}",
+            f"{100 * off:+.2g} % of its light against the whole's in the session before",
+            f"within {100 * config.max_baseline_change:g} %",
+            "Have lamps gone out or been exchanged? Photograph the grey ball.",
+            pattern,
+            None,
+        )
+    ]

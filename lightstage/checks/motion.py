@@ -1,0 +1,113 @@
+"""Motion between the photographs of a sum: the two parts are moved until they sum to the whole.
+
+The idea of aligning complements together is Wilson's [Wilson2010]; here both parts' shifts against
+the whole are solved at once, from the small pictures, to a fraction of a cell.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from lightstage.checks.photo import Photo
+
+SCALES = (6.0, 3.0, 1.5)
+"""Standard deviation of the blur under which shifts are solved, cells; one after the other."""
+ROUNDS = 2
+FARTHEST = 12.0
+"""Shifts beyond this many cells are not believed."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Shift:
+    """How far the parts of a sum lie from the whole in one camera's photographs.
+
+    Attributes:
+        first_px: (2,) right and down, pixels of the photograph.
+        second_px: (2,) the same of the second part.
+        error_px: standard error of a component.
+    """
+
+    first_px: np.ndarray
+    second_px: np.ndarray
+    error_px: float
+
+    @property
+    def largest_px(self) -> float:
+        """Length of the longer of both."""
+        return float(max(np.hypot(*self.first_px), np.hypot(*self.second_px)))
+
+
+def sum_shift(
+    first: Photo,
+    second: Photo,
+    whole: Photo,
+    gains: np.ndarray | tuple[float, float] = (1.0, 1.0),
+) -> Shift | None:
+    """Solve the shifts of both parts of a sum.
+
+    Args:
+        first: a part.
+        second: the other part.
+        whole: their sum.
+        gains: (2,) factors of the parts.
+
+    Returns:
+        None where sizes differ, or the pictures have nothing to align by.
+    """
+    shape = whole.light.shape
+    if first.light.shape != shape or second.light.shape != shape or min(shape[:2]) < 16:
+        return None
+    a, b = (p.light[..., 1] * np.float32(g) for p, g in zip((first, second), gains, strict=True))
+    w = whole.light[..., 1]
+    full = (first.full | second.full | whole.full).astype(np.uint8)
+    free = cv2.dilate(full, np.ones((5, 5), np.uint8)) == 0
+    shifts, error = np.zeros(4), np.inf
+    for sigma in SCALES:
+        smooth = [cv2.GaussianBlur(picture, (0, 0), sigma) for picture in (a, b, w)]
+        for _ in range(ROUNDS):
+            moved_a, moved_b = moved(smooth[0], -shifts[:2]), moved(smooth[1], -shifts[2:])
+            slopes = [*_slopes(moved_a), *_slopes(moved_b)]
+            design = np.stack([slope[free] for slope in slopes], axis=1).astype(float)
+            left = (smooth[2] - moved_a - moved_b)[free].astype(float)
+            solved = _solve(design, left)
+            if solved is None:
+                return None
+            # What lies too far right by u is w = a + u da/dx: so u comes out with its own sign.
+            shifts, error = np.clip(shifts + solved[0], -FARTHEST, FARTHEST), solved[1] * sigma
+    return Shift(shifts[:2] * whole.cell_px, shifts[2:] * whole.cell_px, error * whole.cell_px)
+
+
+def moved(picture: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """A picture moved right and down by (2,) cells; what comes from outside is as at the edge."""
+    matrix = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], float)
+    size = picture.shape[1], picture.shape[0]
+    return cv2.warpAffine(
+        picture, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+
+
+def _slopes(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Central differences along x and y."""
+    down, right = np.gradient(picture)
+    return right, down
+
+
+def _solve(design: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """(4,) robust least squares, and the mean standard error of a component."""
+    weight = np.ones(len(left))
+    solution: np.ndarray = np.zeros(4)
+    error = np.inf
+    for _ in range(3):
+        normal = design.T @ (design * weight[:, None])
+        values = np.linalg.eigvalsh(normal)
+        if not np.isfinite(values).all() or values[0] <= 1e-6 * max(values[-1], 1e-30):
+            return None
+        solution = np.linalg.solve(normal, design.T @ (left * weight))
+        off = np.abs(left - design @ solution)
+        spread = 1.4826 * float(np.median(off[weight > 0])) + 1e-12
+        weight = 1.0 / np.maximum(off / (3.0 * spread), 1.0)
+        error = float(np.sqrt(np.diag(np.linalg.inv(normal)).mean())) * spread
+    return solution, error

@@ -1,0 +1,322 @@
+"""Measures of one photograph, from its raw counts: a small linear picture, noise, detail."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from lightstage.checks.kernels import DIFFERENCE_GAIN, cells_kernel
+from lightstage.errors import FormatError
+from lightstage.formats.exr import MAGIC, read_exr
+
+BAYER = np.array([[0, 1], [1, 2]])
+PILE_FROM, PILE_SHARE = 0.85, 1e-4
+"""Many pixels of one greatest count, from this share of white on: the sensor is full before white
+[as some are at low ISO]. A photograph that is not full has a few of them at most."""
+COARSE_PX = 32
+"""Longer side of the coarse cells, on which light and noise are compared."""
+LIT_SHARE = 0.1
+"""Of the brightest percent: a cell above it shows lit subject."""
+MIN_QUADS = 4
+"""A photograph of fewer quads a side is no photograph."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Photo:
+    """What is kept of a photograph.
+
+    Attributes:
+        encoding: ``raw`` or ``linear``.
+        size_px: width and height as the camera is held.
+        cell_px: side of a cell of `light`, pixels of the photograph.
+        light: (rows, columns, 3) float32, mean above black as a share of white; the sensor's own
+            red, green and blue, no white balance.
+        full: (rows, columns) bool, cells that hold a clipped pixel.
+        clipped: (3,) share of the lit pixels of each colour that are clipped.
+        clipped_all: share of all pixels.
+        mean: of all pixels, share of white.
+        signal: the brightest percent's green, share of white.
+        noise: (2,) variance of a green pixel in shares of white: what it is without light, and its
+            rise with light.
+        snr: of a green pixel at the lit cells' median.
+        detail: (r, c, 2) float32 on coarse cells, squared second difference of greens at steps of
+            one and three quads, less the noise, share of white squared.
+        coarse: (r, c, 3) float32 mean of `light` on coarse cells.
+        spread: (r, c) float32 standard deviation of `coarse`'s green by noise.
+        wild: pixels that are not finite.
+        digest: of the sums; two different exposures never have the same.
+    """
+
+    encoding: Literal["raw", "linear"]
+    size_px: tuple[int, int]
+    cell_px: float
+    light: np.ndarray
+    full: np.ndarray
+    clipped: np.ndarray
+    clipped_all: float
+    mean: float
+    signal: float
+    noise: np.ndarray
+    snr: float
+    detail: np.ndarray
+    coarse: np.ndarray
+    spread: np.ndarray
+    wild: int
+    digest: str
+
+    @property
+    def flat(self) -> bool:
+        """Whether the picture holds a single value, so that its digest tells nothing."""
+        return bool(np.ptp(self.light) == 0)
+
+    @property
+    def usable(self) -> np.ndarray:
+        """(r, c) bool, coarse cells without a clipped pixel."""
+        pool = pool_size(self.light.shape[:2])
+        return pooled(self.full.astype(float), pool) == 0
+
+
+def measure_photo(path: Path, thumbnail_px: int = 192) -> Photo:
+    """Measure a RAW, DNG or OpenEXR photograph.
+
+    No picture is developed: the raw counts are summed in one pass. Memory is the file's counts and
+    a few hundred kilobytes.
+
+    Args:
+        path: the file.
+        thumbnail_px: longer side of the small picture, at most.
+
+    Raises:
+        FormatError: not there, unreadable, or of less than 8 x 8 pixels.
+    """
+    try:
+        with path.open("rb") as handle:
+            begins = handle.read(4)
+    except OSError as error:
+        raise FormatError(path, found=error.strerror or str(error), expected="a file") from None
+    if begins == MAGIC:
+        image = read_exr(path)
+        mosaic = _mosaic(image)
+        size = image.shape[1], image.shape[0]
+        return measure_counts(mosaic, BAYER, 0.0, math.inf, size, "linear", path, thumbnail_px, 1.0)
+    return _measure_raw(path, thumbnail_px)
+
+
+def _measure_raw(path: Path, thumbnail_px: int) -> Photo:
+    import rawpy
+
+    try:
+        with rawpy.imread(str(path)) as raw:
+            counts = raw.raw_image_visible
+            blacks = np.array(raw.black_level_per_channel, float)
+            white = float(raw.white_level)
+            pattern, letters = raw.raw_pattern, raw.color_desc
+            sizes = raw.sizes
+            # A portrait camera stores landscape rows and a tag; the rig's rows are upright.
+            size = sizes.width, sizes.height
+            if sizes.flip in (5, 6):
+                size = sizes.height, sizes.width
+            bayer = pattern is not None and pattern.shape == (2, 2) and counts.ndim == 2
+            if bayer:
+                top, left = sizes.top_margin, sizes.left_margin
+                kinds = [[raw.raw_color(top + y, left + x) for x in (0, 1)] for y in (0, 1)]
+                black = blacks[kinds]
+                colours = np.array([["RGB".find(chr(letters[k])) for k in row] for row in kinds])
+                bayer = set(colours.ravel().tolist()) == {0, 1, 2}
+            if not bayer:  # grey and other mosaics are measured as grey
+                counts = counts if counts.ndim == 2 else counts[..., 1]
+                colours, black = np.ones((2, 2), np.int64), np.full((2, 2), blacks.mean())
+            if not white > black.max():
+                raise ValueError(f"white level {white:g} below black level {black.max():g}")
+            return measure_counts(
+                counts, colours, black, white, size, "raw", path, thumbnail_px, white - black
+            )
+    except (rawpy.LibRawError, ValueError, OSError) as error:
+        said = error.args[0] if error.args else error
+        raise FormatError(
+            path,
+            found=said.decode() if isinstance(said, bytes) else str(said),
+            expected="a RAW that LibRaw reads",
+            hint="Is the file truncated, or the camera too new for LibRaw?",
+        ) from None
+
+
+def measure_counts(
+    counts: np.ndarray,
+    colours: np.ndarray,
+    black: np.ndarray | float,
+    white: float,
+    size_px: tuple[int, int],
+    encoding: Literal["raw", "linear"],
+    where: Path,
+    thumbnail_px: int = 192,
+    span: np.ndarray | float = 1.0,
+) -> Photo:
+    """Measure a mosaic.
+
+    Args:
+        counts: (h, w).
+        colours: (2, 2) 0, 1 or 2 for each place in a quad.
+        black: counts without light, one number or (2, 2).
+        white: counts from which a pixel is clipped; infinity where none is.
+        size_px: width and height to tell.
+        encoding: to tell.
+        where: what to name in an error.
+        thumbnail_px: longer side of the small picture, at most.
+        span: from black to white, one number or (2, 2).
+
+    Raises:
+        FormatError: fewer than 8 x 8 pixels.
+    """
+    high, wide = counts.shape[0] // 2, counts.shape[1] // 2
+    if min(high, wide) < MIN_QUADS:
+        raise FormatError(
+            where,
+            found=f"{size_px[0]} x {size_px[1]} pixels",
+            expected="a photograph",
+            hint="Is it a preview, or a file of another program?",
+        )
+    quads = -(-max(high, wide) // thumbnail_px)
+    quads = min(quads, min(high, wide))
+    rows, columns = high // quads, wide // quads
+    light, detail = np.empty((rows, columns, 3)), np.empty((rows, columns, 3))
+    clipped, extremes = np.empty((rows, columns, 3), np.int64), np.empty(4)
+    colours = np.ascontiguousarray(colours, np.int64)
+    dark = np.ascontiguousarray(np.broadcast_to(np.asarray(black, float), (2, 2)))
+    cells_kernel(counts, colours, dark, white, quads, light, detail, clipped, extremes)
+    pixels = 4 * quads * quads * rows * columns
+    greatest, pile = float(extremes[1]), int(extremes[2])
+    span_dn = float(np.mean(span))
+    full_early = math.isfinite(white) and PILE_FROM * white <= greatest < white
+    if full_early and pile > max(PILE_SHARE * pixels, 16):
+        cells_kernel(counts, colours, dark, greatest, quads, light, detail, clipped, extremes)
+    digest = hashlib.sha256(light.tobytes() + clipped.tobytes()).hexdigest()
+    return _photo(
+        light / span_dn,
+        detail / span_dn**2,
+        clipped,
+        encoding=encoding,
+        size_px=size_px,
+        quads=quads,
+        per_quad=np.bincount(colours.ravel(), minlength=3),
+        wild=int(extremes[3]),
+        digest=digest,
+    )
+
+
+def _photo(
+    light: np.ndarray,
+    detail: np.ndarray,
+    clipped: np.ndarray,
+    *,
+    encoding: Literal["raw", "linear"],
+    size_px: tuple[int, int],
+    quads: int,
+    per_quad: np.ndarray,
+    wild: int,
+    digest: str,
+) -> Photo:
+    pool = pool_size(light.shape[:2])
+    coarse, fine = pooled(light, pool), pooled(detail, pool)
+    green = light[..., 1]
+    signal = float(np.quantile(green, 0.99))
+    noise = fit_noise(coarse[..., 1], fine[..., 0])
+    lit = green > max(LIT_SHARE * signal, 0.0)
+    level = float(np.median(green[lit])) if lit.any() else 0.0
+    deviation = math.sqrt(max(noise[0] + noise[1] * max(level, 0.0), 0.0))
+    pixels = np.maximum(per_quad * quads * quads * max(int(lit.sum()), 1), 1)
+    variance = np.maximum(noise[0] + noise[1] * np.maximum(coarse[..., 1], 0.0), 0.0)
+    # The mean of a quad's greens has a half or a quarter of a pixel's variance.
+    energy = fine[..., 1:] - DIFFERENCE_GAIN * variance[..., None] / max(per_quad[1], 1)
+    count = max(per_quad[1], 1) * quads**2 * pool**2
+    return Photo(
+        encoding=encoding,
+        size_px=size_px,
+        cell_px=2.0 * quads,
+        light=light.astype(np.float32),
+        full=clipped.sum(axis=2) > 0,
+        clipped=clipped[lit].sum(axis=0) / pixels,
+        clipped_all=float(clipped.sum() / (4 * quads**2 * green.size)),
+        mean=float((light * per_quad).sum() / (per_quad.sum() * green.size)),
+        signal=signal,
+        noise=noise,
+        snr=level / deviation if deviation > 0 else math.inf if level > 0 else 0.0,
+        detail=energy.astype(np.float32),
+        coarse=coarse.astype(np.float32),
+        spread=np.sqrt(variance / count).astype(np.float32),
+        wild=wild,
+        digest=digest,
+    )
+
+
+def fit_noise(level: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Photon transfer: variance = a + b level, along the lower edge of the cells.
+
+    Detail adds to a cell's variance and never takes away; so cells above the line are left out,
+    round by round.
+
+    Args:
+        level: (...) mean of cells.
+        variance: (...) of a pixel in them.
+
+    Returns:
+        (2,) a and b, at least 0.
+    """
+    x, y = np.ravel(level).astype(float), np.ravel(variance).astype(float)
+    good = np.isfinite(x) & np.isfinite(y)
+    x, y = x[good], y[good]
+    if not len(x) or not y.any():
+        return np.zeros(2)
+    keep = np.ones(len(x), bool)
+    line = np.zeros(2)
+    for _ in range(8):
+        weight = 1.0 / np.maximum(y[keep], 1e-3 * y[keep].max() + 1e-300)
+        line = _line(x[keep], y[keep], weight)
+        inside = y <= 1.25 * (line[0] + line[1] * np.maximum(x, 0.0)) + 1e-300
+        if inside.sum() < max(8, len(x) // 20) or (inside == keep).all():
+            break
+        keep = inside
+    return line
+
+
+def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(2,) weighted straight line with neither part negative."""
+    total = weight.sum()
+    mean_x, mean_y = (weight * x).sum() / total, (weight * y).sum() / total
+    spread = (weight * (x - mean_x) ** 2).sum()
+    slope = (weight * (x - mean_x) * (y - mean_y)).sum() / spread if spread > 0 else 0.0
+    slope = max(slope, 0.0)
+    start = mean_y - slope * mean_x
+    if start < 0:
+        squares = (weight * x * x).sum()
+        return np.array([0.0, max((weight * x * y).sum() / squares, 0.0) if squares > 0 else 0.0])
+    return np.array([start, slope])
+
+
+def pool_size(shape: tuple[int, ...]) -> int:
+    """Cells that make a coarse one."""
+    return max(1, round(max(shape) / COARSE_PX))
+
+
+def pooled(picture: np.ndarray, pool: int) -> np.ndarray:
+    """(r, c, ...) mean over whole squares of `pool` cells."""
+    rows, columns = picture.shape[0] // pool, picture.shape[1] // pool
+    rows, columns = max(rows, 1), max(columns, 1)
+    part = picture[: rows * pool, : columns * pool]
+    shape = (rows, part.shape[0] // rows, columns, part.shape[1] // columns, *picture.shape[2:])
+    return part.reshape(shape).mean(axis=(1, 3))
+
+
+def _mosaic(image: np.ndarray) -> np.ndarray:
+    """(h, w) of a picture (h, w) or (h, w, 3), each pixel one colour: as a sensor would see it."""
+    if image.ndim == 2:
+        return image
+    mosaic = np.array(image[..., 1])
+    mosaic[0::2, 0::2] = image[0::2, 0::2, 0]
+    mosaic[1::2, 1::2] = image[1::2, 1::2, 2]
+    return mosaic
