@@ -9,6 +9,13 @@ from lightstage.operator.view import CameraView
 LOW_BATTERY_PERCENT = 20.0
 
 
+def sayable(text: str, encoding: str) -> str:
+    """A text with question marks for what an encoding lacks; whatever a terminal is, it is told."""
+    if encoding.lower().startswith("utf"):
+        return text
+    return text.replace("…", ".").encode(encoding, "replace").decode(encoding)
+
+
 def short(text: str, longest: int) -> str:
     """A text that fits, with two dots where something is missing."""
     return text if len(text) <= longest else f"{text[: longest - 2]}.."

@@ -14,7 +14,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from lightstage.operator.cells import battery, card, short
+from lightstage.operator.cells import battery, card, sayable, short
 from lightstage.operator.view import CameraView, View
 from lightstage.operator.words import (
     ANSWERS,
@@ -88,7 +88,7 @@ class Screen:
             legend = [self._legend(unicode)] if spare >= 1 and width >= LEGIBLE else []
             gap = [Text()] if spare >= 2 else []
             rows = max(2, height - 1 - used - len(legend) - len(gap))
-            yield Group(
+            whole = Group(
                 self._title(width),
                 self._lights(),
                 self._progress(width, unicode),
@@ -97,6 +97,8 @@ class Screen:
                 *legend,
                 *below,
             )
+            for segment in console.render(whole, options):
+                yield segment._replace(text=sayable(segment.text, options.encoding))
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
         return Measurement(40, options.max_width)
@@ -169,7 +171,7 @@ class Screen:
             table.add_row(*cells, self._marks(name, shown, wide, unicode))
         hidden = len(view.cameras) - len(order)
         if hidden:
-            table.add_row(Text(f"and {hidden} more", "dim"))
+            table.add_row(Text(f"+{hidden}", "dim"), Text("more cameras", "dim"))
         return table
 
     def _rows(self, rows: int) -> list[str]:

@@ -25,6 +25,7 @@ from lightstage.operator.attendance import (
     by_rule,
     may_accept,
 )
+from lightstage.operator.cells import sayable
 from lightstage.operator.keys import has_keys, heard, key_by_key
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.view import View
@@ -205,6 +206,7 @@ class Shown:
                     return
                 text = self._lines.popleft()
             try:
+                text = sayable(text, self._console.encoding)
                 self._console.print(Text(text), soft_wrap=True)
             except OSError:  # the reader is gone
                 return

@@ -27,27 +27,7 @@ JSON = st.recursive(
     max_leaves=8,
 )
 EVENTS = [*_WORDS]
-    "begin",
-    "resume",
-    "devices",
-    "lit",
-    "trigger",
-    "exposed",
-    "frame",
-    "failed",
-    "finding",
-    "rejected",
-    "recovered",
-    "deleting",
-    "deleted",
-    "shot",
-    "calibration",
-    "note",
-    "aborted",
-    "end",
-]
 FIELDS = [
-]
     "id",
     "time_utc",
     "elapsed_s",

@@ -1,0 +1,185 @@
+"""The picture: readable on small terminals, without colours, without Unicode, for many cameras."""
+
+import io
+import re
+from xml.etree import ElementTree
+
+import pytest
+from rich.console import Console
+
+from lightstage.operator.command import drawn
+from lightstage.operator.screen import Ask, Screen
+from lightstage.operator.view import View
+from lightstage.operator.words import Said, said
+
+RUNNING = ("retake", "pause", "abort")
+
+
+def shown(lines):
+    view = View("sessions/P1")
+    for line in lines:
+        view.told(line)
+    return view
+
+
+def picture(view, ask=None, columns=60, rows=24, encoding="utf-8", **more):
+    file = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors="strict")
+    console = Console(file=file, width=columns, height=rows, legacy_windows=False, **more)
+    console.print(Screen(view, ask or Ask(keys=RUNNING)))
+    file.seek(0)
+    return file.read().rstrip("\n").split("\n")
+
+
+@pytest.fixture
+def busy(story):
+    told = story(9)
+    told.begin()
+    for pattern in told.patterns[:3]:
+        told.shoot(pattern)
+    told.light("y+")
+    for camera in told.cameras[:5]:
+        told.keep("y+", camera)
+    told.expose("y+", "cam5")
+    why = "no answer within 30 s, " * 20
+    told.add("failed", pattern="y+", camera="cam8", take=1, said=why)
+    return told
+
+
+@pytest.mark.parametrize("columns", [60, 80, 120, 200])
+@pytest.mark.parametrize("rows", [24, 50])
+def test_nine_cameras_their_states_and_the_keys_fit(busy, columns, rows):
+    lines = picture(shown(busy.lines), None, columns, rows)
+    assert len(lines) < rows
+    assert max(map(len, lines)) <= columns
+    text = "\n".join(lines)
+    for camera in busy.cameras:
+        assert len(re.findall(rf"^{camera} ", text, re.M)) == 1
+    assert text.count("kept") >= 5
+    for part in ("downloading", "triggering", "FAILED", "LIGHT ON: y+", "acknowledged"):
+        assert part in text
+    for part in ("32 of 63 photographs", "left", "no answer within 30 s", " q ", "dark at once"):
+        assert part in text
+    assert ("6012305" in text) == (columns >= 100)
+
+
+@pytest.mark.parametrize("columns", [60, 100])
+def test_a_question_says_what_was_found_what_to_do_and_which_keys(busy, columns):
+    line = busy.not_taken("y+", "cam8", "no answer within 30 s")
+    view = shown(busy.lines)
+    text = " ".join(picture(view, Ask([said(line)], ("retake", "abort")), columns))
+    text = " ".join(text.split())
+    for part in ("y+ by cam8: no answer within 30 s.", "Look at its cable and battery"):
+        assert part in text
+    assert "What now?" in text
+    assert " r take it again q stop, dark at once" in text
+    assert "accept" not in text
+
+
+def test_very_many_findings_leave_room_for_cameras_and_keys(busy):
+    findings = [Said("problem", f"photograph {i} is blurred", "Do something.") for i in range(90)]
+    lines = picture(shown(busy.lines), Ask(findings, RUNNING), 60, 24)
+    text = "\n".join(lines)
+    assert len(lines) < 24
+    assert "photograph 0 is blurred" in text
+    assert "more" in text
+    assert "cam8" in text  # the one that failed
+    assert " q " in text
+
+
+def test_more_cameras_than_rows_show_those_that_need_somebody(story):
+    told = story(60)
+    told.begin()
+    told.light("full")
+    for camera in told.cameras[:50]:
+        told.keep("full", camera)
+    told.add("failed", pattern="full", camera="cam57", take=1, said="gone")
+    lines = picture(shown(told.lines), rows=24)
+    text = "\n".join(lines)
+    assert len(lines) < 24
+    assert re.search(r"cam57 +FAILED", text)
+    assert re.search(r"\+\d+ +more cameras", text)
+
+
+def test_a_long_sequence_is_shown_around_the_present_pattern(story):
+    told = story(9, [f"olat-{i:03}" for i in range(168)])
+    told.begin()
+    for pattern in told.patterns[:100]:
+        told.shoot(pattern)
+    told.light("olat-100")
+    lines = picture(shown(told.lines), None, 80)
+    row = next(line for line in lines if line.startswith("cam3"))
+    assert max(map(len, lines)) <= 80
+    assert "▶" in row
+    assert "✓" in row
+    assert "·" in row
+    assert re.search(r"\d+-\d+ of 168", "\n".join(lines))
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_a_terminal_without_unicode_gets_plain_signs(busy, encoding):
+    text = "\n".join(picture(shown(busy.lines), None, 100, 40, encoding))
+    row = next(line for line in text.split("\n") if line.startswith("cam0"))
+    assert text.isascii()
+    assert re.search(r"\+ +\+ +\+ +\+ +\. +\. +\.", row)
+
+
+def test_no_colour_carries_a_meaning_alone(busy):
+    """The same text, without any control code, on a terminal without colour."""
+    view = shown(busy.lines)
+    plain = picture(view, None, 100, 40)
+    colours = picture(view, None, 100, 40, force_terminal=True, color_system="truecolor")
+    bare = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in colours]
+    assert any("\x1b[" in line for line in colours)
+    assert bare == plain
+    row = next(line for line in plain if line.startswith("cam8"))
+    assert "FAILED" in row
+    assert "✗" in row
+    assert "18%!" in row
+
+
+def test_no_color_is_respected(busy, monkeypatch):
+    monkeypatch.setenv("NO_COLOR", "1")
+    lines = picture(shown(busy.lines), force_terminal=True, color_system="truecolor")
+    codes = set(re.findall(r"\x1b\[([0-9;]*)m", "\n".join(lines)))
+    assert all(int(part or 0) < 10 for code in codes for part in code.split(";"))
+
+
+def test_lights_that_do_not_acknowledge_are_said(story):
+    told = story(2)
+    told.begin()
+    told.add("lit", pattern="full", acknowledged=False)
+    assert "! NOT acknowledged" in "\n".join(picture(shown(told.lines)))
+
+
+def test_what_devices_say_is_no_markup_and_no_control_code(story):
+    told = story(2)
+    told.cameras = ["[bold]x[/bold]", "\x1b[31mred"]
+    told.begin()
+    told.add("failed", pattern="[link=http://x]", camera="\x1b[31mred", said="[/] \x1b[2J \x07")
+    lines = picture(shown(told.lines), None, 120, 40)
+    text = "\n".join(lines)
+    assert "\x1b" not in text
+    assert "\x07" not in text
+    assert "[bold]x[/bold]" in text
+
+
+def test_each_end_is_told(story, replay):
+    told = story(2)
+    assert "being checked" in "\n".join(picture(View("S"), Ask()))
+    told.begin()
+    told.shoot("full")
+    told.add("note", said="paused, the lights are dark")
+    assert "DARK (paused)" in "\n".join(picture(shown(told.lines)))
+    told.add("aborted", said="capture: found the operator's wish to end it")
+    text = " ".join(" ".join(picture(shown(told.lines), Ask())).split())
+    assert "STOPPED" in text
+    assert "DARK (stopped)" in text
+    assert "lightstage capture --resume --out sessions/P1" in text
+    assert "COMPLETE" in "\n".join(picture(shown(replay), Ask()))
+
+
+@pytest.mark.parametrize("columns", [40, 100])
+def test_a_picture_is_a_whole_svg(busy, columns):
+    svg = drawn(Screen(shown(busy.lines)), columns)
+    assert ElementTree.fromstring(svg).tag.endswith("svg")
+    assert "cam8" in svg
