@@ -9,7 +9,7 @@ from typing import Any
 
 from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.rig import Rig
-from lightstage.session.pseudonym import check_pseudonym
+from lightstage.session.pseudonym import check_consent, check_pseudonym
 
 _NAME = re.compile(r"\w[\w@+.-]{0,99}")
 _TAKE = re.compile(r"\.take\d+$")
@@ -51,7 +51,11 @@ class SessionPlan:
 
         subject = pseudonym(self.subject, "subject")
         expression = pseudonym(self.expression, "expression")
-        consent = None if self.consent is None else pseudonym(self.consent, "consent")
+        if self.consent is not None:
+            try:
+                check_consent(self.consent)
+            except ConfigError as error:
+                problems.append(error)
         cameras = [camera.id for camera in rig.cameras]
         for what, names in (("pattern", self.sequence), ("camera", cameras)):
             folded: dict[str, str] = {}
@@ -75,7 +79,7 @@ class SessionPlan:
                     )
         if problems:
             raise one_error(problems)
-        return dataclasses.replace(self, subject=subject, expression=expression, consent=consent)
+        return dataclasses.replace(self, subject=subject, expression=expression)
 
     def facts(self) -> dict[str, Any]:
         """As a journal's first line has it."""

@@ -2,26 +2,44 @@
 
 from __future__ import annotations
 
-import re
 import unicodedata
 
 from lightstage.errors import ConfigError
+from lightstage.session.names import consent_problem, pseudonym_problem
 
 
 def check_pseudonym(text: str, field: str) -> str:
-    """A subject, expression or consent record's id as a session may carry it.
+    """A subject or expression as a session may carry it, in one spelling (`names`).
 
     Raises:
-        ConfigError: empty, too long, or characters other than letters, digits, space . _ -: a path,
-            an e-mail address or a control character must not get into a session.
+        ConfigError: empty, too long, or what could be a path, an e-mail address, a control
+            character, or a name that only looks like another.
     """
     # Letters with their accents as one character, however a keyboard or a file name wrote them.
     composed = unicodedata.normalize("NFC", text)
-    if not re.fullmatch(r"[\w][\w .-]{0,63}", composed):
+    wanted = pseudonym_problem(composed)
+    if wanted is not None:
         raise ConfigError(
             f"--{field}",
-            found=repr(text),
-            expected="1 to 64 letters, digits, spaces, dots, hyphens, underscores",
+            found=ascii(text),  # what looks like something else shall not be printed
+            expected=wanted,
             hint="Use a pseudonym, never a name, an address or a path.",
         )
     return composed
+
+
+def check_consent(text: str) -> str:
+    """The id of a consent record as a session may carry it (`names.consent_problem`).
+
+    Raises:
+        ConfigError: no such id.
+    """
+    wanted = consent_problem(text)
+    if wanted is not None:
+        raise ConfigError(
+            "--consent",
+            found=ascii(text),
+            expected=wanted,
+            hint="Give the record's number; the record itself stays where it is.",
+        )
+    return text

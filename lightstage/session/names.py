@@ -1,0 +1,53 @@
+"""Which texts may stand for a person, and which for a consent record."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+LONGEST = 64
+RESERVED = frozenset(
+    ["con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))]
+)
+"""Device names that no file may have on Windows, whatever follows a dot."""
+SCRIPTS = ("LATIN", "GREEK", "CYRILLIC")
+"""Scripts whose letters look alike."""
+
+
+def pseudonym_problem(text: str) -> str | None:
+    """Why a text cannot stand for a person in a session; None where it can.
+
+    Refused are paths, addresses, control and invisible characters, letters that only look like
+    others (full width, mathematical, scripts mixed so that two subjects look the same), names that
+    a file system changes (a dot or space at the end) or keeps for itself.
+
+    Args:
+        text: composed (NFC).
+    """
+    if not re.fullmatch(rf"\w[\w .-]{{0,{LONGEST - 1}}}", text):
+        return "letters, digits, spaces, dots, hyphens and underscores, 1 to 64"
+    if unicodedata.normalize("NFKC", text) != text:
+        return "plain letters (no full-width or styled ones)"
+    if text[-1] in ". " or ".." in text:
+        return "no dot or space at the end, no two dots together"
+    if text.split(".")[0].rstrip().casefold() in RESERVED:
+        return "no name that a system keeps for itself"
+    scripts = {s for s in SCRIPTS for c in text if unicodedata.name(c, "").startswith(s)}
+    if len(scripts) > 1:
+        return f"letters of one script, not of {' and '.join(sorted(scripts))} (they look alike)"
+    return None
+
+
+def consent_problem(text: str) -> str | None:
+    """Why a text is no id of a consent record; None where it is.
+
+    An id is 2 to 64 ASCII letters, digits and ``. _ -``, begins with a letter or digit, ends with
+    one, and holds at least one digit: a number in a list, never a name.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}[A-Za-z0-9]", text):
+        return "2 to 64 letters (a to z), digits, dots, hyphens and underscores"
+    if ".." in text:
+        return "no two dots together"
+    if not re.search(r"[0-9]", text):
+        return "an id with a digit, such as C-2026-0041, never a name"
+    return None
