@@ -130,20 +130,20 @@ def _row(
 
 def _show(rows: list[dict[str, Any]], own: dict[str, UserPattern]) -> None:
     table = Table(box=None, pad_edge=False)
-    for head in ("pattern", "lit", "mean level", "highest", "on a plane", ""):
-        table.add_column(head, justify="left" if head in ("pattern", "") else "right")
+    for head in ("pattern", "lit", "mean level", "highest", "on a plane"):
+        table.add_column(head, justify="left" if head == "pattern" else "right")
     for row in rows:
-        name = row["pattern"]
-        mine = own.get(name.partition("@")[0])
         table.add_row(
-            name,
+            row["pattern"],
             str(row["lit"]),
             f"{row['mean_level']:.4f}",
             f"{row['most_level']:.4f}",
             str(row["on_plane"] or ""),
-            "" if mine is None else f"your own, by {mine.kind}: {mine.said}",
         )
     Console().print(table)
+    shown = {row["pattern"].partition("@")[0] for row in rows}
+    for mine in (pattern for name, pattern in own.items() if name in shown):
+        print(f"{mine.name}, your own, by {mine.kind}: {mine.said}")
 
 
 def _list_sequences(rig: Rig, as_json: bool) -> None:

@@ -6,7 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightstage.errors import PatternError
-from lightstage.patterns import SEQUENCES, pattern_levels, sequence_patterns
+from lightstage.patterns import (
+    MEANINGS,
+    SEQUENCES,
+    light_weights,
+    on_plane,
+    pattern_levels,
+    sequence_patterns,
+)
+from lightstage.patterns.names import has_coloured_lights, is_reserved
 from lightstage.rig import Light, Rig, default_rig
 
 
@@ -104,3 +112,66 @@ def test_sequences_are_named_or_listed():
     for names in SEQUENCES.values():
         for name in names:
             pattern_levels(name, default_rig())
+
+
+def test_mux_holds_all_six_gradients_where_lights_are_coloured():
+    """Three lights of one colour each at every place: channel by channel a binary gradient."""
+    places = np.repeat(default_rig().positions_mm, 3, axis=0)
+    colours = np.tile(np.eye(3), (168, 1))
+    lights = [
+        Light(i, f"l{i}", tuple(p), "vertical", tuple(c))
+        for i, (p, c) in enumerate(zip(places.tolist(), colours.tolist(), strict=True))
+    ]
+    rig = Rig(tuple(lights), ())
+    assert has_coloured_lights(rig)
+    for shot, sign in (("mux-1", "+"), ("mux-2", "-")):
+        levels = pattern_levels(shot, rig)
+        for channel, axis in enumerate("xyz"):
+            known = pattern_levels(axis + sign, default_rig())
+            assert np.array_equal(levels[channel::3], known)
+
+
+def test_mux_is_one_diagonal_gradient_where_lights_are_white():
+    rig = default_rig()
+    assert not has_coloured_lights(rig)
+    first, second = pattern_levels("mux-1", rig), pattern_levels("mux-2", rig)
+    assert np.allclose(first + second, 1)
+    assert np.allclose(first, sum(pattern_levels(f"{a}+", rig) for a in "xyz") / 3)
+    moment = (first * light_weights(rig)) @ rig.positions_mm
+    assert np.allclose(moment / moment.max(), 1, atol=0.05)
+
+
+def test_a_light_without_gain_has_a_level_too():
+    rig = Rig((Light(0, "l", (1000.0, 1000.0, -1000.0), "vertical", (0.0, 0.0, 0.0)),), ())
+    assert pattern_levels("mux-1", rig) == pytest.approx([2 / 3])
+
+
+def test_the_sequence_olat_goes_through_the_rigs_lights():
+    rig = default_rig()
+    names = sequence_patterns("olat", rig)
+    assert len(names) == 168
+    assert np.array_equal(sum(pattern_levels(n, rig) for n in names), np.ones(168))
+    with pytest.raises(PatternError, match="found no rig"):
+        sequence_patterns("olat")
+
+
+def test_sequences_may_be_joined_with_each_other_and_with_patterns():
+    assert sequence_patterns("mux,dark, polarised") == (
+        "mux-1", "mux-2", "dark", "full@parallel", "full@cross",
+    )  # fmt: skip
+
+
+def test_every_sequence_is_explained():
+    assert list(MEANINGS) == [*SEQUENCES, "olat"]
+
+
+def test_lights_on_a_splitting_plane_are_told_by_axis():
+    rig = rig_at((0, 1250, 0), (1e-4, 900, 900), (800, 0, 900), (1, 1, 1))
+    assert on_plane(rig) == {"x": [0, 1], "y": [2], "z": [0]}
+    assert on_plane(default_rig()) == {}
+
+
+@pytest.mark.parametrize("name", ["full", "dark", "x+", "lin-z-", "olat", "olat-000", "mux-1"])
+def test_names_of_the_stage_are_reserved(name):
+    assert is_reserved(name)
+    assert not is_reserved("rim-light")

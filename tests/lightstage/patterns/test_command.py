@@ -1,0 +1,121 @@
+"""`lightstage patterns`, as an operator runs it."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from lightstage.commands import make_app
+from lightstage.errors import ConfigError, PatternError
+from lightstage.formats.exr import write_exr
+from lightstage.patterns.command import register
+from lightstage.rig import save_rig
+from tests.lightstage.patterns.rigs import rig_at
+
+
+def run(*arguments):
+    """Exit code's error where there is one, and the lines printed."""
+    app = make_app("test")
+    register(app)
+    app.command("other")(lambda: None)
+    result = CliRunner().invoke(app, ["patterns", *map(str, arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.output.splitlines()
+
+
+@pytest.fixture
+def octahedron(tmp_path):
+    places = np.concatenate([np.eye(3), -np.eye(3)]) * 1000.0
+    return save_rig_with_camera(tmp_path, places)
+
+
+def save_rig_with_camera(tmp_path, places):
+    from dataclasses import replace
+
+    from lightstage.rig import default_rig
+
+    rig = replace(rig_at(places), cameras=default_rig().cameras[:1])
+    return save_rig(rig, tmp_path / "rig.json")
+
+
+def test_without_a_sequence_they_are_listed():
+    said = "\n".join(run())
+    for name, shots in (("binary", 7), ("mux", 2), ("olat", 168), ("ambient", 8)):
+        assert any(line.split()[:2] == [name, str(shots)] for line in said.splitlines())
+
+
+def test_a_sequence_is_told_pattern_by_pattern_with_the_evenness_of_full():
+    lines = run("binary")
+    assert [line.split()[:2] for line in lines[1:8]] == [
+        ["full", "168"], *([f"{a}{s}", "84"] for a in "xyz" for s in "+-"),
+    ]  # fmt: skip
+    assert lines[-1].startswith("7 patterns on 168 lights driven by solid angle")
+    assert "uneven by 0.50 %" in lines[-1]
+    assert "uneven by 14.10 %" in run("binary", "--drive", "on-off")[-1]
+
+
+def test_lights_on_a_splitting_plane_are_told(octahedron):
+    facts = json.loads(run("x+,lin-y-,mux-1,full", "--rig", octahedron, "--json")[-1])
+    assert facts["on_plane"] == {"x": [1, 2, 4, 5], "y": [0, 2, 3, 5], "z": [0, 1, 3, 4]}
+    assert [row["on_plane"] for row in facts["patterns"]] == [4, 4, 6, 0]
+    told = [line for line in run("x+", "--rig", octahedron) if line.startswith("On the plane")]
+    assert told[0] == "On the plane x = 0, half in each of a pair: 4 lights (1, 2, 4, 5)"
+    half = json.loads(run("x+@parallel", "--rig", octahedron, "--json")[-1])["patterns"][0]
+    assert half["on_plane"] == 2  # lights 2 and 4 are of the vertical bank
+
+
+def test_mux_says_what_white_lights_cannot():
+    assert any("one diagonal" in line for line in run("mux"))
+    assert not any("one diagonal" in line for line in run("binary"))
+
+
+def test_a_sheet_is_drawn(tmp_path):
+    lines = run("binary", "--out", tmp_path / "sheet.png")
+    assert lines[-1].endswith(f"drawn in {tmp_path / 'sheet.png'}")
+    assert cv2.imread(str(tmp_path / "sheet.png")).shape[1] > 1100
+
+
+def test_ones_own_patterns_are_listed_and_drawn(tmp_path):
+    write_exr(tmp_path / "sky.exr", np.ones((8, 16, 3)))
+    own = tmp_path / "own.toml"
+    own.write_text('[patterns.rim]\nnames = ["arc06/*"]\n[patterns.sky]\nenvironment = "sky.exr"\n')
+    facts = json.loads(run("--patterns", own, "--json", "--out", tmp_path / "o.png")[-1])
+    assert [row["pattern"] for row in facts["patterns"]] == ["rim", "sky"]
+    assert facts["patterns"][0]["lit"] == 14
+    assert facts["own"]["sky"]["scale"] > 0
+    assert (tmp_path / "o.png").is_file()
+    lines = run("full,rim@cross", "--patterns", own)
+    assert lines[2].split()[:2] == ["rim@cross", "7"]
+    assert "rim, your own, by lights: 14 of 168 lights" in lines
+    assert not any(line.startswith("sky") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nope"], "unknown name"),
+        (["full,full"], "twice"),
+        (["binary", "--drive", "loud"], "--drive: found 'loud'"),
+        (["binary", "--out", "sheet.jpg"], "found .jpg, expected .png"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, said):
+    with pytest.raises(PatternError, match=said):
+        run(*arguments)
+
+
+def test_a_missing_file_of_patterns_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="no such file"):
+        run("full", "--patterns", tmp_path / "none.toml")
+
+
+def test_more_patterns_than_a_sheet_can_show_are_refused(tmp_path):
+    from lightstage.patterns.weights import directions
+
+    many = save_rig_with_camera(tmp_path, directions(601) * 1000)
+    with pytest.raises(PatternError, match="found 601 patterns, expected at most 600"):
+        run("olat", "--rig", many, "--out", tmp_path / "s.png")
+    assert len(json.loads(run("olat", "--rig", many, "--json")[-1])["patterns"]) == 601
