@@ -87,7 +87,7 @@ def read_exif(path: Path) -> Exif:
         path: of a RAW or DNG; another file (OpenEXR) tells nothing.
 
     Raises:
-        OSError: the file cannot be opened. Damaged headers tell less; they are no error.
+        OSError: the file cannot be read. Damaged headers tell less; they are no error.
     """
     with path.open("rb", buffering=1 << 14) as file:
         return _collect(list(_parts(Reader(file))))

@@ -7,6 +7,7 @@ entries and of bytes read is limited, so that no file makes a reader slow.
 from __future__ import annotations
 
 import dataclasses
+import errno
 import struct
 from collections.abc import Iterator
 from typing import BinaryIO
@@ -71,12 +72,20 @@ class Reader:
         self._left = [MAX_READ_BYTES]
 
     def bytes_at(self, place: int, size: int) -> bytes:
-        """So many bytes at a place after the base; fewer where the file or the limit ends."""
+        """So many bytes at a place after the base; fewer where the file or the limit ends.
+
+        Raises:
+            OSError: the disk failed.
+        """
         size = max(0, min(size, self._left[0]))
         try:
             self._file.seek(self.base + place)
             data = self._file.read(size)
-        except (OSError, ValueError, OverflowError):
+        except (ValueError, OverflowError):
+            return b""
+        except OSError as error:
+            if error.errno != errno.EINVAL:  # no such place; anything else is the disk's
+                raise
             return b""
         self._left[0] -= len(data)
         return data

@@ -16,6 +16,7 @@ from lightstage.preflight.values import (
     same_exposure,
 )
 from lightstage.rig import Camera
+from lightstage.session.disk import disk_errors
 
 CLOCK_GRAIN_S = 2.0
 """A file tells whole seconds, and some cameras the moment before the shutter."""
@@ -47,9 +48,13 @@ def photograph_findings(
     Returns:
         ``refuse`` where another camera took it or a person or place is in it; ``retake`` where a
         setting drifted; ``warn`` where its time is off.
+
+    Raises:
+        CaptureError: the disk does not give the file.
     """
-    found = read_exif(path)
-    findings = []
+    with disk_errors(path):
+        found = read_exif(path)
+    findings: list[Finding] = []
 
     def finding(
         severity: Severity, code: str, name: str, said: str, wanted: str, hint: str

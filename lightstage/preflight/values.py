@@ -12,7 +12,9 @@ from collections.abc import Callable
 MANUAL = ("m", "manual", "manual exposure", "manual mode")
 MANUAL_FOCUS = ("m", "mf", "manual", "manual focus", "off")
 RAW_NAMES = r"raw|craw|nef|nrw|cr2|cr3|arw|dng|raf|pef|orf|rw2"
-SMALL_RAW = r"\b[sm]\s?raw\d?\b|\braw\s?[sm]\b|\b(?:small|medium) raw\b"
+SMALL_RAW = (
+    r"\b[sm]\s?raw\d?\b|\braw\s?[sm]\b|\b(?:small|medium) raw\b|\braw \((?:small|medium|[sm])\)"
+)
 """Reduced RAWs are no mosaic of the sensor."""
 JPEG_NAMES = r"jpe?g|fine|normal|basic|large|medium|small|[lms]"
 SAME_BALANCE = (
@@ -20,7 +22,7 @@ SAME_BALANCE = (
     ("tungsten", "incandescent"),
     ("fluorescent", "flourescent", "white fluorescent"),
     ("shade", "shadow"),
-    ("color temperature", "colour temperature", "choose color temp", "kelvin", "k"),
+    ("color temperature", "colour temperature", "choose color temperature", "kelvin", "k"),
     ("preset", "preset manual", "manual", "custom"),
 )
 SAME_EXPOSURE = 0.01

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lightstage.cameras.camera import Summary
+from lightstage.errors import CaptureError
 from lightstage.formats.exr import write_exr
 from lightstage.preflight import photograph_findings
 from sim.camera import dng
@@ -90,3 +91,8 @@ def test_a_time_without_a_zone_may_be_a_zone_off_but_not_a_day(photograph, small
     assert look(later, small_rig, exposed_utc=EXPOSED) == [("warn", "clock")]
     old = photograph(taken="2026:03:03 05:06:07", offset=None)
     assert look(old, small_rig, exposed_utc=EXPOSED) == [("warn", "clock")]
+
+
+def test_a_photograph_that_is_gone_is_the_disks_fault(tmp_path, small_rig):
+    with pytest.raises(CaptureError, match="gone"):
+        look(tmp_path / "none.dng", small_rig)

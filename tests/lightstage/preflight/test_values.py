@@ -109,6 +109,7 @@ def test_different_settings_are_different(name, one, other):
         ("mRAW", {"small raw"}),
         ("sRAW + Large Fine JPEG", {"small raw", "jpeg"}),
         ("RAW S", {"small raw"}),
+        ("RAW (Medium)", {"small raw"}),
         ("TIFF (RGB)", {"tiff"}),
         ("TIF", {"tiff"}),
         ("HEIF", {"heif"}),
