@@ -19,6 +19,8 @@ from lightstage.errors import CaptureError, DeviceError
 STDERR_BYTES = 1 << 16
 GRACE_S = 2.0
 """So long a child may take to let go of its camera when it is closed."""
+DEATH_S = 0.5
+"""So long a child may take to end after it closed its answers, so that its status is its own."""
 KILL_S = 2.0
 """So long the kernel may take to end a killed process; one that is stuck in it is left behind."""
 
@@ -63,7 +65,7 @@ class Child:
     @property
     def alive(self) -> bool:
         """Whether it can be asked."""
-        return self._open and self._child.poll() is None
+        return self._open and not self._ended_within(0.0)
 
     def ask(self, command: dict[str, Any], deadline_s: float) -> dict[str, Any]:
         """Send one command and wait for its answer.
@@ -122,8 +124,7 @@ class Child:
                     with contextlib.suppress(OSError):
                         assert self._child.stdin is not None
                         self._child.stdin.close()  # its commands end, and it with them
-                    with contextlib.suppress(subprocess.TimeoutExpired):
-                        self._child.wait(GRACE_S)
+                    self._ended_within(GRACE_S)
                     self._end()
             finally:
                 self._turn.release()
@@ -147,6 +148,7 @@ class Child:
 
     def _died(self, doing: str, said: str) -> DeviceError:
         """Its death as an error; `_turn` is held."""
+        self._ended_within(DEATH_S)
         self._end()
         lines = self._last_words.splitlines()
         return DeviceError(
@@ -158,11 +160,25 @@ class Child:
             hint="Switch the camera off and on, then try again.",
         )
 
+    def _ended_within(self, seconds: float) -> bool:
+        """Whether it ends by itself; it stays a zombie, so that its number is nobody else's."""
+        until = time.monotonic() + seconds
+        while self._child.returncode is None:
+            try:
+                if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
+                    return True
+            except ChildProcessError:  # another thread has just seen to it
+                return True
+            if time.monotonic() >= until:
+                return False
+            time.sleep(0.005)
+        return True
+
     def _kill(self) -> None:
-        """SIGKILL for it and whatever it started."""
-        if self._child.poll() is None:
+        """SIGKILL for it and whatever it started, also where it has ended already."""
+        if self._child.returncode is None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._child.pid, signal.SIGKILL)
+                os.killpg(self.pid, signal.SIGKILL)
 
     def _end(self) -> None:
         """Kill it, wait for that, and close what led to it; `_turn` is held. Once is enough."""

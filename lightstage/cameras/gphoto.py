@@ -102,6 +102,7 @@ class GphotoCamera:
     def card(self) -> tuple[CardFile, ...]:
         """Every photograph in all folders of all its cards, oldest first."""
         found = self._link.again("card", lambda: sorted(self._walk("/")))
+        self._events.know(name for _, name, _ in found)
         return tuple(CardFile(name, size) for _, name, size in found)
 
     def trigger(self, at_s: float) -> Exposure:
@@ -114,6 +115,9 @@ class GphotoCamera:
         operations = link.camera.get_abilities().operations
         can_trigger = operations & library.GP_OPERATION_TRIGGER_CAPTURE
         triggered_s = at_s
+        if self._events.owed:
+            self._events.drain(link)
+            self.card()  # what has come since is not this shot's
 
         def expose() -> str | None:
             nonlocal triggered_s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from typing import Any
 
 from lightstage.cameras import gphoto_settings as known
@@ -17,14 +18,18 @@ LONGEST_WAIT_MS = 250
 class Events:
     """The queue of events of one connection.
 
-    A file is a shot's when it is told after its trigger and was not told before. After a shot that
-    did not give all its files, some of them may still come: the next one listens until the camera
-    is quiet, and refuses more than one shot can have made.
+    A file is a shot's when it is told after its trigger and was not known before. After a shot
+    that did not give all its files (`owed`), some of them may still come: the next one listens
+    until the camera is quiet, and refuses more than one shot can have made.
     """
 
     def __init__(self) -> None:
-        self._told: set[str] = set()
-        self._owed = False
+        self._known: set[str] = set()
+        self.owed = False
+
+    def know(self, names: Iterable[str]) -> None:
+        """These are on the card already: no later shot's."""
+        self._known.update(names)
 
     def drain(self, link: Link) -> None:
         """Take what is in the queue, until the camera is quiet; never longer than its patience."""
@@ -35,7 +40,7 @@ class Events:
             except link.library.GPhoto2Error:
                 return  # the command that follows says what is wrong
             if kind == link.library.GP_EVENT_FILE_ADDED:
-                self._told.add(joined(data))
+                self._known.add(joined(data))
             if kind == link.library.GP_EVENT_TIMEOUT:
                 return
 
@@ -52,7 +57,7 @@ class Events:
         Raises:
             DeviceError: no file came, or more than one shot makes; what came stays on the card.
         """
-        strict, self._owed = self._owed, True
+        strict, self.owed = self.owed, True
         names: list[str] = [] if first is None else [first]
         exposed_s = time.monotonic()
         heard_s, complete = exposed_s, first is not None and wanted == 1
@@ -66,13 +71,13 @@ class Events:
             kind, data = self._next(link, until)
             if kind == link.library.GP_EVENT_FILE_ADDED:
                 name = joined(data)
-                if name not in self._told and name not in names:
+                if name not in self._known and name not in names:
                     exposed_s = exposed_s if names else time.monotonic()
                     names.append(name)
                 heard_s = time.monotonic()
             elif kind == link.library.GP_EVENT_CAPTURE_COMPLETE:
                 complete, heard_s = True, time.monotonic()
-        self._told.update(names)
+        self._known.update(names)
         shots = {known.stem(name) for name in names}
         if len(shots) != 1:
             raise DeviceError(
@@ -84,7 +89,7 @@ class Events:
                 if shots
                 else "Is its card full? Did it focus?",
             )
-        self._owed = len(names) < wanted
+        self.owed = len(names) < wanted
         return tuple(sorted(names, key=known.raw_first)), exposed_s
 
     def _next(self, link: Link, until: float) -> tuple[int, Any]:

@@ -13,30 +13,16 @@ import fcntl
 import os
 import select
 import signal
-import sys
-import threading
 
-if sys.platform == "linux":
 
-    def end_with(handle: int) -> None:
-        """Be killed when the pipe's other end is closed.
+def end_with(handle: int) -> None:
+    """Be killed when the pipe's other end is closed.
 
-        Args:
-            handle: the pipe's end for reading; nothing is ever written to the other.
-        """
-        fcntl.fcntl(handle, fcntl.F_SETOWN, os.getpid())
-        fcntl.fcntl(handle, fcntl.F_SETSIG, signal.SIGKILL)
-        fcntl.fcntl(handle, fcntl.F_SETFL, fcntl.fcntl(handle, fcntl.F_GETFL) | os.O_ASYNC)
-        if select.select([handle], [], [], 0)[0]:  # it was closed before we asked to be told
-            os._exit(1)
-
-else:
-
-    def end_with(handle: int) -> None:
-        """End when the pipe's other end is closed; a driver that holds Python's lock delays it."""
-
-        def watch() -> None:
-            os.read(handle, 1)
-            os._exit(1)
-
-        threading.Thread(target=watch, daemon=True).start()
+    Args:
+        handle: the pipe's end for reading; nothing is ever written to the other.
+    """
+    fcntl.fcntl(handle, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(handle, fcntl.F_SETSIG, signal.SIGKILL)
+    fcntl.fcntl(handle, fcntl.F_SETFL, fcntl.fcntl(handle, fcntl.F_GETFL) | os.O_ASYNC)
+    if select.select([handle], [], [], 0)[0]:  # it was closed before we asked to be told
+        os._exit(1)
