@@ -59,6 +59,7 @@ class CodedStage:
         story: what goes wrong.
         seed: of the photographs.
         shown: called whenever the lamps changed and all cameras see it.
+        watchdog_s: the LED device goes dark by itself after so long without a packet.
 
     Attributes:
         rig_path: rig.json.
@@ -74,6 +75,7 @@ class CodedStage:
         story: Story | None = None,
         seed: int = 0,
         shown: Callable[[np.ndarray], None] | None = None,
+        watchdog_s: float | None = None,
     ) -> None:
         desk.mkdir(parents=True, exist_ok=True)
         self.rig = rig
@@ -87,7 +89,7 @@ class CodedStage:
         count = len(rig.lights)
         self._show(np.zeros(count))
         banks = [light.bank for light in rig.lights]
-        self.device = LedDevice(count, self._show, 1, story, self.log, banks)
+        self.device = LedDevice(count, self._show, 1, story, self.log, banks, watchdog_s)
 
     def __enter__(self) -> CodedStage:
         self.device.__enter__()
