@@ -114,7 +114,9 @@ def capture_session(
             step("manifest-written")
             writer.end(capture=dataclasses.asdict(report))
         except BaseException as error:
-            stage.lights.dark()
+            # Dark first; that it failed is told where the lights are let go.
+            with contextlib.suppress(LightstageError):
+                stage.lights.dark()
             with contextlib.suppress(LightstageError):
                 writer.note("aborted", said=str(error) or type(error).__name__)
             raise

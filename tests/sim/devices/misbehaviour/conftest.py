@@ -1,10 +1,9 @@
-"""A small stage to which a story happens: LED device on a pty, simulated cameras, real driver."""
+"""A small stage to which a story happens: LED device on a pty, simulated cameras, real capture."""
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import io
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,24 +11,31 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tifffile
 
-from lightstage.cameras.binding import close_cameras
-from lightstage.cameras.process import CameraProcess
-from lightstage.capture import CaptureConfig, capture, connect
-from lightstage.errors import LightstageError
-from lightstage.formats.session import load_session
+from lightstage.cameras.binding import CamerasFile, close_cameras, open_cameras
+from lightstage.cameras.camera import Summary
+from lightstage.cameras.process import CameraProcess, Deadlines
+from lightstage.capture import CaptureConfig, CaptureReport, Order, Stage, capture_session
+from lightstage.errors import LightstageError, one_error
 from lightstage.leds.opening import open_leds
+from lightstage.operator import OperatorConfig, Unattended
+from lightstage.patterns import Drive
 from lightstage.rig import Camera, Light, Rig, look_at
-from lightstage.safety import SafetyConfig
+from lightstage.safety import SafeLights, SafetyConfig
 from lightstage.sequence import plan_shots
-from lightstage.session import SessionWriter, read_journal
-from sim.devices.faults import Fault, FaultLog, Story, read_fault_log
-from sim.devices.led_device import LedDevice
-from sim.devices.simulated_camera import DRIVER, SimulatedCamera, SimulatedCameras
+from lightstage.session import read_journal
+from sim.devices.coded_stage import CodedStage, Labels
+from sim.devices.faults import Fault, Story, read_fault_log
+from sim.devices.grainy_camera import DRIVER, GrainyCamera
 
-WIDTH, HEIGHT, BLACK, WHITE = 32, 48, 512, 16383
-FAST = CaptureConfig(trigger_lead_s=0.0, safety=SafetyConfig(light_interval_s=0.0))
+WIDTH, HEIGHT = 48, 64
+RETAKES = 2
+FAST = CaptureConfig(
+    trigger_lead_s=0.0,
+    deadlines=Deadlines.all(5.0),
+    safety=SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6),
+    operator=OperatorConfig(retakes=RETAKES),
+)
 SEQUENCE = ("full", "x+", "x-")
 
 
@@ -45,37 +51,13 @@ def make_rig(cameras: int = 3) -> Rig:
         lights,
         tuple(
             Camera(
-                f"cam{i}", f"60{i}", "Nikon DSC D750", WIDTH, HEIGHT, 140.0, 140.0, 16.0, 24.0,
-                (0.0, 0.0, 0.0, 0.0, 0.0),
+                f"cam{i}", f"60{i}", "Nikon DSC D750", WIDTH, HEIGHT, 140.0, 140.0, WIDTH / 2,
+                HEIGHT / 2, (0.0, 0.0, 0.0, 0.0, 0.0),
                 look_at(1100 * np.array([np.sin(angle), 0, np.cos(angle)]), np.zeros(3)),
             )
             for i, angle in enumerate(angles)
         ),
     )  # fmt: skip
-
-
-def make_dng(levels: np.ndarray, camera: int) -> bytes:
-    """What a camera sees: brighter with more light from its side, with noise of this state."""
-    weights = 1.0 + 0.3 * np.cos(np.arange(len(levels)) + camera)
-    state = hashlib.sha256(levels.tobytes() + bytes([camera])).digest()
-    rng = np.random.default_rng(np.frombuffer(state, "<u4").tolist())
-    counts = BLACK + 4000 * float(levels @ weights) / 8 + rng.integers(0, 8, (HEIGHT, WIDTH))
-    tags = [
-        (50706, 1, 4, b"\x01\x04\x00\x00", True),
-        (50708, 2, 0, "Test camera", True),
-        (33421, 3, 2, (2, 2), True),
-        (33422, 1, 4, b"\x00\x01\x01\x02", True),
-        (50714, 3, 1, BLACK, True),
-        (50717, 3, 1, WHITE, True),
-        (50721, 10, 9, [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1], True),
-        (50778, 3, 1, 21, True),
-    ]
-    file = io.BytesIO()
-    tifffile.imwrite(
-        file, counts.astype(np.uint16), photometric=32803, extratags=tags, metadata=None,
-        software=None,
-    )  # fmt: skip
-    return file.getvalue()
 
 
 @dataclasses.dataclass
@@ -87,36 +69,50 @@ class Ending:
         root: the session's folder.
         dark: whether the lights were dark when the capture had ended.
         happened: names of the faults, in order.
+        report: of a capture that was finished.
+        labels: what the photographs of a finished session say of themselves.
     """
 
     said: str
     root: Path
     dark: bool
     happened: list[str]
+    report: CaptureReport | None
+    labels: Labels | None
 
     @property
     def fine(self) -> bool:
-        """Whether there is a finished session."""
-        return not self.said and (self.root / "session.json").is_file()
+        """Whether there is a finished session whose every photograph is what it is called."""
+        return self.labels is not None and self.labels == Labels(self.labels.right)
 
     def kept(self) -> list[str]:
-        """Photographs on the disk, as PATTERN/CAMERA."""
+        """Photographs on the disk, as PATTERN/CAMERA, retakes too."""
         files = self.root.glob("frames/*/*.dng")
         return sorted(f"{path.parent.name}/{path.stem}" for path in files)
 
+    def recovered(self) -> list[str]:
+        """Photographs of uncertain light, as CAMERA/NAME."""
+        return sorted(f"{p.parent.name}/{p.name}" for p in self.root.glob("recovered/*/*"))
+
+    def lines(self, *events: str) -> list[dict[str, Any]]:
+        """Lines of the journal of these events."""
+        lines = read_journal(self.root / "journal.jsonl")
+        return [line for line in lines if line["event"] in events]
+
     def shots(self) -> list[str]:
         """Patterns whose light lasted through all their photographs."""
-        events = read_journal(self.root / "journal.jsonl")
-        return [event["pattern"] for event in events if event["event"] == "shot"]
+        return [line["pattern"] for line in self.lines("shot")]
 
 
-class Stage:
-    """Runs `lightstage.capture` while a story happens to its devices."""
+class SmallStage:
+    """Captures with `lightstage.capture` while a story happens to its devices."""
 
     def __init__(self, root: Path, rig: Rig, patterns: tuple[str, ...] = SEQUENCE) -> None:
         self.root = root
         self.rig = rig
         self.patterns = patterns
+        self.drive: Drive = "on-off"
+        self.config = FAST
         self.captures = 0
 
     def capture(
@@ -126,77 +122,92 @@ class Stage:
         timeout_s: float = 0.2,
         attempts: int = 3,
         settings: dict[str, dict[str, Any]] | None = None,
-        camera_deadline_s: float | None = None,
+        deadlines: Deadlines | None = None,
     ) -> Ending:
         """Photograph the sequence while this happens.
 
-        With a deadline the cameras are processes of their own, else they are in this one.
+        With deadlines the cameras are processes of their own, else they are in this one.
         """
         self.captures += 1
         desk = self.root / f"desk{self.captures}"
-        desk.mkdir()
-        story, log = Story(faults, seed), FaultLog(desk / "faults.jsonl")
-        bodies = SimulatedCameras(desk, self.rig, story, log, settings)
-        root = desk / "session"
-        banks = [light.bank for light in self.rig.lights]
-
-        def show(levels: np.ndarray) -> None:
-            for number, camera in enumerate(self.rig.cameras):
-                bodies.put(camera.id, make_dng(levels, number))
-
-        said, writer, cameras = "", None, []
-        with LedDevice(len(self.rig.lights), show, 1, story, log, banks) as device:
+        root = self.root / f"session{self.captures}"
+        shots = plan_shots(self.patterns, self.rig, self.drive)
+        said, report, labels = "", None, None
+        cameras: list[Any] = []
+        with CodedStage(desk, self.rig, Story(faults, seed), seed) as coded:
+            for camera_id, own in (settings or {}).items():
+                preset(coded.cameras.folder(camera_id), own)
             try:
-                with open_leds(device.url(timeout_s, attempts), len(banks)) as lights:
-                    ports = {c.id: str(bodies.folder(c.id)) for c in self.rig.cameras}
-                    cameras = [Named(name, port) for name, port in ports.items()]
-                    if camera_deadline_s is not None:
-                        cameras = [
-                            CameraProcess(name, port, None, camera_deadline_s, DRIVER)
-                            for name, port in ports.items()
-                        ]
-                    connect(self.rig, lights, cameras, [])
-                    shots = plan_shots(self.patterns, self.rig)
-                    writer = SessionWriter(
-                        root, self.rig, [shot.pattern for shot in shots], "p1", "neutral", {}
-                    )
-                    capture(shots, lights, cameras, writer, FAST)
+                with open_leds(coded.device.url(timeout_s, attempts), len(self.rig.lights)) as leds:
+                    ports = {c.id: str(coded.cameras.folder(c.id)) for c in self.rig.cameras}
+                    cameras = [
+                        Named(name, port)
+                        if deadlines is None
+                        else CameraProcess(name, port, None, deadlines, DRIVER)
+                        for name, port in ports.items()
+                    ]
+                    with SafeLights(leds, self.config.safety, self.rig) as lights:
+                        lights.dark()
+                        told, failed = open_cameras(cameras)
+                        if failed:
+                            raise one_error(failed)
+                        by_id = dict(zip(ports, told, strict=True))
+                        stage = Stage(self.rig, lights, tuple(cameras), by_id, CamerasFile())
+                        operator = Unattended(self.config.operator)
+                        report = capture_session(stage, Order(root, shots), self.config, operator)
+                        labels = coded.labels(root)
             except LightstageError as error:
                 said = str(error)
             finally:
                 close_cameras(cameras)
-                if writer is not None:
-                    writer.close()
             until = time.monotonic() + 5
-            while device.connected.is_set() and time.monotonic() < until:
+            while coded.device.connected.is_set() and time.monotonic() < until:
                 time.sleep(0.001)
-            dark = device.dark
-        assert device.failure is None
+            dark = coded.device.dark
+        assert coded.device.failure is None
         happened = [told.name for told in read_fault_log(desk / "faults.jsonl")]
-        return Ending(said, root, dark, happened)
-
-    def mislabelled(self, ending: Ending) -> list[str]:
-        """Frames of a finished session that are not what their camera saw under their light."""
-        session = load_session(ending.root)
-        return [
-            frame.path
-            for frame in session.file.frames
-            if session.frame_path(frame).read_bytes()
-            != make_dng(session.levels(frame.pattern), int(frame.camera[-1]))
-        ]
+        return Ending(said, root, dark, happened, report, labels)
 
 
-class Named(SimulatedCamera):
+class Named(GrainyCamera):
     """A simulated camera in this process, under the rig's name (CameraDevice)."""
 
     def __init__(self, camera_id: str, port: str) -> None:
         super().__init__(port)
         self.id = camera_id
 
+    def trigger(self, at_s: float, pattern: str = "*"):
+        """As the driver does; the pattern is for the names of steps."""
+        return super().trigger(at_s)
+
+    def download(self, name: str, path: Path, pattern: str = "*"):
+        """As the driver does."""
+        return super().download(name, path)
+
+    def restart(self) -> Summary:
+        """Let go and connect again, for some seconds."""
+        until_s = time.monotonic() + 3.0
+        while True:
+            self.close()
+            try:
+                return self.open()
+            except LightstageError:
+                if time.monotonic() > until_s:
+                    raise
+                time.sleep(0.05)
+
+
+def preset(folder: Path, settings: dict[str, Any]) -> None:
+    """Turn a body's wheels before it is switched on."""
+    path = folder / "camera.json"
+    value = json.loads(path.read_text())
+    value["settings"].update(settings)
+    path.write_text(json.dumps(value))
+
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Stage:
-    return Stage(tmp_path, make_rig())
+def stage(tmp_path: Path) -> SmallStage:
+    return SmallStage(tmp_path, make_rig())
 
 
 @pytest.fixture
@@ -206,5 +217,10 @@ def rig() -> Rig:
 
 @pytest.fixture
 def seen() -> Callable[[np.ndarray, int], bytes]:
-    """make_dng, for tests that cannot import this file."""
-    return make_dng
+    """A photograph of these levels, for a body of this test's own."""
+    from tests.lightstage.conftest import make_dng
+
+    def photograph(levels: np.ndarray, camera: int) -> bytes:
+        return make_dng(512 + int(1000 * levels.mean()), seed=camera)
+
+    return photograph
