@@ -6,12 +6,17 @@ consent record alone. No host, no user and no absolute path get into it.
 
 from __future__ import annotations
 
+import collections
+import dataclasses
 import hashlib
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path, PurePath, PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
+
+import numpy as np
 
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import read_json, sha256_file, write_json
@@ -79,6 +84,11 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
         "calibration": {
             kind: file for kind, file in session.get("calibration", {}).items() if file is not None
         },
+        "warnings": collections.Counter(
+            line["code"]
+            for line in lines
+            if line["event"] == "finding" and line.get("severity") == "warn"
+        ),
         "resumed": len(begins) - 1,
         "light_map_sha256": light_map_hash(rig),
         "files": dict(sorted(_files(root, state))),
@@ -90,7 +100,7 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
         },
         "facts": dict(facts or {}),
     }
-    return write_json(root / MANIFEST, _without_paths(manifest))
+    return write_json(root / MANIFEST, _plain(manifest))
 
 
 def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[LightstageError]:
@@ -215,17 +225,25 @@ def _is_older(begin: Line) -> bool:
     return begin.get("schema") == "lightstage.journal/1"
 
 
-def _without_paths(value: Any) -> Any:
-    """The same with every absolute path replaced, whoever put it there."""
+def _plain(value: Any) -> Any:
+    """The same as JSON can hold it, with every absolute path replaced, whoever put it there.
+
+    At the end of a capture no fact may be the reason that there is no manifest: what is not finite
+    becomes null, and what JSON does not know becomes text.
+    """
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
     if isinstance(value, Mapping):
-        return {_without_paths(str(key)): _without_paths(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_paths(each) for each in value]
-    if isinstance(value, PurePath):
-        return _PATH if value.is_absolute() else value.as_posix()
-    if isinstance(value, str):
-        return _ABSOLUTE.sub(_PATH, value)
-    return value
+        return {_plain(str(key)): _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset, np.ndarray)):
+        return [_plain(each) for each in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return _ABSOLUTE.sub(_PATH, str(value))
 
 
 def _wrong(path: Path, found: str, expected: str, hint: str) -> FormatError:

@@ -8,15 +8,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lightstage.cameras.camera import CardFile
 from lightstage.errors import FormatError
+from lightstage.findings import Finding
 from lightstage.formats.files import sha256_file
 from lightstage.session import SessionPlan, SessionWriter
-from lightstage.session.manifest import _without_paths, check_manifest, write_manifest
+from lightstage.session.manifest import _plain, check_manifest, write_manifest
 
 TOLD = {
     "serial": "600",
@@ -46,6 +48,8 @@ def session(tmp_path, small_rig, fill):
     plan = SessionPlan(("full", "x+"), "p1", "neutral", levels, "C-17")
     writer = SessionWriter.new(tmp_path / "S", small_rig, plan, facts=FACTS)
     fill(writer)
+    writer.finding(Finding("warn", "pulses-unknown", "LED device", "no frequency", "one"))
+    writer.finding(Finding("note", "told-now", "camera cam0, iso", "100", "as before"))
     writer.finish()
     write_manifest(writer.root, {"safety": CHECKED, "calibration_shots": "/data/calib/2026/a"})
     writer.end()
@@ -71,6 +75,7 @@ def test_it_holds_versions_devices_hashes_and_settings(session):
     assert found["facts"]["safety"] == CHECKED
     assert found["configuration"]["camera_deadline_s"] == 30.0
     assert (found["unacknowledged"], found["resumed"]) == ([], 0)
+    assert found["warnings"] == {"pulses-unknown": 1}
     frames = [name for name in found["files"] if name.startswith("frames/")]
     assert len(frames) == 6
     for name, sha256 in found["files"].items():
@@ -258,13 +263,29 @@ def test_a_telling_user_host_and_folder_leave_no_trace(session, tmp_path):
     assert check_manifest(moved) == []
 
 
+def test_no_fact_can_keep_the_manifest_from_being_written():
+    facts = {
+        "nan": float("nan"),
+        "inf": [float("inf"), np.float64("nan"), np.float32(0.5), np.int64(3), np.array([1, 2])],
+        7: {True},
+        "finding": Finding("warn", "x", "/srv/a/b", "1", "2"),
+        "path": Path("/srv/a"),
+        "odd": object,
+    }
+    plain = json.loads(json.dumps(_plain(facts), allow_nan=False))
+    assert plain["nan"] is None
+    assert plain["inf"] == [None, None, 0.5, 3, [1, 2]]
+    assert plain["7"] == [True]
+    assert plain["finding"]["where"] == plain["path"] == "(path)"
+
+
 @pytest.mark.parametrize(
     "text",
     ["/home/ann/x", "in /tmp/a b", "serial:///dev/ttyUSB0?baud=9", "C:\\Users\\ann", "~/photos",
      "file:///srv/x", "'/srv/x/y'", "\\\\server\\share", "(/home/ann)"],
 )  # fmt: skip
 def test_absolute_paths_are_replaced_wherever_they_stand(text):
-    cleaned = _without_paths({"a": [text]})["a"][0]
+    cleaned = _plain({"a": [text]})["a"][0]
     assert "(path)" in cleaned
     assert not any(part in cleaned for part in ("ann", "dev", "srv", "tmp", "server", "photos"))
 
@@ -274,4 +295,4 @@ def test_absolute_paths_are_replaced_wherever_they_stand(text):
     ["1/60", "f/8", "frames/x+/cam0.dng", "lightstage.manifest/1", "and/or", "a / b", "", "/"],
 )
 def test_what_is_no_absolute_path_stays(text):
-    assert _without_paths({text: [text]}) == {text: [text]}
+    assert _plain({text: [text]}) == {text: [text]}
