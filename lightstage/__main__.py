@@ -7,6 +7,7 @@ from pathlib import Path
 
 import typer
 
+from lightstage.calibrations import command as calibration_command
 from lightstage.capture import command as capture_command
 from lightstage.checks import check_session
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
@@ -18,6 +19,7 @@ from lightstage.session import read_colour
 
 app = make_app("Drive the light stage: capture a session, check it, import one taken elsewhere.")
 capture_command.register(app)
+calibration_command.register(app)
 operator_command.register(app)
 patterns_command.register(app)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -65,8 +64,7 @@ class SessionTaker:
             LightstageError: as a capture does; what was taken is kept in `root`.
         """
         if (root / "journal.jsonl").is_file():
-            _, begun = unfinished(root)
-            order = dataclasses.replace(begun, checks=NoFaceChecks())
+            _, order = unfinished(root)
         else:
             shots = plan_shots(patterns, self._stage.rig, drive)
             order = Order(
@@ -75,8 +73,7 @@ class SessionTaker:
                 subject=SUBJECT,
                 expression=self._kind.name,
                 facts={"calibration_kind": self._kind.name},
-                checks=NoFaceChecks(),
             )
         with contextlib.ExitStack() as dark:
             dark.callback(self._stage.lights.dark)
-            capture_session(self._stage, order, self._config, self._operator)
+            capture_session(self._stage, order, self._config, self._operator, NoFaceChecks())

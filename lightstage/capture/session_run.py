@@ -47,7 +47,6 @@ class Order:
         colour: a colour calibration to keep in the session.
         facts: what else the journal and the manifest shall say, such as calibration shots.
         findings: of whoever looked before, told with those of the preflight.
-        checks: look at the photographs; None: those of a face (ShotChecks).
     """
 
     root: Path
@@ -59,7 +58,6 @@ class Order:
     colour: dict[str, Any] | None = None
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     findings: Sequence[Finding] = ()
-    checks: Checks | None = None
 
 
 def capture_session(
