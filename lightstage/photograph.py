@@ -131,10 +131,11 @@ def _directories(source: _Source, order: str) -> Iterator[dict[int, list[int]]]:
             continue
         seen.add(offset)
         (count,) = source.unpack(order + "H", offset)
-        entries = source.unpack(order + "HHI4x" * count, offset + 2)
+        entries = source.take(offset + 2, 12 * count)
         tags: dict[int, list[int]] = {}
-        for index in range(count):
-            tag, kind, length = entries[3 * index : 3 * index + 3]
+        # struct.error where the entries are cut: they are no whole number of twelve bytes then.
+        for index, entry in enumerate(struct.iter_unpack(order + "HHI4x", entries)):
+            tag, kind, length = entry
             if tag in (_DNG_VERSION, _MAKE, _SUB_IFDS, *_PLACES, *_PLACES.values()):
                 tags[tag] = _values(source, order, offset + 10 + 12 * index, kind, length)
         pending += tags.get(_SUB_IFDS, [])

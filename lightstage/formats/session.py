@@ -19,7 +19,12 @@ SCHEMA = "lightstage.session/1"
 
 
 class Frame(BaseModel):
-    """One photograph of a session."""
+    """One photograph of a session.
+
+    Others may add fields. A capture adds ``take`` (1, or more where it was taken again),
+    ``acknowledged`` (whether the lights told that they were lit), and ``verified`` where less than
+    its hash could be compared after a crash (``size and header``).
+    """
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
@@ -49,7 +54,10 @@ class Calibration(BaseModel):
 
 
 class SessionFile(BaseModel):
-    """session.json. Unknown fields are kept: others may add theirs."""
+    """session.json. Unknown fields are kept: others may add theirs.
+
+    A capture adds ``consent``, the id of the record of the person's consent, where there is one.
+    """
 
     model_config = ConfigDict(extra="allow", frozen=True, populate_by_name=True)
 

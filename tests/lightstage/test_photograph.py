@@ -1,6 +1,7 @@
 """Telling photographs by their bytes."""
 
 import io
+import os
 import struct
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
-from lightstage.photograph import identify
+from lightstage.photograph import identify, identify_file
 
 
 def tiff(order, make, **extra):
@@ -85,3 +86,38 @@ def test_directories_in_a_ring_end():
     ring = b"II*\0" + struct.pack("<IHI", 8, 0, 8)
     with pytest.raises(FormatError, match="without DNGVersion"):
         identify(ring, "x")
+
+
+@given(st.binary(max_size=200), st.sampled_from([b"", b"II*\0", b"MM\0*", b"II*\0\x08\0\0\0"]))
+def test_a_file_is_told_as_its_bytes_are(tmp_path_factory, noise, head):
+    path = tmp_path_factory.getbasetemp() / "noise"
+    path.write_bytes(head + noise)
+
+    def told(call):
+        try:
+            return call()
+        except FormatError as error:
+            return str(error)
+
+    assert told(lambda: identify_file(path, "x")) == told(lambda: identify(head + noise, "x"))
+
+
+@pytest.mark.parametrize("cut", [0, 1, 500, 3000])
+def test_of_a_large_file_only_the_header_is_read(tmp_path, dng, monkeypatch, cut):
+    data = dng(1000, width=1000, height=1000)
+    path = tmp_path / "a"
+    path.write_bytes(data[: len(data) - cut])
+    read = []
+    real = os.pread
+
+    def pread(handle, size, offset):
+        read.append(size)
+        return real(handle, size, offset)
+
+    monkeypatch.setattr(os, "pread", pread)
+    if cut:
+        with pytest.raises(FormatError, match="truncated"):
+            identify_file(path)
+    else:
+        assert identify_file(path).suffix == ".dng"
+    assert sum(read) < len(data) / 100
