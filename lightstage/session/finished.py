@@ -7,7 +7,7 @@ from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.formats.session import Calibration, Driven, Frame, SessionFile
-from lightstage.session.journal import Line, read_journal
+from lightstage.session.reading import Line, read_journal
 from lightstage.session.state import SessionState
 
 EXTRA = ("take", "acknowledged", "verified")

@@ -21,7 +21,7 @@ import numpy as np
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.rig import Rig, load_rig, rig_to_json
-from lightstage.session.journal import Line, read_journal
+from lightstage.session.reading import Line, read_journal
 from lightstage.session.state import SessionState
 from lightstage.session.versions import software_versions, system_facts
 

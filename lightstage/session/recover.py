@@ -23,8 +23,8 @@ from lightstage.formats.files import fsync_path
 from lightstage.photograph import identify_file
 from lightstage.session.aside import FOLDER, asides
 from lightstage.session.disk import disk_errors
-from lightstage.session.journal import Line
 from lightstage.session.keep import Arrival, is_whole, settle, sha256_on_disk
+from lightstage.session.reading import Line
 from lightstage.session.state import Exposed, Key, key_of, told
 from lightstage.session.writer import SessionWriter
 from lightstage.steps import step

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from lightstage.cameras.camera import CardFile
-from lightstage.session.journal import Line
+from lightstage.session.reading import Line
 
 Key = tuple[str, str, int]
 """Pattern, camera, take."""

@@ -1,26 +1,18 @@
 """A session's life on disk: an append-only journal, photographs kept once, session.json at last.
 
 The journal (journal.jsonl) is the record; session.json is made from it when all shots are there.
-Events: ``begin`` and ``resume`` (what is planned, who the devices are, what lies on the cards),
-``devices``, ``lit`` (levels acknowledged), ``trigger`` (before cameras are asked), ``exposed`` (a
-file on a card, under light that lasted), ``frame`` (a photograph, hashed as it lies on the disk),
-``failed``, ``finding``, ``rejected`` (a take that does not count), ``recovered`` (a file of
-uncertain light or label), ``deleting`` and ``deleted`` (on a card), ``shot`` (a pattern with all
-its photographs), ``calibration``, ``note``, ``aborted``, ``end``.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from lightstage.cameras.camera import CameraDevice, CardFile
 from lightstage.errors import CaptureError, FormatError
-from lightstage.findings import Finding
 from lightstage.formats.files import write_json
 from lightstage.formats.session import save_session, session_id
 from lightstage.rig import Rig, load_rig, rig_to_json, save_rig
@@ -28,9 +20,11 @@ from lightstage.session.aside import put_aside, take_aside
 from lightstage.session.colour import COLOUR_PATH
 from lightstage.session.disk import disk_errors, make_folder
 from lightstage.session.finished import session_from_journal
-from lightstage.session.journal import Journal, Line, Listener, begun_name, utc_now
+from lightstage.session.journal import Journal, begun_name, utc_now
 from lightstage.session.keep import Arrival, settle, sha256_on_disk
 from lightstage.session.plan import SessionPlan
+from lightstage.session.reading import Line
+from lightstage.session.record import Record, as_json
 from lightstage.session.state import SessionState, told
 from lightstage.steps import step
 
@@ -38,22 +32,18 @@ JOURNAL = "journal.jsonl"
 RIG = "rig.json"
 
 
-class SessionWriter:
+class SessionWriter(Record):
     """Writes one session folder; made by `new` or `resumed`. Several threads may.
 
     While one is open, no other process can write the same session.
 
     Attributes:
         root: the folder.
-        journal: the record.
-        state: what the journal says so far.
     """
 
     def __init__(self, root: Path, journal: Journal, state: SessionState) -> None:
+        super().__init__(journal, state)
         self.root = root
-        self.journal = journal
-        self.state = state
-        journal.book = state.apply
 
     @staticmethod
     def new(
@@ -91,7 +81,7 @@ class SessionWriter:
             **plan.facts(),
             cameras=[camera.id for camera in rig.cameras],
             rig_sha256=rig_hash(rig),
-            cards={c: _files(files) for c, files in (cards or {}).items()},
+            cards={c: as_json(files) for c, files in (cards or {}).items()},
             serials=dict(serials or {}),
             **(facts or {}),
         )
@@ -139,77 +129,6 @@ class SessionWriter:
             journal.close()
             raise
         return SessionWriter(root, journal, state)
-
-    @property
-    def listeners(self) -> list[Listener]:
-        """Called with each line of the journal, in order, after it is on the disk."""
-        return self.journal.listeners
-
-    def resume(
-        self,
-        cards: Mapping[str, Collection[CardFile]],
-        serials: Mapping[str, str | None],
-        **facts: Any,
-    ) -> Line:
-        """Journal that a capture goes on, with what lies on the cards now."""
-        return self.journal.write(
-            "resume",
-            after_torn_line=self.journal.torn,
-            cards={camera: _files(files) for camera, files in cards.items()},
-            serials=dict(serials),
-            **facts,
-        )
-
-    def lit(
-        self, pattern: str, levels: Sequence[float], *, acknowledged: bool, **facts: Any
-    ) -> Line:
-        """Journal that a pattern is lit.
-
-        Args:
-            pattern: its name.
-            levels: (n,) that are really driven.
-            acknowledged: whether the lights told so.
-            facts: for the record.
-        """
-        return self.journal.write(
-            "lit", pattern=pattern, acknowledged=acknowledged, levels=list(levels), **facts
-        )
-
-    def trigger(self, pattern: str, takes: Mapping[str, int], **facts: Any) -> Line:
-        """Journal, before any of them is asked, which cameras will take a pattern, and which take.
-
-        A camera's earlier trigger counts as closed by this.
-        """
-        return self.journal.write("trigger", pattern=pattern, takes=dict(takes), **facts)
-
-    def exposed(
-        self,
-        pattern: str,
-        take: int,
-        camera: str,
-        file: CardFile,
-        beside: Sequence[CardFile] = (),
-        **facts: Any,
-    ) -> Line:
-        """Journal which file on its card is a camera's photograph of a light that lasted.
-
-        Args:
-            pattern: what was lit, through the whole exposure.
-            take: as in `trigger`.
-            camera: who took it.
-            file: the RAW.
-            beside: other files of the same shot.
-            facts: for the record.
-        """
-        return self.journal.write(
-            "exposed",
-            pattern=pattern,
-            camera=camera,
-            take=take,
-            file=[file.name, file.size],
-            beside=_files(beside),
-            **facts,
-        )
 
     def next_take(self, pattern: str, camera: str) -> int:
         """Number of a camera's next take of a pattern, whose name is free on the disk."""
@@ -305,36 +224,6 @@ class SessionWriter:
         step("journaled", pattern, camera)
         return line
 
-    def failed(self, pattern: str, take: int, camera: str, said: str) -> Line:
-        """Journal that something about a take failed; it may still be kept later."""
-        return self.journal.write("failed", pattern=pattern, camera=camera, take=take, said=said)
-
-    def finding(self, finding: Finding) -> Line:
-        """Journal what a look at a device or a photograph found."""
-        facts = {k: v for k, v in dataclasses.asdict(finding).items() if v is not None}
-        return self.journal.write("finding", **facts)
-
-    def rejected(self, pattern: str, camera: str, why: str, take: int | None = None) -> Line:
-        """Journal that a take does not count; its file stays.
-
-        Args:
-            pattern: whose.
-            camera: whose.
-            why: for people.
-            take: which; None: the one that counts now.
-
-        Raises:
-            CaptureError: no take counts.
-        """
-        if take is None:
-            line = self.state.accepted(pattern, camera)
-            if line is None:
-                raise CaptureError(
-                    f"{pattern} by {camera}", found="no photograph", expected="one to reject"
-                )
-            take = line["take"]
-        return self.journal.write("rejected", pattern=pattern, camera=camera, take=take, why=why)
-
     def recover(self, camera: CameraDevice, file: CardFile, pattern: str | None, why: str) -> Path:
         """Bring a file whose light or label is not certain from a card, under ``recovered/``.
 
@@ -393,37 +282,6 @@ class SessionWriter:
             **facts,
         )
 
-    def deleting(self, pattern: str, camera: str, file: CardFile) -> Line:
-        """Journal, before it is asked to, that a camera will delete a file that is kept."""
-        return self.journal.write(
-            "deleting", pattern=pattern, camera=camera, file=[file.name, file.size]
-        )
-
-    def deleted(self, pattern: str, camera: str, file: CardFile) -> Line:
-        """Journal that a file is no longer on the card."""
-        return self.journal.write(
-            "deleted", pattern=pattern, camera=camera, file=[file.name, file.size]
-        )
-
-    def shot(self, pattern: str, **facts: Any) -> Line:
-        """Journal that all photographs of a pattern are kept and do.
-
-        Raises:
-            CaptureError: one is not.
-        """
-        missing = self.state.missing(pattern)
-        if missing:
-            raise CaptureError(
-                f"pattern {pattern}",
-                found=f"no photograph by {', '.join(missing)}",
-                expected="one of each camera",
-            )
-        return self.journal.write("shot", pattern=pattern, **facts)
-
-    def note(self, event: str, **facts: Any) -> Line:
-        """Journal anything else."""
-        return self.journal.write(event, **facts)
-
     def add_colour(self, value: dict[str, Any]) -> None:
         """Keep a colour calibration (as read by read_colour) in the session."""
         with disk_errors(self.root / COLOUR_PATH):
@@ -475,7 +333,3 @@ def require_new(root: Path) -> None:
 def rig_hash(rig: Rig) -> str:
     """SHA-256 of what rig.json says, however it is laid out."""
     return hashlib.sha256(json.dumps(rig_to_json(rig), sort_keys=True).encode()).hexdigest()
-
-
-def _files(files: Collection[CardFile]) -> list[list[Any]]:
-    return [[file.name, file.size] for file in files]

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 from lightstage.errors import CaptureError, FormatError
 from lightstage.session import journal as module
-from lightstage.session.journal import Journal, read_journal
+from lightstage.session.journal import Journal
+from lightstage.session.reading import read_journal
 
 THREADS, LINES = 9, 20
 
