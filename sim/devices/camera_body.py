@@ -114,12 +114,8 @@ class CameraBody:
 
     def card_free_bytes(self) -> int:
         """What still fits on its card; nothing where it is full by its files or by the story."""
-        settings = self.settings()
-        files = self.card()
         full = self._due_in_settings(self._state(), "fill-up")
-        if full or len(files) + len(settings.suffixes()) > settings.card_files:
-            return 0
-        return max(0, settings.card_bytes - sum(self.size(name) for name in files))
+        return 0 if full else self._room()
 
     def card(self) -> list[str]:
         """Names of the files on its card, oldest first."""
@@ -201,7 +197,7 @@ class CameraBody:
 
     def _refuse(self, due: dict[str, Due]) -> None:
         """Raise what keeps a picture from being taken, and remember what follows from it."""
-        full = len(self.card()) + len(self.settings().suffixes()) > self.settings().card_files
+        full = self._room() < len(self._light())
         for name, (code, said) in REFUSED.items():
             if name not in due and not (name == "fill-up" and full):
                 continue
@@ -223,7 +219,9 @@ class CameraBody:
         light = self._light()
         names = []
         for suffix in self.settings().suffixes():
-            data = self._raw(light, "stale" in due) if suffix == ".DNG" else preview_jpeg(light)
+            data = preview_jpeg(light)
+            if suffix == ".DNG":
+                data = self._raw(light, state["shots"], "stale" in due)
             names.append(f"DSC_{state['shots']:04d}{suffix}")
             put(self.folder / "card" / names[-1], data)
         for name in ("truncated", "hang", "io"):
@@ -251,14 +249,29 @@ class CameraBody:
             events = [Event("other", after_s=FOR_EVER_S)]
         self._events.extend(events)
 
-    def _raw(self, light: bytes, stale: bool) -> bytes:
+    def _raw(self, light: bytes, shot: int, stale: bool) -> bytes:
         """A RAW's bytes under the settings as they are; where stale, those of the one before."""
         if stale and self._raws():
             return self._path(self._raws()[-1]).read_bytes()
         settings = self.settings()
         gain = settings.gain() / self._nominal.gain()
         exposed = light if gain == 1.0 else expose_again(light, gain, settings.iso)
-        return told_by(exposed, settings.iso, settings.shutter, settings.aperture)
+        now_s = time.time() + settings.clock_offset_s
+        return told_by(
+            exposed,
+            settings.iso,
+            settings.shutter,
+            settings.aperture,
+            taken=time.strftime("%Y:%m:%d %H:%M:%S", time.gmtime(now_s)),
+            shot=shot,
+        )
+
+    def _room(self) -> int:
+        """Bytes that its card can still take; none where it has as many files as it can hold."""
+        settings, files = self.settings(), self.card()
+        if len(files) + len(settings.suffixes()) > settings.card_files:
+            return 0
+        return max(0, settings.card_bytes - sum(self.size(name) for name in files))
 
     def _linked(self) -> None:
         """BodyError where the connection is gone."""

@@ -76,7 +76,6 @@ class CameraFolders:
         Raises:
             SimError: another size than the camera's first file.
         """
-        data = told_by(data, shutter=SHUTTER, aperture=APERTURE)
         size = self._sizes.setdefault(camera_id, len(data))
         if len(data) != size:
             raise SimError(
@@ -84,6 +83,7 @@ class CameraFolders:
             )
         shot = self._files.get(camera_id, -1) + 1
         self._files[camera_id] = shot
+        data = told_by(data, shutter=SHUTTER, aperture=APERTURE, shot=shot)
         due = {each.name: each for each in self._story.due(camera_id, "shot", shot)}
         for each in due.values():
             self._log.write(camera_id, each, shot)

@@ -20,7 +20,6 @@ from lightstage.rig import Rig, save_rig
 from sim.devices.body_folder import NEXT, put
 from sim.devices.coded_photographer import CodedPhotographer, read_code
 from sim.devices.faults import FaultLog, Story
-from sim.devices.grainy_camera import grainy
 from sim.devices.led_device import LedDevice
 from sim.devices.simulated_camera import SimulatedCameras
 
@@ -84,7 +83,7 @@ class CodedStage:
         settings = {camera.id: SETTINGS for camera in rig.cameras}
         self.cameras = SimulatedCameras(desk / "cameras", rig, story, self.log, settings)
         self.rig_path = save_rig(rig, desk / "rig.json")
-        self.cameras_path = write_text(desk / "cameras.toml", grainy(self.cameras.cameras_file()))
+        self.cameras_path = write_text(desk / "cameras.toml", self.cameras.cameras_file())
         self._shown = shown
         count = len(rig.lights)
         self._show(np.zeros(count))

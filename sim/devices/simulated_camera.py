@@ -62,8 +62,6 @@ class SimulatedCamera:
         port: the body's folder, or a link to it.
     """
 
-    make_body: type[CameraBody] = CameraBody
-
     def __init__(self, port: str) -> None:
         self.port = port
         self._body: CameraBody | None = None
@@ -83,7 +81,7 @@ class SimulatedCamera:
         """Connect; DeviceError where the camera is gone or off."""
         if not Path(self.port).exists():
             raise DeviceError(self.port, field="connect", found="nothing", hint=HINTS[-105])
-        body = self.make_body(Path(self.port))
+        body = CameraBody(Path(self.port))
         self._again("connect", body.connect)
         self._body = body
         return self.summary()

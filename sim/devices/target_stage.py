@@ -16,7 +16,6 @@ from lightstage.formats.files import write_text
 from lightstage.rig import Rig, save_rig
 from sim.camera.flaws import CaptureFlaws
 from sim.devices.body_folder import NEXT, put
-from sim.devices.grainy_camera import grainy
 from sim.devices.led_device import LedDevice
 from sim.devices.simulated_camera import SimulatedCameras
 from sim.devices.target_photographer import TargetPhotographer
@@ -58,7 +57,7 @@ class TargetStage:
             desk / "cameras", rig, settings=self.photographer.settings()
         )
         self.rig_path = save_rig(rig, desk / "rig.json")
-        self.cameras_path = write_text(desk / "cameras.toml", grainy(self._cameras.cameras_file()))
+        self.cameras_path = write_text(desk / "cameras.toml", self._cameras.cameras_file())
         self._lock = threading.Lock()
         self._levels = np.zeros(len(rig.lights))
         self._show(self._levels)

@@ -17,7 +17,7 @@ from sim.devices.camera_settings import CameraSettings
 from sim.devices.coded_photographer import Code, CodedPhotographer, read_code
 from sim.devices.coded_stage import CodedStage
 from sim.devices.faults import Fault, FaultLog, Story
-from sim.devices.grainy_camera import GrainyCamera, with_grain
+from sim.devices.simulated_camera import SimulatedCamera
 from sim.errors import SimError
 
 
@@ -72,7 +72,7 @@ def test_too_small_pictures_are_refused():
         CodedPhotographer(Rig(whole.lights, (camera,)), 1)
 
 
-def test_a_grainy_camera_never_repeats_a_photograph_but_a_stale_one(tmp_path, rig, photographer):
+def test_a_camera_never_repeats_a_photograph_but_a_stale_one(tmp_path, rig, photographer):
     camera = rig.cameras[0]
     dng = photographer.photograph(camera, photographer.lit(np.ones(168)))
     story = Story([Fault("stale", at=3)])
@@ -80,7 +80,7 @@ def test_a_grainy_camera_never_repeats_a_photograph_but_a_stale_one(tmp_path, ri
     settings = CameraSettings(camera.serial, camera.model)
     write_body(folder, "cam0", settings, story, FaultLog())
     put(folder / NEXT, dng)
-    driver = GrainyCamera(str(folder))
+    driver = SimulatedCamera(str(folder))
     driver.open()
     hashes = []
     for shot in range(4):
@@ -90,12 +90,6 @@ def test_a_grainy_camera_never_repeats_a_photograph_but_a_stale_one(tmp_path, ri
         assert read_code(path) == Code(0, len(photographer.states))
     assert hashes[1] == hashes[2]
     assert len({hashes[0], hashes[1], hashes[3]}) == 3
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
-def test_grain_differs_from_shot_to_shot(one, other):
-    dng = bytes(200)
-    assert (with_grain(dng, one) == with_grain(dng, other)) == (one == other)
 
 
 def test_labels_tell_right_from_wrong(tmp_path, rig):
