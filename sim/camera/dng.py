@@ -99,6 +99,7 @@ def dng_bytes(mosaic: np.ndarray, sensor: Sensor, exif: Exif) -> bytes:
         36864: (UNDEFINED, b"0230"),  # ExifVersion
         36867: (ASCII, exif.taken),  # DateTimeOriginal
         37386: (RATIONAL, round(exif.focal_mm, 2)),  # FocalLength
+        37521: (ASCII, "000"),  # SubSecTimeOriginal
         42033: (ASCII, exif.serial),  # BodySerialNumber
     }
     if exif.offset is not None:

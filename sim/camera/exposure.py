@@ -11,7 +11,7 @@ from sim.errors import SimError
 
 WIDTH, HEIGHT, COMPRESSION, EXIF, ISO = 256, 257, 259, 34665, 34855
 STRIP_OFFSETS, STRIP_BYTES, BLACK, WHITE = 273, 279, 50714, 50717
-TIME, STOP, TAKEN, SERIAL = 33434, 33437, 36867, 42033
+TIME, STOP, TAKEN, SUBSECONDS, SERIAL = 33434, 33437, 36867, 37521, 42033
 _LETTERS = {1: "B", 3: "H", 4: "I"}
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1}
 
@@ -74,6 +74,7 @@ def told_by(
     aperture: str | None = None,
     serial: str | None = None,
     taken: str | None = None,
+    shot: int | None = None,
 ) -> bytes:
     """The same photograph with what a body writes of itself into its headers.
 
@@ -87,6 +88,8 @@ def told_by(
         aperture: such as ``f/8``.
         serial: of the body.
         taken: date and time, EXIF's form.
+        shot: how many shots the body has taken; it stands for the thousandths of the second, so
+            that one light is never photographed twice in the same bytes.
 
     Raises:
         SimError: a serial or time longer than the field.
@@ -102,7 +105,8 @@ def told_by(
         if text is not None and tag in places:
             value = Fraction(text.removeprefix("f/").removesuffix("s")).limit_denominator(10**6)
             struct.pack_into("<II", data, places[tag][2], value.numerator, value.denominator)
-    for tag, text in ((SERIAL, serial), (TAKEN, taken)):
+    thousandths = None if shot is None else f"{shot % 1000:03d}"
+    for tag, text in ((SERIAL, serial), (TAKEN, taken), (SUBSECONDS, thousandths)):
         if text is not None and tag in places:
             _, room, place = places[tag]
             letters = text.encode("ascii", "replace")

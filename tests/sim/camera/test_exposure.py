@@ -40,6 +40,10 @@ def test_a_text_with_seconds_is_a_time(photograph, tmp_path):
     assert (found.exposure_s, found.f_number) == (0.01, 2.8)
 
 
+def test_no_two_shots_of_one_light_are_the_same_bytes(photograph):
+    assert len({told_by(photograph, shot=shot) for shot in range(1000)}) == 1000
+
+
 def test_a_drifted_iso_shows_in_counts_and_headers(photograph, tmp_path):
     changed = expose_again(photograph, 4.0, "400")
     assert read(tmp_path, changed).iso == 400
