@@ -108,10 +108,10 @@ def _watch(session: Path, view: View) -> None:
 
     keys = ("leave",) if attended else ()
     with contextlib.ExitStack() as stack:
-        shown = stack.enter_context(Shown(console, view, lambda: Ask(keys=keys)))
         if attended:
             stack.enter_context(key_by_key(KEYBOARD))
             stack.enter_context(heard(KEYBOARD, press))
+        shown = stack.enter_context(Shown(console, view, lambda: Ask(keys=keys)))
         with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C leaves, as q does
             for line in follow(session, left.is_set):
                 shown.told(line)

@@ -24,9 +24,10 @@ def pressed(piece: bytes) -> str | None:
     Args:
         piece: bytes as they were read.
     """
-    letters = set(ESCAPES.sub(b"", piece).decode(errors="replace").lower())
-    if "q" in letters or "\x03" in letters:
+    text = ESCAPES.sub(b"", piece).decode(errors="replace").lower()
+    if "q" in text or "\x03" in text:
         return "q"
+    letters = {letter for letter in text if letter.isprintable()}
     return letters.pop() if len(letters) == 1 else None
 
 

@@ -88,15 +88,14 @@ class Screen:
             legend = [self._legend(unicode)] if spare >= 1 and width >= LEGIBLE else []
             gap = [Text()] if spare >= 2 else []
             rows = max(2, height - 1 - used - len(legend) - len(gap))
-            whole = Group(
-                self._title(width),
-                self._lights(),
+            middle = [
                 self._progress(width, unicode),
                 *gap,
                 self._cameras(width, rows, unicode),
                 *legend,
-                *below,
-            )
+            ]
+            begun = middle if self.view.cameras else []
+            whole = Group(self._title(width), self._lights(), *begun, *below)
             for segment in console.render(whole, options):
                 yield segment._replace(text=sayable(segment.text, options.encoding))
 

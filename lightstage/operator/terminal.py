@@ -13,7 +13,6 @@ from typing import Any, get_args
 
 from rich.console import Console
 from rich.live import Live
-from rich.text import Text
 
 from lightstage.findings import Finding
 from lightstage.operator.attendance import (
@@ -68,10 +67,10 @@ class TerminalOperator:
 
     def __enter__(self) -> TerminalOperator:
         with contextlib.ExitStack() as stack:
-            stack.enter_context(self._show)
-            if self._keys is not None:
+            if self._keys is not None:  # before they are shown
                 stack.enter_context(key_by_key(self._keys))
                 stack.enter_context(heard(self._keys, self._press))
+            stack.enter_context(self._show)
             self._open = stack.pop_all()
         return self
 
@@ -178,7 +177,8 @@ class Shown:
         trace: TracebackType | None,
     ) -> None:
         if self._live is not None:
-            self._live.stop()
+            with contextlib.suppress(OSError):  # the terminal is gone
+                self._live.stop()
         with self._changed:
             self._over = True
             self._changed.notify()
@@ -206,9 +206,9 @@ class Shown:
                     return
                 text = self._lines.popleft()
             try:
-                text = sayable(text, self._console.encoding)
-                self._console.print(Text(text), soft_wrap=True)
-            except OSError:  # the reader is gone
+                self._console.file.write(sayable(text, self._console.encoding) + "\n")
+                self._console.file.flush()
+            except (OSError, ValueError):  # the reader is gone, or the file is closed
                 return
 
 

@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
+import re
+import subprocess
+import sys
+import termios
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -153,3 +161,92 @@ def runtime(monkeypatch: pytest.MonkeyPatch, tmp_path_factory) -> Iterator[Path]
     folder = tmp_path_factory.mktemp("run")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     return folder / "lightstage"
+
+
+class Terminal:
+    """A process with a terminal of its own, as an operator has it.
+
+    Attributes:
+        process: the child; the terminal is its controlling one.
+    """
+
+    def __init__(self, arguments: list[str], columns: int = 100, rows: int = 30) -> None:
+        self._ours, self._theirs = pty.openpty()
+        termios.tcsetwinsize(self._theirs, (rows, columns))
+        self.before = self.mode()
+        self._said = bytearray()
+        environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", BECOME, *arguments],
+            stdin=self._theirs,
+            stdout=self._theirs,
+            stderr=self._theirs,
+            start_new_session=True,
+            env={**environment, "TERM": "xterm-256color", "PYTHONIOENCODING": "utf-8"},
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    @property
+    def said(self) -> str:
+        """All that was shown so far, without control codes."""
+        text = bytes(self._said).decode(errors="replace")
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
+
+    def mode(self) -> list[Any]:
+        """How the terminal is set."""
+        return termios.tcgetattr(self._theirs)
+
+    def press(self, keys: str) -> None:
+        os.write(self._ours, keys.encode())
+
+    def wait_for(self, text: str, since: int = 0) -> int:
+        """Wait until something is shown; returns how much was shown by then."""
+        return self.wait_until(lambda: text in self.said[since:], f"{text!r} was not shown")
+
+    def wait_until(self, done: Callable[[], bool], failure: str) -> int:
+        until_s = time.monotonic() + 60
+        while not done():
+            assert time.monotonic() < until_s, f"{failure}: {self.said[-3000:]}"
+            time.sleep(0.01)
+        return len(self.said)
+
+    def end(self) -> int:
+        """Wait for the process; returns its code."""
+        return self.process.wait(60)
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self._theirs)
+        self._reader.join(10)
+        os.close(self._ours)
+
+    def _read(self) -> None:
+        while True:
+            try:
+                piece = os.read(self._ours, 65536)
+            except OSError:
+                return
+            self._said += piece
+
+
+BECOME = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+"""
+
+
+@pytest.fixture
+def terminals() -> Iterator[Callable[..., Terminal]]:
+    """Makes terminals, and closes them."""
+    opened: list[Terminal] = []
+
+    def make(*arguments: str, **size: int) -> Terminal:
+        opened.append(Terminal(list(arguments), **size))
+        return opened[-1]
+
+    yield make
+    for terminal in opened:
+        terminal.close()

@@ -38,6 +38,7 @@ def terminal():
         (b"please quit", "q"),
         (b"aq", "q"),
         (b"\x03", "q"),
+        (b"\x1a\x1c\x13p", "p"),
         (b"\x1ba", None),
         ("é".encode(), "é"),
         (b"\xff", "\ufffd"),

@@ -1,0 +1,300 @@
+"""An operator at a real terminal: what keys do, what is shown, how it is left."""
+
+import contextlib
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+from rich.console import Console
+
+from lightstage.errors import DeviceError
+from lightstage.findings import Finding
+from lightstage.operator import OperatorConfig, TerminalOperator, open_operator
+
+BAD = Finding("retake", "blur", "x+ by cam0", "blurred", "sharp", "Ask for quiet.", "x+", "cam0")
+MISSING = Finding("retake", "not-taken", "x+ by cam0", "no answer", "a photograph")
+
+CAPTURE = """
+import json, sys, threading, time
+from lightstage.commands import run_app
+from lightstage.errors import CaptureError
+from lightstage.findings import Finding
+from lightstage.operator import open_operator
+
+out = sys.argv[1]
+lines = [json.loads(line) for line in open(sys.argv[2])]
+
+def light(state):
+    with open(out, "a") as file:
+        file.write(state + " ")
+
+def main():
+    light("lit")
+    try:
+        with open_operator("S/1") as operator:
+            operator.at_abort(lambda: light("dark-by-key"))
+            for line in lines:
+                operator.told(line)
+            {body}
+    finally:
+        light("dark")
+
+run_app(main)
+"""
+LOOP = """
+            while True:
+                wish = operator.command()
+                if wish is not None:
+                    light(wish)
+                if wish == "abort":
+                    raise CaptureError("capture", found="the operator's wish")
+                time.sleep(0.01)
+"""
+STUCK = "threading.Event().wait()"
+ASK = """
+            bad = Finding("retake", "blur", "x+ by cam0", "blurred", "sharp", "Ask for quiet.")
+            light(operator.decide([bad], 2))
+"""
+RAISE = "raise ZeroDivisionError('inside')"
+
+
+@pytest.fixture
+def capture(terminals, tmp_path, story, written):
+    """Starts a made-up capture on a terminal; its lights are a file."""
+    told = story(3)
+    told.begin()
+    told.shoot("full")
+    told.light("x+")
+    journal = written(tmp_path / "lines.jsonl", told.lines)
+    lights = tmp_path / "lights"
+
+    def start(body, **size):
+        program = CAPTURE.replace("{body}", body.strip())
+        return terminals("-c", program, str(lights), str(journal), **size), lights
+
+    return start
+
+
+def test_the_picture_is_shown_and_q_stops_with_the_terminal_as_it_was(capture):
+    terminal, lights = capture(LOOP)
+    terminal.wait_for("LIGHT ON: x+")
+    terminal.wait_for("stop, dark at once")
+    assert terminal.mode() != terminal.before
+    terminal.press("q")
+    assert terminal.end() == 2
+    terminal.wait_for("STOPPING")
+    assert lights.read_text().split() == ["lit", "dark-by-key", "abort", "dark"]
+    assert terminal.mode() == terminal.before
+    terminal.wait_for("the operator's wish")
+
+
+def test_q_darkens_the_lights_though_the_capture_waits_for_something_else(capture):
+    terminal, lights = capture(STUCK)
+    terminal.wait_for("stop, dark at once")
+    terminal.press("q")
+    terminal.wait_until(lambda: "dark-by-key" in lights.read_text(), "the lights stayed on")
+    assert terminal.process.poll() is None  # the capture itself has not come to it
+    terminal.process.send_signal(signal.SIGTERM)
+    terminal.end()
+    assert terminal.mode() == terminal.before
+
+
+def test_ctrl_c_stops(capture):
+    terminal, lights = capture(STUCK)
+    terminal.wait_for("stop, dark at once")
+    terminal.press("\x03")
+    assert terminal.end() not in (0, 2)
+    assert lights.read_text().split()[-1] == "dark"
+    assert terminal.mode() == terminal.before
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_signal_leaves_the_terminal_as_it_was(capture, number):
+    terminal, lights = capture(STUCK)
+    terminal.wait_for("stop, dark at once")
+    os.killpg(terminal.process.pid, number)
+    terminal.end()
+    assert terminal.mode() == terminal.before
+    assert lights.read_text().split()[-1] == "dark"
+
+
+def test_an_exception_leaves_the_terminal_as_it_was(capture):
+    terminal, lights = capture(RAISE)
+    assert terminal.end() == 1
+    assert terminal.mode() == terminal.before
+    terminal.wait_for("ZeroDivisionError")
+    assert lights.read_text().split()[-1] == "dark"
+
+
+def test_ctrl_z_and_ctrl_backslash_do_not_leave_the_lights_on(capture):
+    terminal, lights = capture(LOOP)
+    terminal.wait_for("stop, dark at once")
+    terminal.press("\x1a\x1c\x13")
+    terminal.press("p")
+    terminal.wait_until(lambda: "pause" in lights.read_text(), "it stands still")
+    terminal.press("q")
+    assert terminal.end() == 2
+
+
+def test_keys_are_wishes_and_what_makes_no_sense_is_said(capture):
+    terminal, lights = capture(LOOP)
+    terminal.wait_for("last pattern again")
+    terminal.press("r")
+    terminal.wait_for("taken again after this one")
+    terminal.wait_until(lambda: "retake" in lights.read_text(), "no retake")
+    terminal.press("a")
+    terminal.wait_for("Not now: nothing waits to be accepted")
+    terminal.press("p")
+    terminal.wait_until(lambda: "pause" in lights.read_text(), "no pause")
+    terminal.wait_for("continue")
+    terminal.press("\x1b[A")
+    terminal.press("c")
+    terminal.wait_until(lambda: "resume" in lights.read_text(), "no resume")
+    terminal.press("q")
+    terminal.end()
+    wishes = ["retake", "pause", "resume", "dark-by-key", "abort", "dark"]
+    assert lights.read_text().split() == ["lit", *wishes]
+
+
+@pytest.mark.parametrize(("key", "decision"), [("r", "retake"), ("a", "accept"), ("q", "abort")])
+def test_a_question_is_asked_in_plain_words_and_answered_by_a_key(capture, key, decision):
+    terminal, lights = capture(ASK)
+    terminal.wait_for("What now?")
+    for part in ("x+ by cam0: blurred", "wanted: sharp", "Ask for quiet.", "accept as it is"):
+        terminal.wait_for(part)
+    terminal.press(key)
+    assert terminal.end() == 0
+    assert decision in lights.read_text().split()
+    assert terminal.mode() == terminal.before
+
+
+@pytest.mark.parametrize("columns", [60, 200])
+def test_the_picture_fits_the_terminal(capture, columns):
+    terminal, _ = capture(LOOP, columns=columns, rows=24)
+    terminal.wait_for("stop, dark at once")
+    assert max(len(line.rstrip("\r")) for line in terminal.said.split("\n")) <= columns
+    terminal.press("q")
+    terminal.end()
+
+
+def plain(operator_does, replay, **more):
+    file = io.StringIO()
+    console = Console(file=file, width=40)
+    with TerminalOperator(console, "S/1", **more) as operator:
+        for line in replay:
+            operator.told(line)
+        result = operator_does(operator)
+    return file.getvalue(), result
+
+
+def test_a_log_gets_plain_lines_without_control_codes(replay):
+    text, _ = plain(lambda _: None, replay)
+    lines = text.splitlines()
+    assert all(line.isprintable() for line in lines)
+    assert sum(" done. " in line for line in lines) == 7
+    assert lines[-1].endswith("+ The session is complete: 63 photographs.")
+    assert any("cam4: no answer for 30 s. It is tried again" in line for line in lines)
+    assert any(line.startswith("10:20:") for line in lines)
+    assert "27 of 63 photographs, about" in text
+    assert len(lines) < 20
+
+
+def test_without_keys_the_rule_decides_and_nobody_is_waited_for(replay):
+    config = OperatorConfig(then="accept")
+    asked = [([BAD], 1), ([BAD], 0), ([MISSING], 0)]
+    _, decisions = plain(
+        lambda operator: [operator.decide(*each) for each in asked], replay, config=config
+    )
+    assert decisions == ["retake", "accept", "abort"]
+
+
+def test_clients_can_answer_what_the_terminal_asks():
+    asked, other = os.openpty()
+    answers = []
+    with TerminalOperator(Console(file=io.StringIO()), "S", keys=other) as operator:
+        waiting = threading.Thread(target=lambda: answers.append(operator.decide([MISSING], 0)))
+        waiting.start()
+        while operator.request("retake") is not None:
+            pass
+        waiting.join(30)
+        assert answers == ["retake"]
+        dark = []
+
+        def fail():
+            dark.append(True)
+            raise DeviceError("lights", found="silence")
+
+        operator.at_abort(fail)
+        assert operator.request("abort") is None
+        assert dark == [True]
+        assert operator.command() == "abort"
+        assert operator.decide([BAD], 1) == "abort"
+    os.close(asked)
+    os.close(other)
+
+
+def test_a_reader_who_has_stopped_does_not_hold_a_capture(replay):
+    reader, writer = os.pipe()
+    with (
+        contextlib.suppress(BrokenPipeError),
+        os.fdopen(writer, "w") as file,
+        TerminalOperator(Console(file=file), "S") as operator,
+    ):
+        for _ in range(200):  # far more than the pipe holds
+            for line in replay:
+                operator.told(line)
+        assert operator.view.phase == "complete"
+        os.close(reader)
+
+
+def test_a_terminal_without_unicode_is_told_all_the_same(story):
+    told = story(1)
+    told.begin()
+    told.add("failed", pattern="full", camera="cam0", said="日本 " * 200)
+    file = io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
+    with TerminalOperator(Console(file=file), "S") as operator:
+        for line in told.lines:
+            operator.told(line)
+    file.seek(0)
+    assert "full, cam0: ??" in file.read()
+
+
+def test_a_pipe_is_not_asked():
+    program = (
+        "from lightstage.operator import open_operator\n"
+        "from lightstage.findings import Finding\n"
+        "with open_operator('S') as operator:\n"
+        "    print(operator.decide([Finding('retake', 'blur', 'x', 'y', 'z')], 0))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, stdin=subprocess.DEVNULL
+    )
+    assert done.stdout == "abort\n"
+    assert done.stderr == ""
+
+
+def test_a_session_that_shall_ask_nobody_has_no_keys(terminals):
+    program = (
+        "from lightstage.operator import open_operator\n"
+        "from lightstage.findings import Finding\n"
+        "with open_operator('S', ask=False) as operator:\n"
+        "    decision = operator.decide([Finding('retake', 'blur', 'x', 'y', 'z')], 1)\n"
+        "print('decided:', decision)\n"
+    )
+    terminal = terminals("-c", program)
+    terminal.wait_for("decided: retake")
+    assert terminal.end() == 0
+    assert "dark at once" not in terminal.said
+
+
+def test_an_operator_can_be_made_without_a_terminal(replay):
+    file = io.StringIO()
+    with open_operator("S", console=Console(file=file)) as operator:
+        for line in replay:
+            operator.told(json.loads(json.dumps(line)))
+    assert "complete" in file.getvalue()
