@@ -8,6 +8,7 @@ import struct
 import threading
 import time
 import tty
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from cobs import cobs
 from crc import Calculator, Crc16
 
 from lightstage.errors import DeviceError
+from lightstage.leds.controller import LightLostError
 from lightstage.leds.opening import open_leds
 from lightstage.leds.serial_port import SerialPort
 from lightstage.leds.wire_leds import WireLeds
@@ -221,3 +223,117 @@ def test_a_port_that_is_not_there_or_in_use_is_an_error(tmp_path):
         pytest.raises(DeviceError, match="no other program"),
     ):
         far.opened(9)
+
+
+def test_after_a_reset_the_device_is_greeted_again_dark_and_lights_again():
+    turns = (
+        (set_(6, 1, 2, 3), hello(0, boot_id=8)),
+        (packet(0x01, 7), hello(7, boot_id=8)),
+        (packet(0x11, 8), lit(8, 0, 0, 0)),
+        (set_(9, 1, 2, 3), lit(9, 1, 2, 3)),
+        (packet(0x12, 10), lit(10, 1, 2, 3)),
+    )
+    with talking(*turns) as leds:
+        with pytest.raises(LightLostError, match="boot id"):
+            leds.light(np.array([1, 2, 3]) / 65535)
+        assert leds.recover().boot_id == leds.hello.boot_id == 8
+        leds.light(np.array([1, 2, 3]) / 65535)
+        leds.confirm()
+
+
+def test_a_reset_that_is_told_behind_the_answer_is_not_missed():
+    turns = ((set_(6, 1, 2, 3), lit(6, 1, 2, 3) + hello(0, boot_id=8)),)
+    with talking(*turns) as leds, pytest.raises(LightLostError, match="boot id"):
+        leds.light(np.array([1, 2, 3]) / 65535)
+
+
+def test_dark_is_asked_of_the_board_that_came_up_when_the_one_before_was_reset():
+    turns = ((packet(0x11, 6), hello(0, boot_id=8)), (packet(0x11, 7), lit(7, 0, 0, 0)))
+    with talking(*turns) as leds:
+        leds.dark()
+
+
+def test_another_device_after_a_recovery_is_refused():
+    turns = (
+        (set_(6, 1, 2, 3), hello(0, boot_id=8)),
+        (packet(0x01, 7), hello(7, boot_id=8, lights=9)),
+    )
+    with talking(*turns) as leds:
+        with pytest.raises(LightLostError):
+            leds.light(np.array([1, 2, 3]) / 65535)
+        with pytest.raises(DeviceError, match="light count: found 9, expected 3, as before"):
+            leds.recover()
+
+
+def test_dark_does_not_wait_for_another_threads_request():
+    request = set_(6, 1, 2, 3)
+    turns = ((request, b""), (packet(0x11, 7), lit(7, 0, 0, 0)))
+    with talking(*turns, timeout_s=60) as leds:
+        failed = []
+
+        def light():
+            with pytest.raises(LightLostError, match="another thread put the lights out"):
+                leds.light(np.array([1, 2, 3]) / 65535)
+            failed.append(True)
+
+        thread = threading.Thread(target=light)
+        thread.start()
+        while leds._wanted is None:  # the request is on its way
+            time.sleep(0.001)
+        leds.dark()
+        thread.join(30)
+        assert failed == [True]
+
+
+def test_nine_threads_may_ask_at_once():
+    turns = [(set_(6, 1, 2, 3), lit(6, 1, 2, 3))]
+    turns += [(packet(0x12, 7 + i), lit(7 + i, 1, 2, 3)) for i in range(90)]
+    with talking(*turns) as leds:
+        leds.light(np.array([1, 2, 3]) / 65535)
+        with ThreadPoolExecutor(9) as pool:
+            for asked in [pool.submit(leds.confirm) for _ in range(90)]:
+                asked.result()
+
+
+def test_a_packet_that_an_interrupt_cut_short_does_not_spoil_the_next():
+    class Cut:
+        """A line whose second write is interrupted in its middle."""
+
+        handles = ()
+
+        def __init__(self, port):
+            self.port, self.writes = port, 0
+
+        def write(self, data):
+            self.writes += 1
+            if self.writes == 2:
+                self.port.write(data[:4])
+                raise KeyboardInterrupt
+            self.port.write(data)
+
+        def read(self, wait_s):
+            return self.port.read(wait_s)
+
+        def close(self):
+            self.port.close()
+
+    half = set_(6, 1, 2, 3)[:4] + b"\0" + packet(0x11, 7)
+    with (
+        Conversation(OPENING, (half, lit(7, 0, 0, 0))) as far,
+        WireLeds("far", lambda: Cut(SerialPort(far.path)), 30.0, first_sequence=5) as leds,
+    ):
+        with pytest.raises(KeyboardInterrupt):
+            leds.light(np.array([1, 2, 3]) / 65535)
+        leds.dark()
+
+
+def test_pulses_are_those_of_the_address_else_those_of_the_device():
+    told = packet(0x02, 5, struct.pack("<IH", 7, 3) + b"fw\0pulse_hz=20000\0watchdog_ms=1500")
+    with Conversation((packet(0x01, 5), told)) as far, far.opened(5) as leds:
+        assert leds.pulse_hz == 20000
+        assert leds.hello.watchdog_s == 1.5
+    with (
+        Conversation((packet(0x01, 5), told)) as far,
+        WireLeds("far", lambda: SerialPort(far.path), pulse_hz=25e3, first_sequence=5) as leds,
+    ):
+        assert leds.pulse_hz == 25000
