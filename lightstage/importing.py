@@ -107,11 +107,9 @@ def import_session(
     beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
     try:
         plan = SessionPlan(tuple(found), subject, expression)
-        writer = SessionWriter.new(beside, rig, plan, facts={"imported": True})
+        writer = SessionWriter.new(beside, rig, plan, facts={"imported": True}, colour=colour)
         try:
             _keep_all(found, writer, total, progress)
-            if colour is not None:
-                writer.add_colour(colour)
             writer.finish()
             writer.end()
         finally:

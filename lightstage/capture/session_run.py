@@ -103,9 +103,8 @@ def capture_session(
         try:
             wanted = writer.state.wanted()
             if order.resume:
-                wanted = reconcile(writer, stage.cameras).wanted
-            elif order.colour is not None:
-                writer.add_colour(order.colour)
+                delete = config.delete_from_cameras
+                wanted = reconcile(writer, stage.cameras, delete=delete).wanted
             report = _run(stage, order, config, operator, writer, wanted, checks)
             writer.finish()
             write_manifest(order.root, {**order.facts, "capture": dataclasses.asdict(report)})
@@ -164,7 +163,7 @@ def _writer(
     else:
         levels = {shot.pattern: shot.levels.tolist() for shot in order.shots}
         plan = SessionPlan(tuple(levels), order.subject, order.expression, levels, order.consent)
-        writer = SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts)
+        writer = SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts, order.colour)
     try:
         if order.resume:
             require(_changed(writer, stage))

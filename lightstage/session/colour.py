@@ -7,6 +7,7 @@ from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import read_json
+from lightstage.formats.scale import chart_levels
 from lightstage.rig import Rig
 
 COLOUR_SCHEMA = "lightstage.colour/1"
@@ -17,7 +18,8 @@ def read_colour(path: Path, rig: Rig) -> dict[str, Any]:
     """A colour calibration: for each camera a 3x3 matrix from raw to linear rgb.
 
     Raises:
-        FormatError: another schema, or a camera of the rig without a finite 3x3 matrix.
+        FormatError: another schema, a camera of the rig without a finite 3x3 matrix, or levels of
+            the chart's light that do not fit the rig (formats.scale).
     """
     value = read_json(path, COLOUR_SCHEMA)
     cameras = value.get("cameras", {})
@@ -35,4 +37,5 @@ def read_colour(path: Path, rig: Rig) -> dict[str, Any]:
                 found=repr(matrix),
                 expected="3 rows of 3 finite numbers",
             )
+    chart_levels(value, len(rig.lights), path)
     return dict(value)

@@ -21,9 +21,9 @@ from lightstage.errors import DeviceError, FormatError, LightstageError, one_err
 from lightstage.findings import Finding
 from lightstage.formats.files import fsync_path
 from lightstage.photograph import identify_file
-from lightstage.session.aside import FOLDER, asides
 from lightstage.session.disk import disk_errors
 from lightstage.session.keep import Arrival, is_whole, settle, sha256_on_disk
+from lightstage.session.leftovers import Leftovers
 from lightstage.session.reading import Line
 from lightstage.session.state import Exposed, Key, key_of, told
 from lightstage.session.writer import SessionWriter
@@ -82,22 +82,19 @@ def reconcile(
     return _Reconciler(writer, delete).all(cameras)
 
 
-class _Reconciler:
+class _Reconciler(Leftovers):
+    """Disk and journal against the cards."""
+
     def __init__(self, writer: SessionWriter, delete: bool) -> None:
-        self.writer = writer
+        super().__init__(writer)
         self.delete = delete
-        self.state = writer.state
-        self.root = writer.root
         self.adopted: list[Key] = []
         self.restored: list[Key] = []
-        self.rejected: list[Key] = []
-        self.recovered: list[Path] = []
-        self.findings: list[Finding] = []
 
     def all(self, cameras: Sequence[CameraDevice]) -> Reconciled:
         ids = {camera.id for camera in cameras}
         whole = ids >= set(self.state.cameras)
-        damaged = self._damaged() if whole else []
+        damaged = self.damaged() if whole else []
         problems: list[LightstageError] = []
         for camera in cameras:
             try:
@@ -105,7 +102,7 @@ class _Reconciler:
             except DeviceError as error:
                 problems.append(error)
         if whole and not problems:
-            self._tidy()
+            self.tidy()
         if problems:
             raise one_error(problems)
         return Reconciled(
@@ -156,10 +153,10 @@ class _Reconciler:
         twin = self.state.kept_hashes().get(sha256)
         if twin is not None or size != exposed.file.size:
             why = f"the bytes of {twin}" if twin else f"{size} bytes came of {exposed.file.size}"
-            self._set_aside(incoming, exposed, why)
-            self._reject(exposed.key, why)
+            self.set_aside(incoming, exposed, why)
+            self.reject(exposed.key, why)
             return
-        named = self._named(exposed)
+        named = self.named(exposed)
         if named is not None:
             with disk_errors(named):
                 same = sha256_on_disk(named) == sha256
@@ -171,12 +168,12 @@ class _Reconciler:
                 self.writer.frame(*exposed.key, named, exposed.file, sha256, encoding, adopted=True)
                 self.adopted.append(exposed.key)
                 return
-            self._set_aside(named, exposed, "not what is on the card", of_card=False)
+            self.set_aside(named, exposed, "not what is on the card", of_card=False)
         try:
             self.writer.keep(*exposed.key, incoming, exposed.file, sha256, adopted=True)
         except FormatError as error:
-            self._set_aside(incoming, exposed, str(error))
-            self._reject(exposed.key, str(error))
+            self.set_aside(incoming, exposed, str(error))
+            self.reject(exposed.key, str(error))
         else:
             self.adopted.append(exposed.key)
 
@@ -194,7 +191,7 @@ class _Reconciler:
         self, camera: CameraDevice, exposed: Exposed, now: Collection[CardFile]
     ) -> None:
         """Settle an exposure whose card was changed since: what the disk has is all there is."""
-        named, partial = self._named(exposed), self._partial(exposed)
+        named, partial = self.named(exposed), self.partial(exposed)
         whole = [p for p in (named, partial) if p is not None and is_whole(p, exposed.file.size)]
         if whole:
             with disk_errors(whole[0]):
@@ -205,17 +202,17 @@ class _Reconciler:
         for path in (named, partial):
             if path is not None:
                 why = "left of a photograph that its card no longer has"
-                self._set_aside(path, exposed, why, of_card=False)
+                self.set_aside(path, exposed, why, of_card=False)
         why = "it was not on this computer yet when the card was emptied or exchanged"
         if exposed.file in now:
             # A file of its name and size; whether it is this photograph nobody can tell.
             self.recovered.append(
                 self.writer.recover(camera, exposed.file, exposed.pattern, "the card was changed")
             )
-        self._reject(exposed.key, why)
+        self.reject(exposed.key, why)
 
     def _adopt_unsure(self, exposed: Exposed, path: Path, sha256: str) -> None:
-        if path == self._partial(exposed):
+        if path == self.partial(exposed):
             self.writer.keep(
                 *exposed.key, path, exposed.file, sha256, adopted=True, verified=UNSURE
             )
@@ -227,7 +224,7 @@ class _Reconciler:
                 *exposed.key, path, exposed.file, sha256, encoding, adopted=True, verified=UNSURE
             )
         self.adopted.append(exposed.key)
-        self.findings.append(
+        self.say(
             Finding(
                 "warn",
                 "verified-by-size",
@@ -248,13 +245,13 @@ class _Reconciler:
             self.recovered.append(self.writer.recover(camera, file, pattern, why))
         if outstanding is not None:
             why = "its light is not certain" if unknown else "the camera took no photograph of it"
-            self._reject((outstanding[0], camera.id, outstanding[1]), why)
+            self.reject((outstanding[0], camera.id, outstanding[1]), why)
 
     def _tell_changed(
         self, camera: CameraDevice, changed: Collection[CardFile], unknown: Sequence[CardFile]
     ) -> None:
         left = f" {len(unknown)} files of others were left on it." if unknown else ""
-        self.findings.append(
+        self.say(
             Finding(
                 "warn",
                 "card-changed",
@@ -287,23 +284,11 @@ class _Reconciler:
                 self.writer.deleted(pattern, camera.id, file)
                 step("deleted", pattern, camera.id)
 
-    # -- photographs that were kept
-
-    def _damaged(self) -> list[Line]:
-        """``frame`` lines whose file is missing or no longer has its bytes."""
-        damaged = []
-        for line in self.state.frames():
-            path = self.root / line["path"]
-            with disk_errors(path):
-                if not path.is_file() or sha256_on_disk(path) != line["sha256"]:
-                    damaged.append(line)
-        return damaged
-
     def _restore(self, camera: CameraDevice, line: Line, now: Collection[CardFile]) -> None:
         """Bring a photograph that was kept from the card again, if it is the same to the byte."""
         key, path = key_of(line), self.root / line["path"]
         if path.exists():
-            self._set_aside_file(path, camera.id, line["pattern"], "changed on the disk")
+            self.set_aside_file(path, camera.id, line["pattern"], "changed on the disk")
         file = CardFile(line["file"], line["size"])
         if file in now:
             incoming = self.writer.incoming(*key)
@@ -319,8 +304,8 @@ class _Reconciler:
                 return
             with disk_errors(incoming):
                 incoming.unlink()
-        self._reject(key, "its file is missing or damaged, and the card does not have it")
-        self.findings.append(
+        self.reject(key, "its file is missing or damaged, and the card does not have it")
+        self.say(
             Finding(
                 "warn",
                 "photograph-lost",
@@ -332,87 +317,3 @@ class _Reconciler:
                 camera=camera.id,
             )
         )
-
-    # -- what is left on the disk
-
-    def _tidy(self) -> None:
-        """Remove or set aside what crashes left; every file ends under a line of the journal."""
-        for path in sorted((self.root / "frames").glob("*/.*.partial")):
-            parts = _PARTIAL.fullmatch(path.name)
-            if parts is not None and parts["camera"] in self.state.cameras:
-                self._tidy_partial(path, (path.parent.name, parts["camera"], int(parts["take"])))
-        lines = {line["path"] for line in self.state.all_frames()}
-        for path in sorted((self.root / "frames").glob("*/[!.]*")):
-            if path.relative_to(self.root).as_posix() not in lines:
-                self.findings.append(
-                    Finding(
-                        "warn",
-                        "stray-file",
-                        str(path),
-                        found="a file that the journal does not know",
-                        expected="photographs of this session alone",
-                        hint="It is left alone and does not count.",
-                    )
-                )
-        with disk_errors(self.root / FOLDER):
-            for path in (self.root / FOLDER).glob("*/.*.partial"):
-                path.unlink()
-        for camera, path in asides(self.root):
-            if path.relative_to(self.root).as_posix() not in self.state.recovered():
-                self._journal_aside(path, camera)
-        session = self.root / "session.json"
-        if self.state.wanted() and session.exists():
-            # It was made from the journal when all was there; that is no longer so.
-            with disk_errors(session):
-                session.unlink()
-                fsync_path(self.root)
-
-    def _tidy_partial(self, path: Path, key: Key) -> None:
-        """What a download left that is settled otherwise."""
-        with disk_errors(path):
-            if path.stat().st_size and not self.state.is_kept(key):
-                self._set_aside_file(path, key[1], key[0], "left of a download")
-            else:
-                path.unlink()
-
-    def _journal_aside(self, path: Path, camera: str) -> None:
-        with disk_errors(path):
-            if not path.stat().st_size:
-                path.unlink()  # a name that was taken and never filled
-                return
-        self.writer.recovered(camera, path, None, "left by a crash")
-        self.recovered.append(path)
-
-    # -- small things
-
-    def _named(self, exposed: Exposed) -> Path | None:
-        """The file that has an exposure's name; one that is empty is a name taken in vain."""
-        stem = self.writer.stem(exposed.camera, exposed.take)
-        folder = self.root / "frames" / exposed.pattern
-        for path in sorted(folder.glob(f"{stem}.*")):
-            if path.stem == stem:
-                with disk_errors(path):
-                    if path.stat().st_size:
-                        return path
-                    path.unlink()
-        return None
-
-    def _partial(self, exposed: Exposed) -> Path | None:
-        path = self.writer.partial(*exposed.key)
-        return path if path.exists() and path.stat().st_size else None
-
-    def _set_aside(self, path: Path, exposed: Exposed, why: str, *, of_card: bool = True) -> None:
-        """Move a file of an exposure under ``recovered/``; `of_card`: its bytes are the card's."""
-        if of_card:
-            kept = self.writer.aside(path, exposed.camera, exposed.file, exposed.pattern, why)
-            self.recovered.append(kept)
-        else:
-            self._set_aside_file(path, exposed.camera, exposed.pattern, why)
-
-    def _set_aside_file(self, path: Path, camera: str, pattern: str, why: str) -> None:
-        self.recovered.append(self.writer.aside(path, camera, None, pattern, why))
-
-    def _reject(self, key: Key, why: str) -> None:
-        pattern, camera, take = key
-        self.writer.rejected(pattern, camera, why, take)
-        self.rejected.append(key)

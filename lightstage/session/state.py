@@ -76,6 +76,7 @@ class SessionState:
         self._shots: dict[str, Line] = {}
         self._calibration: dict[str, Any] = {}
         self._snapshot(self.begin)
+        self._on_calibration(self.begin.get("calibration") or {})
         for line in iterator:
             self.apply(line)
 

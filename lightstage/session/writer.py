@@ -53,6 +53,7 @@ class SessionWriter(Record):
         cards: Mapping[str, Collection[CardFile]] | None = None,
         serials: Mapping[str, str | None] | None = None,
         facts: Mapping[str, Any] | None = None,
+        colour: Mapping[str, Any] | None = None,
     ) -> SessionWriter:
         """Make a session; a folder that holds something is never touched.
 
@@ -63,6 +64,7 @@ class SessionWriter(Record):
             cards: what lies on each camera's card now, by camera id.
             serials: what each camera tells as its serial number, by camera id.
             facts: what else the journal shall begin with (devices, configuration).
+            colour: a colour calibration (as read by read_colour) to keep in the session.
 
         Raises:
             ConfigError: a name that cannot stand in a session.
@@ -75,7 +77,7 @@ class SessionWriter(Record):
             root.mkdir(parents=True, exist_ok=True)
         journal, begin = Journal.new(
             root / JOURNAL,
-            lambda: save_rig(rig, root / RIG),
+            lambda: _save_beside(root, rig, colour),
             session=session_id(plan.subject, plan.expression, created),
             created_utc=created,
             **plan.facts(),
@@ -83,6 +85,7 @@ class SessionWriter(Record):
             rig_sha256=rig_hash(rig),
             cards={c: as_json(files) for c, files in (cards or {}).items()},
             serials=dict(serials or {}),
+            calibration={} if colour is None else {"colour": COLOUR_PATH},
             **(facts or {}),
         )
         return SessionWriter(root, journal, SessionState([begin]))
@@ -282,12 +285,6 @@ class SessionWriter(Record):
             **facts,
         )
 
-    def add_colour(self, value: dict[str, Any]) -> None:
-        """Keep a colour calibration (as read by read_colour) in the session."""
-        with disk_errors(self.root / COLOUR_PATH):
-            write_json(self.root / COLOUR_PATH, value)
-        self.journal.write("calibration", colour=COLOUR_PATH)
-
     def finish(self) -> Path:
         """Write session.json from the journal as it lies on the disk; returns its path.
 
@@ -310,6 +307,13 @@ class SessionWriter(Record):
         self.journal.close()
 
 
+def _save_beside(root: Path, rig: Rig, colour: Mapping[str, Any] | None) -> None:
+    """What lies in a session's folder before its journal begins."""
+    save_rig(rig, root / RIG)
+    if colour is not None:
+        write_json(root / COLOUR_PATH, dict(colour))
+
+
 def require_new(root: Path) -> None:
     """CaptureError when the folder for a new session exists and holds something.
 
@@ -320,7 +324,8 @@ def require_new(root: Path) -> None:
         names = {path.name for path in root.iterdir()} if root.is_dir() else set()
         there = root.exists() and not root.is_dir()
     if begun in names:
-        names -= {begun, RIG, *(name for name in names if name.startswith(".rig."))}
+        own = {begun, RIG, Path(COLOUR_PATH).parts[0]}
+        names -= own | {name for name in names if name.startswith(".rig.")}
     if there or names:
         raise CaptureError(
             root,

@@ -280,13 +280,20 @@ def colour(matrix):
     return {"schema": "lightstage.colour/1", "cameras": cameras}
 
 
-def test_a_colour_calibration_goes_into_the_session(writer, fill, tmp_path, small_rig):
+def test_a_colour_calibration_is_in_the_session_from_its_first_line_on(
+    tmp_path, fill, small_rig, plan
+):
     path = write_json(tmp_path / "colour.json", colour(np.eye(3).tolist()))
-    writer.add_colour(read_colour(path, small_rig))
+    matrices = read_colour(path, small_rig)
+    writer = SessionWriter.new(tmp_path / "S", small_rig, plan, colour=matrices)
+    writer.close()
+    writer = SessionWriter.resumed(tmp_path / "S")
+    writer.resume({}, {})
     fill(writer)
     writer.finish()
     assert load_session(writer.root).file.calibration.colour == "calibration/colour.json"
     assert (writer.root / "calibration" / "colour.json").is_file()
+    writer.close()
 
 
 @pytest.mark.parametrize("matrix", [None, [[1, 0, 0]], [[1, 0], [0, 1], [0, 0]], [["a"] * 3] * 3])
