@@ -18,6 +18,8 @@ from lightstage.preflight.values import (
 from lightstage.rig import Camera
 from lightstage.session.disk import disk_errors
 
+SAME_NUMBER = ("nikon", "canon")
+"""Makers whose files have the number that the body tells; Fujifilm's have another one."""
 CLOCK_GRAIN_S = 2.0
 """A file tells whole seconds, and some cameras the moment before the shutter."""
 ZONE_S = 900.0
@@ -47,7 +49,8 @@ def photograph_findings(
 
     Returns:
         ``refuse`` where another camera took it or a person or place is in it; ``retake`` where a
-        setting drifted; ``warn`` where its time is off.
+        setting drifted; ``warn`` where its time is off, or where the number in it is another one
+        but the body told the right one and the maker is none of SAME_NUMBER.
 
     Raises:
         CaptureError: the disk does not give the file.
@@ -72,13 +75,17 @@ def photograph_findings(
         )
 
     if found.serial is not None and not _same_serial(found.serial, camera.serial):
+        # The body itself told the right number, and its maker may write another one into files.
+        doubtful = told.serial is not None and not _writes_told_serial(found.make)
         finding(
-            "refuse",
+            "warn" if doubtful else "refuse",
             "wrong-camera",
             "serial in the file",
             found.serial,
             f"{camera.serial} (rig.json)",
-            "Another camera took it: check which cable goes to which camera.",
+            "Compare a few of its files: does this maker write another number than the body tells?"
+            if doubtful
+            else "Another camera took it: check which cable goes to which camera.",
         )
     for name, said, wanted in _drifted(found, told):
         finding(
@@ -129,6 +136,11 @@ def _drifted(found: Exif, told: Summary) -> list[tuple[str, str, str]]:
     if found.f_number is not None and stop is not None and not same_aperture(found.f_number, stop):
         differ.append(("aperture", f"f/{found.f_number:g}", str(told.aperture)))
     return differ
+
+
+def _writes_told_serial(make: str | None) -> bool:
+    """Whether a maker's files have the number that its bodies tell through the cable."""
+    return make is not None and make.casefold().startswith(SAME_NUMBER)
 
 
 def _written(iso: float, found: int) -> float:

@@ -19,10 +19,12 @@ EXPOSED = datetime.datetime(2026, 3, 4, 5, 6, 7, tzinfo=datetime.UTC)
 
 @pytest.fixture
 def photograph(tmp_path):
-    def make(iso=100, exposure_s=1 / 60, f_number=8.0, serial="600", **exif):
+    def make(
+        iso=100, exposure_s=1 / 60, f_number=8.0, serial="600", model="Nikon DSC D750", **exif
+    ):
         sensor = Sensor(SensorConfig(iso=iso), np.eye(3), exposure_s)
         path = tmp_path / "cam0.dng"
-        own = dng.Exif("Nikon DSC D750", serial, f_number, 60.0, **exif)
+        own = dng.Exif(model, serial, f_number, 60.0, **exif)
         path.write_bytes(dng.dng_bytes(np.full((48, 32), 700, np.uint16), sensor, own))
         return path
 
@@ -50,6 +52,16 @@ def test_a_setting_that_drifted_is_to_be_taken_again(photograph, small_rig, wron
 
 def test_another_cameras_photograph_is_refused(photograph, small_rig):
     assert look(photograph(serial="601"), small_rig) == [("refuse", "wrong-camera")]
+
+
+def test_a_maker_that_writes_other_numbers_into_files_is_doubted_not_refused(photograph, small_rig):
+    path = photograph(serial="59Y1", model="FUJIFILM X-T5")
+    told = dataclasses.replace(TOLD, serial="600")
+    assert look(path, small_rig, told) == [("warn", "wrong-camera")]
+    # Where the body told nothing, the file alone says whose it is.
+    assert look(path, small_rig) == [("refuse", "wrong-camera")]
+    nikon = photograph(serial="601")
+    assert look(nikon, small_rig, told) == [("refuse", "wrong-camera")]
 
 
 def test_what_the_camera_cannot_tell_is_not_compared(photograph, small_rig):
