@@ -1,0 +1,212 @@
+"""Going on after a crash, case by case: what is adopted, kept aside, taken again, and said."""
+
+import dataclasses
+import json
+
+import pytest
+
+from lightstage.cameras.camera import CardFile
+from lightstage.errors import DeviceError
+from lightstage.session import SessionWriter, arrived, read_journal, reconcile, state_of
+from tests.lightstage.session.crashes import Camera, Desk, Life, label, picture
+
+
+@pytest.fixture
+def desk(tmp_path, small_rig):
+    return Desk.new(tmp_path / "S", dataclasses.replace(small_rig, cameras=small_rig.cameras[:2]))
+
+
+@pytest.fixture
+def begun(desk, plan):
+    """A session whose cam0 and cam1 were triggered and exposed `full`; nothing is downloaded."""
+    cameras = [Camera(name, body, Life()) for name, body in desk.bodies.items()]
+    cards = {camera.id: camera.card() for camera in cameras}
+    serials = {camera.id: camera.body.serial for camera in cameras}
+    writer = SessionWriter.new(desk.root, desk.rig, plan, cards, serials)
+    writer.lit("full", [1.0] * 8, acknowledged=False)
+    writer.trigger("full", {"cam0": 1, "cam1": 1})
+    for camera in cameras:
+        writer.exposed("full", 1, camera.id, camera.trigger("full"))
+    return writer, cameras
+
+
+def resumed(desk, cameras):
+    writer = SessionWriter.resumed(desk.root, desk.rig)
+    writer.resume({camera.id: camera.card() for camera in cameras}, {})
+    return writer
+
+
+def lines_of(writer, event):
+    return [line for line in read_journal(writer.journal.path) if line["event"] == event]
+
+
+def test_an_exposure_whose_light_lasted_is_brought_from_the_card_and_keeps_what_is_known_of_it(
+    desk, begun
+):
+    writer, cameras = begun
+    found = reconcile(writer, cameras)
+    assert found.adopted == (("full", "cam0", 1), ("full", "cam1", 1))
+    assert found.wanted == {"full": (), "x+": ("cam0", "cam1")}
+    assert (found.recovered, found.rejected, found.findings) == ((), (), ())
+    assert writer.state.accepted("full", "cam0")["acknowledged"] is False
+    again = reconcile(writer, cameras)
+    assert (again.adopted, again.wanted) == ((), found.wanted)
+    writer.close()
+
+
+def test_a_picture_of_a_light_that_may_not_have_lasted_is_kept_aside_and_taken_again(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    writer.trigger("x+", {"cam0": 1, "cam1": 1})
+    cameras[0].trigger("x+")
+    found = reconcile(writer, cameras)
+    assert [path.parent.name for path in found.recovered] == ["cam0"]
+    assert label(found.recovered[0].read_bytes()) == ("x+", "cam0")
+    assert found.rejected == (("x+", "cam0", 1), ("x+", "cam1", 1))
+    assert writer.next_take("x+", "cam0") == 2
+    (line,) = lines_of(writer, "recovered")
+    assert line["pattern"] == "x+"
+    assert line["file"][0] in cameras[0].body.card
+    writer.close()
+
+
+def test_of_an_emptied_card_a_whole_download_is_kept_and_said_to_be_less_certain(desk, begun):
+    writer, cameras = begun
+    data = cameras[0].body.exposed[0]
+    writer.incoming("full", "cam0", 1).write_bytes(data)
+    writer.incoming("full", "cam1", 1).write_bytes(cameras[1].body.exposed[0][:50])
+    for camera in cameras:
+        camera.body.card.clear()
+    writer.close()
+    writer = resumed(desk, cameras)
+    found = reconcile(writer, cameras)
+    assert found.adopted == (("full", "cam0", 1),)
+    assert writer.state.accepted("full", "cam0")["verified"] == "size and header"
+    assert found.rejected == (("full", "cam1", 1),)
+    assert [path.read_bytes() for path in found.recovered] == [cameras[1].body.exposed[0][:50]]
+    codes = sorted(finding.code for finding in found.findings)
+    assert codes == ["card-changed", "card-changed", "verified-by-size"]
+    told = [
+        line["code"] for line in read_journal(writer.journal.path) if line["event"] == "finding"
+    ]
+    assert sorted(told) == codes
+    assert reconcile(writer, cameras).findings == ()
+    writer.close()
+
+
+def test_a_picture_with_the_bytes_of_another_is_no_photograph_of_this_light(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    stale = cameras[0].body.exposed[0]
+    cameras[0].body.card["/DCIM/DSC_9999.DNG"] = stale
+    writer.trigger("x+", {"cam0": 1})
+    writer.exposed("x+", 1, "cam0", CardFile("/DCIM/DSC_9999.DNG", len(stale)))
+    found = reconcile(writer, cameras)
+    assert found.rejected == (("x+", "cam0", 1),)
+    assert [path.read_bytes() for path in found.recovered] == [stale]
+    assert writer.state.missing("x+") == ("cam0", "cam1")
+    writer.close()
+
+
+def test_what_is_no_photograph_is_kept_aside_and_taken_again(desk, begun):
+    writer, cameras = begun
+    name = list(cameras[1].body.card)[-1]
+    cameras[1].body.card[name] = bytes(len(cameras[1].body.card[name]))
+    found = reconcile(writer, cameras)
+    assert found.adopted == (("full", "cam0", 1),)
+    assert found.rejected == (("full", "cam1", 1),)
+    assert not any(found.recovered[0].read_bytes())
+    writer.close()
+
+
+def test_a_second_file_of_a_shot_is_known_and_not_brought(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    raw = cameras[0].trigger("x+")
+    cameras[0].body.card["/DCIM/DSC_0003.JPG"] = b"preview"
+    writer.trigger("x+", {"cam0": 1})
+    writer.exposed("x+", 1, "cam0", raw, [CardFile("/DCIM/DSC_0003.JPG", 7)])
+    found = reconcile(writer, cameras)
+    assert (found.adopted, found.recovered) == ((("x+", "cam0", 1),), ())
+    writer.close()
+
+
+def test_a_camera_that_does_not_answer_holds_nothing_up_but_is_not_given_up(desk, begun):
+    writer, cameras = begun
+    cameras[0].body.unreachable = True
+    with pytest.raises(DeviceError, match="camera cam0: found no answer"):
+        reconcile(writer, cameras)
+    assert writer.state.missing("full") == ("cam0",)
+    cameras[0].body.unreachable = False
+    assert reconcile(writer, cameras).adopted == (("full", "cam0", 1),)
+    writer.close()
+
+
+def test_a_camera_that_was_started_again_is_looked_at_alone(desk, begun):
+    writer, cameras = begun
+    assert reconcile(writer, cameras[:1]).adopted == (("full", "cam0", 1),)
+    assert writer.state.missing("full") == ("cam1",)
+    writer.close()
+
+
+def test_a_file_that_nobody_knows_is_said_and_left_alone(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    stray = desk.root / "frames" / "full" / "holiday.dng"
+    stray.write_bytes(picture("elsewhere", "nobody", 1))
+    found = reconcile(writer, cameras)
+    assert [finding.code for finding in found.findings] == ["stray-file"]
+    assert stray.exists()
+    writer.close()
+
+
+def test_pictures_of_before_the_session_are_never_copied(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    paths = [path for path in desk.root.rglob("*") if path.is_file()]
+    assert not any(b"elsewhere" in path.read_bytes() for path in paths)
+    writer.close()
+
+
+def test_a_name_that_comes_again_after_a_card_was_formatted_is_another_file(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    body = cameras[0].body
+    body.card.clear()
+    body.number = 1  # the next file is called as the one that was kept
+    writer.trigger("x+", {"cam0": 1})
+    file = cameras[0].trigger("x+")
+    assert file.name == writer.state.accepted("full", "cam0")["file"]
+    writer.exposed("x+", 1, "cam0", file)
+    found = reconcile(writer, cameras)
+    # Since when the card is another nobody knows: its file is kept, without a label.
+    assert [label(path.read_bytes()) for path in found.recovered] == [("x+", "cam0")]
+    assert writer.state.accepted("x+", "cam0") is None
+    path = desk.root / writer.state.accepted("full", "cam0")["path"]
+    assert label(path.read_bytes()) == ("full", "cam0")
+    writer.close()
+
+
+def test_what_arrived_on_a_card_is_told_by_name_and_size():
+    before = [CardFile("a", 1), CardFile("b", 2)]
+    now = [CardFile("b", 3), CardFile("a", 1), CardFile("c", 2)]
+    assert arrived(before, now) == (CardFile("b", 3), CardFile("c", 2))
+
+
+def test_the_state_of_a_journal_is_that_of_the_writer(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    writer.rejected("full", "cam1", "blurred")
+    state = state_of(read_journal(writer.journal.path))
+    assert (
+        state.wanted()
+        == writer.state.wanted()
+        == {
+            "full": ("cam1",),
+            "x+": ("cam0", "cam1"),
+        }
+    )
+    assert state.next_take("full", "cam1") == 2
+    assert state.kept_hashes() == writer.state.kept_hashes()
+    json.dumps(state.begin)
+    writer.close()
