@@ -97,7 +97,7 @@ class _Seen:
             return
         self.last_id = line["id"]
         event = line.get("event")
-        if event in ("begin", "resume"):
+        if event == "resume":
             self.socket, self.over = "", False
         self.over = self.over or event in ("aborted", "end")
         self.socket = text_of(line, "socket") or self.socket

@@ -1,0 +1,234 @@
+"""`lightstage watch`: from another terminal, while a capture runs, was killed, or is over."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from lightstage.errors import CaptureError, FormatError
+from lightstage.operator.client import ask, follow
+
+CAPTURING = """
+import json, sys, time
+from pathlib import Path
+from lightstage.operator import Unattended, serve_events
+from lightstage.operator.lines import JournalTail
+
+class Writer:
+    def __init__(self, root):
+        self.root, self.listeners = root, []
+        self.file = open(root / "journal.jsonl", "ab", buffering=0)
+        with JournalTail(root / "journal.jsonl") as tail:
+            tail.read()
+            self.id = tail.last_id
+    def note(self, event, **facts):
+        self.id += 1
+        line = {"id": self.id, "elapsed_s": time.monotonic(), "event": event, **facts}
+        data = json.dumps(line).encode() + b"\\n"
+        self.file.write(data[:9])
+        self.file.write(data[9:])
+        for listener in self.listeners:
+            listener(line)
+
+writer, operator = Writer(Path(sys.argv[1])), Unattended()
+writer.listeners.append(operator.told)
+with serve_events(writer, operator.request):
+    for raw in sys.stdin:
+        line = json.loads(raw)
+        writer.note(line.pop("event"), **line)
+        wish = operator.command()
+        if wish is not None:
+            writer.note("note", said=f"the operator wishes: {wish}")
+"""
+
+
+class Capturing:
+    """A process that writes a session's journal, line by line as it is told, and serves it."""
+
+    def __init__(self, root):
+        self.root = root
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", CAPTURING, str(root)], stdin=subprocess.PIPE, text=True
+        )
+        self.journal = root / "journal.jsonl"
+        self.wait(lambda: self.journal.exists() and "socket" in self.journal.read_text())
+
+    def wait(self, done):
+        until_s = time.monotonic() + 60
+        while not done():
+            assert time.monotonic() < until_s
+            assert self.process.poll() is None
+            time.sleep(0.01)
+
+    def write(self, *lines):
+        for line in lines:
+            self.process.stdin.write(json.dumps(line) + "\n")
+        self.process.stdin.flush()
+
+    def end(self):
+        self.process.stdin.close()
+        self.process.wait(60)
+
+
+@pytest.fixture
+def capturing(tmp_path, runtime):
+    started = []
+
+    def start(root=tmp_path):
+        started.append(Capturing(root))
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.process.kill()
+        each.process.wait()
+        each.process.stdin.close()
+
+
+WATCH = """
+from lightstage.commands import make_app, run_app
+from lightstage.operator.command import register
+
+app = make_app("The command alone: it starts sooner than all of them.")
+app.callback()(lambda: None)
+register(app)
+run_app(app)
+"""
+
+
+def watch(*arguments, program=("-c", WATCH)):
+    return subprocess.run(
+        [sys.executable, *program, "watch", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def bare(lines):
+    return [{k: v for k, v in line.items() if k not in ("id", "elapsed_s")} for line in lines]
+
+
+def test_a_finished_capture_is_told_from_its_journal(tmp_path, replay, written):
+    written(tmp_path / "journal.jsonl", replay)
+    done = watch(tmp_path, program=("-m", "lightstage"))
+    assert done.returncode == 0
+    assert "63 of 63 photographs kept, 7 of 7 patterns done, complete" in done.stdout
+    assert "cam4: no answer for 30 s" in done.stderr
+    assert "\x1b" not in done.stderr
+    facts = json.loads(watch(tmp_path, "--json").stdout.splitlines()[-1])
+    assert facts["photographs"] == facts["wanted"] == 63
+    assert facts["phase"] == "complete"
+    assert facts["last_id"] == len(replay)
+
+
+def test_a_running_capture_is_followed_live_to_its_end_and_each_line_comes_once(
+    tmp_path, replay, capturing
+):
+    running = capturing()
+    told = [{k: v for k, v in line.items() if k not in ("id", "elapsed_s")} for line in replay]
+    running.write(*told[:20])
+    got, followers = {}, []
+    for number in range(4):
+        followers.append(
+            threading.Thread(target=lambda n=number: got.update({n: list(follow(tmp_path))}))
+        )
+        followers[-1].start()
+        running.write(*told[20 + number * 20 : 40 + number * 20])
+    running.write(*told[100:])
+    running.end()
+    for follower in followers:
+        follower.join(60)
+    for lines in got.values():
+        assert [line["id"] for line in lines] == list(range(1, len(told) + 2))
+        assert bare(lines)[1:] == told
+    assert len(got) == 4
+
+
+def test_a_capture_that_is_killed_is_told_as_not_over(tmp_path, replay, capturing):
+    running = capturing()
+    running.write(*bare(replay[:30]))
+    running.wait(lambda: running.journal.read_bytes().count(b"\n") == 31)
+    got = []
+    follower = threading.Thread(target=lambda: got.extend(follow(tmp_path)))
+    follower.start()
+    running.process.kill()
+    follower.join(60)
+    assert [line["id"] for line in got] == list(range(1, 32))
+    done = watch(tmp_path)
+    assert done.returncode == 0
+    assert "not over at line 31" in done.stdout
+    with pytest.raises(CaptureError, match="no capture that answers"):
+        ask(tmp_path, "abort")
+
+
+def test_a_resumed_capture_is_followed_by_its_new_socket(tmp_path, replay, capturing):
+    first = capturing()
+    first.write(*bare(replay[:10]))
+    first.wait(lambda: first.journal.read_bytes().count(b"\n") == 11)
+    first.process.kill()
+    first.process.wait()
+    second = capturing()
+    second.wait(lambda: second.journal.read_text().count("socket") == 2)
+    second.write({"event": "end"})
+    second.end()
+    assert [line["id"] for line in follow(tmp_path)] == list(range(1, 14))
+
+
+def test_another_terminal_can_stop_a_capture(tmp_path, replay, capturing):
+    running = capturing()
+    running.write(*bare(replay[:2]))
+    refused = watch(tmp_path, "--do", "retake")
+    assert refused.returncode == 2
+    assert "no pattern is done yet" in refused.stderr
+    assert "Traceback" not in refused.stderr
+    accepted = watch(tmp_path, "--do", "abort")
+    assert accepted.returncode == 0
+    assert "abort is accepted" in accepted.stdout
+    running.write({"event": "lit", "pattern": "x+"})
+    running.wait(lambda: "the operator wishes: abort" in running.journal.read_text())
+
+
+def test_nobody_there_is_said(tmp_path, replay, written):
+    nothing = watch(tmp_path / "S")
+    assert nothing.returncode == 2
+    assert "no such file, expected the journal of a capture" in nothing.stderr
+    with pytest.raises(FormatError):
+        ask(tmp_path / "S", "abort")
+    written(tmp_path / "journal.jsonl", replay)
+    over = watch(tmp_path, "--do", "abort")
+    assert over.returncode == 2
+    assert "no capture that answers" in over.stderr
+
+
+def test_a_picture_of_any_moment_can_be_written(tmp_path, replay, written):
+    written(tmp_path / "journal.jsonl", replay)
+    failed = next(line["id"] for line in replay if line["event"] == "failed")
+    path = tmp_path / "p.svg"
+    done = watch(tmp_path, "--picture", path, "--until", failed, "--columns", 90)
+    assert done.returncode == 0, done.stderr
+    assert "FAILED" in path.read_text()
+    assert watch(tmp_path, "--picture", path).returncode == 0
+    assert "COMPLETE" in path.read_text()
+    assert watch(tmp_path, "--picture", path, "--columns", 10).returncode == 2
+
+
+def test_a_watcher_at_a_terminal_sees_the_picture_and_leaves_by_q(
+    tmp_path, replay, capturing, terminals
+):
+    running = capturing()
+    running.write(*bare(replay[:60]))
+    terminal = terminals("-c", WATCH, "watch", str(tmp_path))
+    terminal.wait_for("LIGHT ON")
+    seen = terminal.wait_for("leave (the capture goes on)")
+    running.write({"event": "finding", "severity": "warn", "where": "cam1", "found": "it is dim"})
+    terminal.wait_for("it is dim", seen)
+    terminal.press("q")
+    assert terminal.end() == 0
+    assert terminal.mode() == terminal.before
+    assert running.process.poll() is None
+    assert os.path.exists(running.journal)
