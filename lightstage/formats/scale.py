@@ -7,6 +7,10 @@ only, less where lights are crowded on one that drives them by the solid angle t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 
 from lightstage.errors import FormatError
@@ -62,14 +66,22 @@ def colour_levels(session: Session) -> np.ndarray | None:
     if session.file.calibration.colour is None:
         return None
     path = session.root / session.file.calibration.colour
-    value = read_json(path, COLOUR_SCHEMA).get("full_levels")
+    return chart_levels(read_json(path, COLOUR_SCHEMA), len(session.rig.lights), path)
+
+
+def chart_levels(colour: Mapping[str, Any], count: int, path: Path) -> np.ndarray | None:
+    """(n,) the field `full_levels` of a colour calibration's value; None where it has none.
+
+    Raises:
+        FormatError: another number of levels than `count`, or one outside 0..1.
+    """
+    value = colour.get("full_levels")
     if value is None:
         return None
     try:
         levels = np.array(value, float)
     except (TypeError, ValueError):
         levels = np.zeros(0)
-    count = len(session.rig.lights)
     good = levels.shape == (count,) and ((levels >= 0) & (levels <= 1)).all() and levels.any()
     if not good:
         raise FormatError(
