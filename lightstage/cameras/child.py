@@ -41,21 +41,30 @@ class Child:
         self._last_words = ""
         self._turn = threading.Lock()  # held while a command is under way; it guards the files
         self._open = True
-        self._stderr, name_on_disk = tempfile.mkstemp()
-        os.unlink(name_on_disk)
-        theirs, self._lifeline = os.pipe()
         try:
-            self._child = subprocess.Popen(
-                [sys.executable, "-m", "lightstage.cameras.worker", camera_id, str(theirs)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self._stderr,
-                bufsize=0,
-                start_new_session=True,
-                pass_fds=(theirs,),
-            )
-        finally:
-            os.close(theirs)
+            self._stderr, name_on_disk = tempfile.mkstemp()
+            os.unlink(name_on_disk)
+            theirs, self._lifeline = os.pipe()
+            try:
+                self._child = subprocess.Popen(
+                    [sys.executable, "-m", "lightstage.cameras.worker", camera_id, str(theirs)],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=self._stderr,
+                    bufsize=0,
+                    start_new_session=True,
+                    pass_fds=(theirs,),
+                )
+            finally:
+                os.close(theirs)
+        except OSError as error:
+            raise DeviceError(
+                name,
+                field="process",
+                found=error.strerror or str(error),
+                expected="a process of its own",
+                hint="Is this computer out of memory, files or processes?",
+            ) from None
 
     @property
     def pid(self) -> int:

@@ -91,13 +91,14 @@ class Link:
         for attempt in range(1, tries + 1):
             try:
                 self._camera = self._init()
-                break
+                self._known_serial = self._serial()
+                return
             except self.library.GPhoto2Error as error:
                 # A body that was cut off in the middle of a command needs a second greeting.
                 if error.code not in (CLAIMED, IO, BUSY) or attempt == tries:
                     raise self.failure("connect", error) from None
+                self.close()
                 time.sleep(self.patience.claimed_pause_s)
-        self._known_serial = self._serial()
 
     def again(self, doing: str, call: Callable[[], T], repeatable: bool = True) -> T:
         """Call the library; again while the camera is busy, once more after an I/O problem.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import tempfile
 import threading
 import time
@@ -19,7 +20,7 @@ from lightstage.cameras.camera import (
     Summary,
 )
 from lightstage.cameras.child import Child
-from lightstage.errors import DeviceError, LightstageError
+from lightstage.errors import ConfigError, DeviceError, LightstageError
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +40,15 @@ class Deadlines:
     download_s: float = 10.0
     download_bytes_per_s: float = 2e6
     other_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        """ConfigError on a time that is none."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 < value < math.inf:
+                raise ConfigError(
+                    "deadlines", field=field.name, found=repr(value), expected="a number over 0"
+                )
 
     @staticmethod
     def all(seconds: float) -> Deadlines:
@@ -140,7 +150,8 @@ class CameraProcess:
         raise DeviceError(
             f"camera {self.id}",
             field="restart",
-            found="closed" if self._closed else "; ".join(said.values()) or "no camera at any port",
+            found="; ".join([*said.values(), *["closed"] * self._closed])
+            or "no camera at any port",
             expected=known,
             hint="Check its cable, power and battery.",
         )

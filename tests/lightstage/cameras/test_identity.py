@@ -1,0 +1,160 @@
+"""Whether connected cameras are those of the rig, each in its place."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lightstage.cameras.binding import CameraEntry, CamerasFile, find_cameras
+from lightstage.cameras.camera import VERIFIABLE, Summary
+from lightstage.cameras.identity import (
+    bind_by_serial,
+    binding_problems,
+    summary_problems,
+)
+from lightstage.cameras.process import detect_ports
+from lightstage.errors import DeviceError
+
+PORT = "usb:001,001"
+BUT_NAMES = [name for name in VERIFIABLE if name not in ("serial", "model", "iso")]
+
+
+def told(serial, model="Nikon DSC D750", iso="100"):
+    return Summary(serial=serial, model=model, iso=iso)
+
+
+def said_of(rig, serials, allowed=BUT_NAMES):
+    problems = summary_problems(rig.cameras, [told(serial) for serial in serials], allowed)
+    return [str(problem) for problem in problems]
+
+
+def test_cameras_are_bound_by_serial_whatever_their_port(small_rig):
+    found = [("c", told("601")), ("a", told("602")), ("b", told("600"))]
+    bound, problems = bind_by_serial(small_rig.cameras, found)
+    assert bound == {"cam0": "b", "cam1": "c", "cam2": "a"}
+    assert problems == []
+
+
+def test_missing_unknown_and_doubled_cameras_make_one_error_each(small_rig):
+    found = [("a", told("600")), ("b", told("600")), ("c", told("999"))]
+    _, problems = bind_by_serial(small_rig.cameras, found)
+    said = "\n".join(map(str, problems))
+    assert len(problems) == 4
+    assert "camera cam0, serial: found 600 at a, b" in said
+    assert "camera cam1, serial: found not connected" in said
+    assert "port c, serial: found 999" in said
+
+
+def test_what_cameras_tell_must_fit_the_rig(small_rig):
+    summaries = [told("600"), told("700"), told(None, iso=None)]
+    allowed = [*BUT_NAMES, "iso"]
+    said = "\n".join(map(str, summary_problems(small_rig.cameras, summaries, allowed)))
+    assert "camera cam1, serial: found 700, expected 601 (rig.json)" in said
+    assert "camera cam2, serial: found not verifiable" in said
+    assert "iso" not in said
+    assert summary_problems(small_rig.cameras[:1], [told("600")], BUT_NAMES) == []
+
+
+def test_whatever_a_camera_cannot_tell_must_be_allowed_by_name(small_rig):
+    (problem,) = summary_problems(small_rig.cameras[:1], [told("600")], ["owner"])
+    wanted = ", ".join(name for name in BUT_NAMES if name != "owner")
+    assert f"camera cam0, {wanted}: found not verifiable" in str(problem)
+
+
+def test_one_serial_for_several_cameras_is_an_error(small_rig):
+    said = "\n".join(said_of(small_rig, ["600", "600", "602"]))
+    assert "cameras cam0, cam1, serial: found 600 for all of them" in said
+    assert "camera cam1, serial: found 600, expected 601 (rig.json). That one is cam0" in said
+
+
+def test_two_cameras_in_each_others_place_are_told_as_swapped_and_only_so(small_rig):
+    (said,) = said_of(small_rig, ["602", "601", "600"])
+    assert "cameras cam0, cam2, serial: found swapped: cam2 is in the place of cam0" in said
+    assert "Exchange their ports in the cameras file" in said
+
+
+def test_three_cameras_changed_round_are_told_as_one(small_rig):
+    (said,) = said_of(small_rig, ["601", "602", "600"])
+    assert "changed round: cam1 is in the place of cam0, cam2 is in the place of cam1" in said
+
+
+@given(st.permutations(range(3)), st.sets(st.integers(0, 2)))
+def test_any_disorder_is_refused_and_order_is_not(order, strangers):
+    rig = _rig()
+    serials = [f"x{i}" if i in strangers else f"60{i}" for i in order]
+    said = said_of(rig, serials)
+    assert bool(said) == (serials != ["600", "601", "602"])
+    for number, serial in enumerate(serials):
+        if serial != f"60{number}":
+            assert any(f"cam{number}" in line for line in said)
+
+
+def _rig():
+    """Cameras alone, without the fixture that hypothesis may not reset."""
+
+    @dataclasses.dataclass
+    class Named:
+        id: str
+        serial: str
+        model: str = "Nikon DSC D750"
+
+    @dataclasses.dataclass
+    class Cameras:
+        cameras: tuple
+
+    return Cameras(tuple(Named(f"cam{i}", f"60{i}") for i in range(3)))
+
+
+def test_unknown_and_doubled_entries_of_the_cameras_file_are_all_told(small_rig, tmp_path):
+    entry = CameraEntry(PORT, tmp_path)
+    file = CamerasFile(cameras={"cam0": entry, "cam1": entry, "cam9": CameraEntry("usb:001,002")})
+    said = "\n".join(map(str, binding_problems(small_rig, file)))
+    assert "cameras cam0, cam1: found all at usb:001,001" in said
+    assert "camera cam9: found an entry in the cameras file, none in the rig" in said
+
+
+def test_a_driver_needs_a_port_and_nothing_of_libgphoto2s(small_rig, tmp_path):
+    file = CamerasFile(
+        cameras={
+            "cam0": CameraEntry(driver="a.b:c"),
+            "cam1": CameraEntry("p", tmp_path, "a.b:c"),
+            "cam2": CameraEntry("p", None, "a.b:c"),
+        },
+    )
+    said = [str(problem) for problem in binding_problems(small_rig, file)]
+    assert len(said) == 2
+    assert "camera cam0, driver: found no port" in said[0]
+    assert "camera cam1, driver: found a virtual_folder too" in said[1]
+
+
+def three(fake, ports):
+    for number in range(3):
+        fake.make_body(f"60{number}")
+    fake.plug(ports)
+
+
+def test_cameras_are_found_at_any_port_by_processes_that_look(fake, small_rig, processes):
+    three(fake, {"usb:001,007": "601", "usb:001,008": "602", "usb:002,001": "600"})
+    processes += find_cameras(small_rig, CamerasFile(), 20.0, detect_ports)
+    assert [camera.port for camera in processes] == ["usb:002,001", "usb:001,007", "usb:001,008"]
+    assert [camera.open().serial for camera in processes] == ["600", "601", "602"]
+
+
+def test_missing_unknown_and_wrongly_placed_cameras_make_one_message(fake, small_rig):
+    """cam0's port is given and holds another's body; cam1 is missing; a stranger is there."""
+    three(fake, {"usb:001,007": "602", "usb:001,008": "999"})
+    fake.make_body("999")
+    file = CamerasFile(
+        ("place", "owner", "clock_offset_s"), {}, {"cam0": CameraEntry("usb:001,007")}
+    )
+    with pytest.raises(DeviceError) as caught:
+        find_cameras(small_rig, file, 20.0, detect_ports)
+    said = str(caught.value)
+    assert "4 problems" in said
+    assert "camera cam1, serial: found not connected" in said
+    assert "camera cam2, serial: found not connected" in said
+    assert "port usb:001,008, serial: found 999" in said
+    assert "camera cam0, serial: found 602, expected 600" in said
