@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from pathlib import Path
 
 STEPS = (
@@ -68,4 +69,5 @@ def step(name: str, pattern: str = "*", camera: str = "*") -> None:
         path.unlink()  # only one process or thread gets it
     except FileNotFoundError:
         return
-    os.kill(os.getpid(), signal.SIGSTOP)
+    # To this thread: sent to the process, another thread may take it while this one goes on.
+    signal.pthread_kill(threading.get_ident(), signal.SIGSTOP)
