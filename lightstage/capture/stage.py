@@ -9,9 +9,8 @@ from collections.abc import Iterator, Sequence
 from lightstage.cameras.binding import (
     CamerasFile,
     close_cameras,
+    connect_problems,
     find_cameras,
-    open_cameras,
-    summary_problems,
 )
 from lightstage.cameras.camera import CameraDevice, Summary
 from lightstage.cameras.process import detect_ports
@@ -84,11 +83,9 @@ def _connect(
                 hint="Is this the rig file of this stage?",
             )
         )
-    told, failed = open_cameras(cameras)
-    problems += failed
-    if not failed:
-        by_id = [rig.camera(camera.id) for camera in cameras]
-        problems += summary_problems(by_id, told, file.allow_unverifiable)
+    wanted = [rig.camera(camera.id) for camera in cameras]
+    told, wrong = connect_problems(wanted, cameras, file.allow_unverifiable)
+    problems += wrong
     if problems:
         raise one_error(problems)
-    return {camera.id: each for camera, each in zip(cameras, told, strict=True)}
+    return told

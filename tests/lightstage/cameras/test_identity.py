@@ -8,14 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lightstage.cameras.binding import CameraEntry, CamerasFile, find_cameras
+from lightstage.cameras.binding import (
+    CameraEntry,
+    CamerasFile,
+    connect_problems,
+    find_cameras,
+)
 from lightstage.cameras.camera import VERIFIABLE, Summary
 from lightstage.cameras.identity import (
     bind_by_serial,
     binding_problems,
     summary_problems,
 )
-from lightstage.cameras.process import detect_ports
+from lightstage.cameras.process import CameraProcess, detect_ports
 from lightstage.errors import DeviceError
 
 PORT = "usb:001,001"
@@ -158,3 +163,17 @@ def test_missing_unknown_and_wrongly_placed_cameras_make_one_message(fake, small
     assert "camera cam2, serial: found not connected" in said
     assert "port usb:001,008, serial: found 999" in said
     assert "camera cam0, serial: found 602, expected 600" in said
+
+
+def test_a_camera_that_does_not_open_hides_nothing_about_the_others(fake, small_rig, processes):
+    three(fake, {"usb:001,007": "601", "usb:001,008": "600"})
+    ports = ["usb:001,007", "usb:001,008", "usb:001,009"]
+    for camera, port in zip(small_rig.cameras, ports, strict=True):
+        processes.append(CameraProcess(camera.id, port, None, 20.0))
+    allowed = ("place", "owner", "clock_offset_s")
+    told, problems = connect_problems(small_rig.cameras, processes, allowed)
+    assert list(told) == ["cam0", "cam1"]
+    said = sorted(map(str, problems))
+    assert len(said) == 2
+    assert "port usb:001,009): found Nikon DSC D750 at usb:001,007" in said[0]
+    assert "swapped: cam1 is in the place of cam0, and cam0 in that of cam1" in said[1]
