@@ -170,15 +170,3 @@ class CameraDevice(Protocol):
 
     def close(self) -> None:
         """Let go of the camera; never raises, never waits long."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Photograph:
-    """One photograph as the camera gave it (goes away with the drivers' old `capture`)."""
-
-    data: bytes
-    sha256: str
-    name: str
-    triggered_s: float
-    exposed_s: float
-    downloaded_s: float

@@ -4,21 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import tempfile
 import threading
 import time
 import weakref
 from pathlib import Path
 from typing import Any
 
-from lightstage.cameras.camera import (
-    CameraDriver,
-    CardFile,
-    Download,
-    Exposure,
-    Photograph,
-    Summary,
-)
+from lightstage.cameras.camera import CardFile, Download, Exposure, Summary
 from lightstage.cameras.child import Child
 from lightstage.errors import ConfigError, DeviceError, LightstageError
 
@@ -201,10 +193,6 @@ class CameraProcess:
         self._ask({"command": "delete", "name": name}, self.deadlines.other_s)
         self._sizes.pop(name, None)
 
-    def capture(self, at_s: float) -> Photograph:
-        """Trigger, download, and give the bytes (goes away)."""
-        return photograph(self, at_s)
-
     def close(self) -> None:
         """End the process; never raises, waits a few seconds at most."""
         with self._changing:
@@ -263,18 +251,6 @@ class CameraProcess:
         files = tuple(CardFile(str(name), int(size)) for name, size in reply["files"])
         self._sizes.update({file.name: file.size for file in files})
         return files
-
-
-def photograph(camera: CameraDriver, at_s: float) -> Photograph:
-    """Trigger, download, and give the bytes (goes away)."""
-    exposure = camera.trigger(at_s)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "photograph"
-        got = camera.download(exposure.files[0].name, path)
-        data = path.read_bytes()
-    name = exposure.files[0].name.rpartition("/")[2]
-    times = (exposure.triggered_s, exposure.exposed_s, time.monotonic())
-    return Photograph(data, got.sha256, name, *times)
 
 
 def detect_ports(deadline_s: float) -> list[tuple[str, str]]:

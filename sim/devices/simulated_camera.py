@@ -21,11 +21,9 @@ from lightstage.cameras.camera import (
     CardFile,
     Download,
     Exposure,
-    Photograph,
     Summary,
 )
 from lightstage.cameras.card_file import pieces, write_card_file
-from lightstage.cameras.process import photograph
 from lightstage.errors import DeviceError
 from lightstage.formats.files import write_bytes
 from lightstage.rig import Rig
@@ -139,10 +137,6 @@ class SimulatedCamera:
     def delete(self, name: str) -> None:
         """Remove a file from the card."""
         self._again("delete", lambda: self._opened().delete(name.removeprefix(FOLDER)))
-
-    def capture(self, at_s: float) -> Photograph:
-        """Trigger, download, and give the bytes (goes away)."""
-        return photograph(self, at_s)
 
     def close(self) -> None:
         """Let go of the camera."""
