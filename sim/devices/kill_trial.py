@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.checks import check_session
 from lightstage.errors import LightstageError
 from lightstage.formats.files import sha256_file, write_text
 from lightstage.formats.session import changed_frames, load_session, missing_frames
@@ -264,6 +265,7 @@ class KillTrial:
             session = load_session(self.root)
             problems = [*missing_frames(session), *changed_frames(session)]
             labels = stage.labels(self.root)
+            check_session(self.root)
         except LightstageError as error:
             self._faults.append(str(error))
             return 0
