@@ -9,6 +9,7 @@ from __future__ import annotations
 import collections
 import dataclasses
 import hashlib
+import itertools
 import json
 import math
 import re
@@ -84,6 +85,7 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
         "calibration": {
             kind: file for kind, file in session.get("calibration", {}).items() if file is not None
         },
+        "light": _light_figures(lines),
         "warnings": collections.Counter(
             line["code"]
             for line in lines
@@ -165,6 +167,23 @@ def light_map_hash(rig: Rig) -> str:
 def _cameras(told: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     return {
         camera: {name: summary.get(name) for name in OF_CAMERA} for camera, summary in told.items()
+    }
+
+
+def _light_figures(lines: list[Line]) -> dict[str, Any]:
+    """How often the light was changed, as it was journaled: the limits are in ``configuration``."""
+    moments: list[list[float]] = []
+    for line in lines:
+        if line["event"] in ("begin", "resume"):
+            moments.append([])  # each process has a clock of its own
+        elif line["event"] == "lit":
+            moments[-1].append(float(line["elapsed_s"]))
+    gaps = [b - a for each in moments for a, b in itertools.pairwise(each)]
+    most = [sum(a <= b < a + 1.0 for b in each) for each in moments for a in each]
+    return {
+        "lit": sum(map(len, moments)),
+        "shortest_interval_s": min(gaps, default=None),
+        "most_in_one_second": max(most, default=0),
     }
 
 

@@ -18,7 +18,7 @@ from lightstage.errors import FormatError
 from lightstage.findings import Finding
 from lightstage.formats.files import sha256_file
 from lightstage.session import SessionPlan, SessionWriter
-from lightstage.session.manifest import _plain, check_manifest, write_manifest
+from lightstage.session.manifest import _light_figures, _plain, check_manifest, write_manifest
 
 TOLD = {
     "serial": "600",
@@ -75,6 +75,7 @@ def test_it_holds_versions_devices_hashes_and_settings(session):
     assert found["facts"]["safety"] == CHECKED
     assert found["configuration"]["camera_deadline_s"] == 30.0
     assert (found["unacknowledged"], found["resumed"]) == ([], 0)
+    assert found["light"]["lit"] == 2
     assert found["warnings"] == {"pulses-unknown": 1}
     frames = [name for name in found["files"] if name.startswith("frames/")]
     assert len(frames) == 6
@@ -212,6 +213,23 @@ def test_unacknowledged_light_is_named(tmp_path, small_rig, plan, fill):
     write_manifest(writer.root)
     writer.close()
     assert manifest(writer.root)["unacknowledged"] == ["x+"]
+
+
+def test_how_often_the_light_changed_is_told_as_it_was_journaled():
+    times = {"begin": [0.0, 0.4, 0.9, 2.5], "resume": [0.1, 0.6, 0.95, 1.05]}
+    lines = []
+    for event, lit in times.items():
+        lines.append({"event": event, "elapsed_s": 0.0})
+        lines += [{"event": "lit", "elapsed_s": each} for each in lit]
+    figures = _light_figures(lines)
+    assert figures["lit"] == 8
+    assert figures["shortest_interval_s"] == pytest.approx(0.1)
+    assert figures["most_in_one_second"] == 4
+    assert _light_figures(lines[:1]) == {
+        "lit": 0,
+        "shortest_interval_s": None,
+        "most_in_one_second": 0,
+    }
 
 
 def test_it_is_written_again_when_a_session_is_gone_on_with(session):
