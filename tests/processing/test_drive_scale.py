@@ -29,6 +29,7 @@ from processing.decode import DecodeConfig, decode
 from processing.refine import RefineConfig, refine
 from sim.devices.capture import Photographer
 from sim.light.world import World
+from sim.people.subjects import load_subject
 from tests.sim.conftest import ball_subject
 
 BINARY = SEQUENCES["binary"]
@@ -95,12 +96,19 @@ def session_of(
     return load_session(root)
 
 
-def albedo_of(session: Session, out: Path) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w, 3) diffuse albedo by the ball's own shape, and (h, w) where it is sure."""
+def sphere() -> Mesh:
+    """The ball's shape, of even triangles."""
+    made = trimesh.creation.icosphere(5, 80.0)
+    return Mesh(made.vertices, np.asarray(made.faces, np.int32))
+
+
+def albedo_of(
+    session: Session, out: Path, shape: Mesh | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w, 3) diffuse albedo by the subject's own shape, and (h, w) where it is sure."""
     folder = ProcessedFolder(out)
     decode(session, out, DecodeConfig())
-    sphere = trimesh.creation.icosphere(5, 80.0)
-    write_ply(Mesh(sphere.vertices, np.asarray(sphere.faces, np.int32)), folder.base_mesh)
+    write_ply(shape or sphere(), folder.base_mesh)
     refine(session, out, RefineConfig())
     return folder.read_view("cam0", "diffuse_albedo"), folder.read_view("cam0", "confidence") > 0.5
 
@@ -141,3 +149,23 @@ def test_albedo_is_the_balls_own(world, plain):
     known, sure = plain
     green = known[sure][:, 1]  # 0.4 all over the ball
     assert np.median(green) == pytest.approx(0.4, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_persons_albedo_is_the_same_by_either_drive(tmp_path):
+    """Through the cameras' mosaics and noise, with cast shadows."""
+    rig = default_rig().scaled(0.04)
+    person = load_subject("anna", 3, None, 384)
+    world = World(person, dataclasses.replace(rig, cameras=rig.cameras[:1]))
+    shape = Mesh(person.mesh.vertices, person.mesh.triangles())
+    drives: tuple[Drive, Drive] = ("on-off", "solid-angle")
+    found = []
+    for drive in drives:
+        session = session_of(world, tmp_path / drive, drive)
+        found.append(albedo_of(session, tmp_path / f"{drive}-out", shape))
+    surface = world.surfaces["cam0"]
+    both = found[0][1] & found[1][1] & surface.picture(surface.skin)
+    assert both.sum() > 2000
+    off = found[1][0][both] / found[0][0][both] - 1
+    assert np.abs(np.median(off, axis=0)).max() < 0.012
+    assert np.abs(off).mean() < 0.02
