@@ -24,11 +24,13 @@ class LastWill:
         handles: file descriptors to be kept open; the first one carries the messages.
         messages: in order, to be sent again and again; for a network with host and port.
         answer: what comes back when it is dark; empty from a device that does not answer.
+        rounds: how often all messages are sent where no answer can come.
     """
 
     handles: tuple[int, ...]
     messages: tuple[tuple[bytes, tuple[str, int] | None], ...]
     answer: bytes = b""
+    rounds: int = 3
 
 
 @runtime_checkable
@@ -64,6 +66,7 @@ class Guardian:
             "handle": will.handles[0],
             "messages": [(data.hex(), where) for data, where in will.messages],
             "answer": will.answer.hex(),
+            "rounds": will.rounds,
             "silence_s": silence_s,
             "patience_s": PATIENCE_S,
         }

@@ -20,7 +20,6 @@ from typing import Any
 
 ANSWER_WAIT_S = 0.25
 PAUSE_S = 0.03
-ROUNDS = 3
 
 
 def main() -> int:
@@ -64,7 +63,7 @@ def make_dark(will: dict[str, Any]) -> bool:
                 else:
                     to_network(handle, data, (where[0], where[1]))
             sent += 1
-            if not answer and sent == ROUNDS:
+            if not answer and sent == will["rounds"]:
                 return True
             round_until = time.monotonic() + (ANSWER_WAIT_S if answer else PAUSE_S)
             while (left := round_until - time.monotonic()) > 0:

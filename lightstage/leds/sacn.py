@@ -129,7 +129,8 @@ class SacnLeds:
             for number in SPREAD
             for index, place in enumerate(self._places)
         ]
-        return LastWill((self._socket.fileno(), self._lock.fileno()), tuple(messages))
+        handles = (self._socket.fileno(), self._lock.fileno())
+        return LastWill(handles, tuple(messages), rounds=1)
 
     def close(self) -> None:
         """End the stream: receivers do then what they do without a source."""

@@ -1,0 +1,197 @@
+"""Real captures killed in every way: the device goes dark, and nobody is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from lightstage.leds.guard import Guardian, LastWill
+from lightstage.leds.opening import open_leds
+from sim.devices.adalight_device import AdalightDevice
+from sim.devices.led_device import LedDevice
+from sim.devices.sacn_device import SacnDevice
+
+KINDS = ("pty", "socket", "adalight", "sacn")
+
+CAPTURE = """
+import signal, subprocess, sys, time
+import numpy as np
+from lightstage.leds.opening import open_leds
+from lightstage.rig import load_rig
+from lightstage.safety import SafeLights, SafetyConfig
+from pathlib import Path
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+if sys.argv[4] == "handled":
+    def interrupt(*_):
+        raise KeyboardInterrupt
+    signal.signal(signal.SIGTERM, interrupt)
+    signal.signal(signal.SIGHUP, interrupt)
+rig = load_rig(Path(sys.argv[2]))
+config = SafetyConfig(max_silence_s=float(sys.argv[3]))
+with open_leds(sys.argv[1], len(rig.lights)) as leds, SafeLights(leds, config, rig) as lights:
+    lights.light(np.ones(len(rig.lights)))
+    # As camera processes do: it must not keep the pipe to the guardian open.
+    quiet = subprocess.DEVNULL
+    child = subprocess.Popen(["sleep", "60"], stdout=quiet, stderr=quiet)
+    print("lit", lights.guardian_pid, child.pid, flush=True)
+    if sys.argv[4] == "storm":
+        while True:
+            lights._lights.light(np.random.default_rng().random(len(rig.lights)))
+    if sys.argv[4] == "fails":
+        raise RuntimeError("a bug")
+    time.sleep(60)
+"""
+
+
+def unwatched(levels):
+    """Nobody looks."""
+
+
+def far_end(kind):
+    if kind == "adalight":
+        return AdalightDevice(8, unwatched)
+    if kind == "sacn":
+        return SacnDevice(8, unwatched)
+    return LedDevice(8, unwatched, over=kind)
+
+
+def until(holds, seconds=20.0):
+    for _ in range(int(seconds * 1000)):
+        if holds():
+            return
+        time.sleep(0.001)
+    raise AssertionError("never")
+
+
+def gone(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+class Running:
+    """A capture in a process and session of its own, with its lights on."""
+
+    def __init__(self, device, rig_path, how="sleeps", silence_s=30.0):
+        url = device.url(5.0) if isinstance(device, LedDevice) else device.url("settle_s=0")
+        self.device = device
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", CAPTURE, url, str(rig_path), str(silence_s), how],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        said = self.process.stdout.readline().split()
+        assert said[:1] == ["lit"], self.process.stderr.read()
+        self.guardian, self.child = int(said[1]), int(said[2])
+
+    def __enter__(self):
+        if self.process.poll() is None:
+            until(lambda: len(self.device.states) > 1)
+        return self
+
+    def __exit__(self, *_):
+        for pid in (self.process.pid, self.child):
+            if not gone(pid):
+                os.kill(pid, signal.SIGKILL)
+        self.process.communicate()
+
+
+@pytest.fixture
+def rig_path(small_rig, tmp_path):
+    from lightstage.rig import save_rig
+
+    return save_rig(small_rig, tmp_path / "rig.json")
+
+
+@pytest.mark.parametrize(("kind", "whole_group"), [*((k, False) for k in KINDS), ("pty", True)])
+def test_a_killed_capture_leaves_no_light_on_and_the_device_free(kind, whole_group, rig_path):
+    with far_end(kind) as device, Running(device, rig_path) as capture:
+        assert not device.dark
+        (os.killpg if whole_group else os.kill)(capture.process.pid, signal.SIGKILL)
+        until(lambda: device.dark)
+        until(lambda: gone(capture.guardian))
+        if kind == "sacn":
+            assert device.terminated == [1]
+        url = device.url(5.0) if isinstance(device, LedDevice) else device.url("")
+        with open_leds(url, 8) as leds:
+            leds.light(np.ones(8))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_capture_killed_while_it_sends_leaves_no_light_on(kind, rig_path):
+    with far_end(kind) as device, Running(device, rig_path, "storm") as capture:
+        until(lambda: len(device.states) > 20)
+        os.kill(capture.process.pid, signal.SIGKILL)
+        until(lambda: gone(capture.guardian))
+        until(lambda: device.dark)
+        time.sleep(0.05)  # what was still on its way
+        assert device.dark
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("how", ["handled", "unhandled"])
+def test_a_signal_leaves_no_light_on(number, how, rig_path):
+    with far_end("pty") as device, Running(device, rig_path, how) as capture:
+        os.kill(capture.process.pid, number)
+        until(lambda: device.dark)
+        until(lambda: gone(capture.guardian))
+        assert capture.process.wait(20) != 0
+
+
+def test_an_exception_leaves_no_light_on(rig_path):
+    with far_end("pty") as device, Running(device, rig_path, "fails") as capture:
+        assert capture.process.wait(20) == 1
+        until(lambda: device.dark)
+        assert "a bug" in capture.process.stderr.read()
+
+
+@pytest.mark.parametrize("kind", ["pty", "adalight"])
+def test_a_capture_that_stands_still_is_made_dark_from_outside(kind, rig_path):
+    with far_end(kind) as device, Running(device, rig_path, silence_s=1.0) as capture:
+        os.kill(capture.process.pid, signal.SIGSTOP)
+        until(lambda: device.dark)
+        until(lambda: gone(capture.guardian) or zombie(capture.guardian))
+
+
+def zombie(pid):
+    with open(f"/proc/{pid}/stat") as file:
+        return file.read().rsplit(")", 1)[1].split()[0] == "Z"
+
+
+def test_a_guardian_does_not_mind_signals_of_the_terminal(rig_path):
+    with far_end("pty") as device, Running(device, rig_path) as capture:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(capture.guardian, number)
+        os.kill(capture.process.pid, signal.SIGKILL)
+        until(lambda: device.dark)
+
+
+def test_a_guardian_that_is_told_goodbye_sends_nothing():
+    reading, writing = os.pipe()
+    guardian = Guardian(LastWill((writing,), ((b"dark", None),)), 30.0)
+    guardian.beat()
+    guardian.goodbye()
+    assert not guardian.alive
+    os.close(writing)
+    assert os.read(reading, 10) == b""
+    os.close(reading)
+
+
+def test_a_guardian_sends_its_will_more_than_once_when_nobody_answers():
+    reading, writing = os.pipe()
+    guardian = Guardian(LastWill((writing,), ((b"dark", None),)), 30.0)
+    guardian.leave()
+    os.close(writing)
+    assert os.read(reading, 100) == 3 * b"dark"
+    os.close(reading)

@@ -1,0 +1,68 @@
+"""A sequence is held against every limit before a light goes on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lightstage.errors import ConfigError
+from lightstage.rig import default_rig
+from lightstage.safety import SafetyConfig, check_shots, flash_rate_per_s, light_on_s
+from lightstage.sequence import Shot, plan_shots
+
+
+def shots_of(*levels):
+    return [Shot(f"s{i}", np.array(level, float)) for i, level in enumerate(levels)]
+
+
+def test_the_darkness_before_and_after_belongs_to_the_sequence():
+    shots = shots_of([1, 0], [0, 1], [1, 1])
+    # Four changes: on, over, both on, off.
+    assert flash_rate_per_s(shots, 0.1) == 2.0
+    assert flash_rate_per_s(shots, 0.4) == 1.5
+    assert flash_rate_per_s(shots, 1.1) == 0.5
+    assert flash_rate_per_s(shots_of([0, 0]), 0.1) == 0
+
+
+def test_light_time_is_level_times_worst_time():
+    on_s = light_on_s(shots_of([1, 0], [0.5, 0], [1, 0.25]), 10.0)
+    assert on_s.tolist() == [25.0, 2.5]
+
+
+@pytest.mark.parametrize("drive", ["solid-angle", "on-off"])
+def test_the_default_limits_allow_the_default_sequences_on_the_default_rig(drive):
+    rig = default_rig()
+    for names in (
+        ["full", "x+", "x-", "y+", "y-", "z+", "z-"],
+        ["full", "lin-x+", "lin-x-", "lin-y+", "lin-y-", "lin-z+", "lin-z-"],
+        [f"olat-{light:03d}" for light in range(168)],
+    ):
+        check_shots(plan_shots(names, rig, drive), rig, SafetyConfig(), shot_worst_s=36.0)
+
+
+def test_all_limits_are_told_at_once(small_rig):
+    shots = plan_shots(["full", "x+", "x-", "y+", "y-", "z+", "z-"], small_rig, "on-off")
+    config = SafetyConfig(light_interval_s=0.1, max_light_on_s=10.0, max_heat=0.1)
+    with pytest.raises(ConfigError) as caught:
+        check_shots(shots, small_rig, config, shot_worst_s=6.0)
+    said = str(caught.value)
+    assert "up to 4 flashes per second, expected at most 3" in said
+    assert "duty: found 8 lights over the budget" in said
+    assert "up to 24 s at full level, expected at most 10 s" in said
+    warm = 1 - np.exp(-24 / 180)
+    assert f"heat: found 8 lights over the budget, light 0 (corner0) up to {warm:.2f}" in said
+
+
+def test_a_long_deadline_alone_can_break_the_warmth(small_rig):
+    shots = plan_shots(["full"], small_rig, "on-off")
+    check_shots(shots, small_rig, SafetyConfig(), shot_worst_s=400.0)
+    with pytest.raises(ConfigError, match="heat"):
+        check_shots(shots, small_rig, SafetyConfig(), shot_worst_s=450.0)
+
+
+@pytest.mark.parametrize("field", list(SafetyConfig.__dataclass_fields__))
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
+def test_a_limit_that_is_none_is_refused(small_rig, field, value):
+    shots = plan_shots(["full"], small_rig)
+    with pytest.raises(ConfigError, match=f"safety, {field}: found"):
+        check_shots(shots, small_rig, SafetyConfig(**{field: value}), shot_worst_s=1.0)
