@@ -139,6 +139,7 @@ def _take(
             break
         said = [line for line in done.stderr.splitlines() if "Error: " in line]
         trial.reasons.append((said or ["nothing"])[-1][:300])
+        print(f"gave up: {trial.reasons[-1]}", file=sys.stderr)
         if done.returncode != 2 or "Traceback" in done.stderr:
             raise SystemExit(f"exit code {done.returncode}:\n{done.stderr}")
         trial.resumes += 1

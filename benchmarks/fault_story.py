@@ -63,11 +63,11 @@ def trial_story(rig: Rig, shots: int, seed: int) -> Story:
 
 
 def operator_mends(stage: CodedStage) -> None:
-    """What an operator does before going on: batteries, wheels, cards, cables of every camera."""
+    """What an operator does before going on: batteries, wheels and cables of every camera."""
     for camera_id in stage.cameras.camera_ids:
         folder = stage.cameras.folder(camera_id)
         state = json.loads((folder / "state.json").read_text())
-        state |= {"off": False, "changed": {}}
+        state |= {"off": False, "changed": {}, "plug": folder.name}
         write_json(folder / "state.json", state)
         value = json.loads((folder / "camera.json").read_text())
         faults = value["story"]["fault"]

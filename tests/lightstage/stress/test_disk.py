@@ -51,21 +51,15 @@ def test_a_disk_that_fills_up_ends_dark_and_the_session_goes_on_when_there_is_ro
 
 
 def test_a_disk_without_room_for_the_whole_plan_is_refused_before_a_light_goes_on(bench, tools):
-    with tools.small_disk(bench.desk / "disk", "1m") as mounted:
-        if not mounted:
-            # As a user without rights: their own disk is too small for a plan of huge pictures.
-            rig = (bench.stage.rig_path.read_text()).replace(
-                '"width_px": 48', '"width_px": 4000000'
-            )
-            bench.stage.rig_path.write_text(rig)
-        done = bench.run(out=bench.desk / "disk" / "S")
-        said = tools.message(done, "DeviceError")
-        assert f"disk of {bench.desk / 'disk'}" in said
-        assert "free, expected" in said
-        assert "for the whole capture" in said
-        assert "Make room, or give an --out on another disk." in said
-        assert os.listdir(bench.desk / "disk") == []
-        assert all(not state.counts.any() for state in bench.stage.device.states)
+    text = bench.stage.rig_path.read_text().replace('"width_px": 48', '"width_px": 8000000')
+    bench.stage.rig_path.write_text(text.replace('"height_px": 64', '"height_px": 8000000'))
+    said = tools.message(bench.run(), "DeviceError")
+    assert f"disk of {bench.desk}: found" in said
+    assert "GB free, expected" in said
+    assert "GB for the whole capture. Make room, or give an --out on another disk." in said
+    assert "camera cam1, card: found 64.0 GB free, expected" in said
+    assert not bench.out.exists()
+    assert all(not state.counts.any() for state in bench.stage.device.states)
 
 
 def test_a_folder_that_may_not_be_written_to_is_refused_before_a_light_goes_on(bench, tools):
