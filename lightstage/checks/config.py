@@ -45,8 +45,8 @@ class ChecksConfig:
     kept_photographs: int = 12
     max_clipped_share: float = 0.02
     warn_clipped_share: float = 0.004
-    min_signal_share: float = 0.04
-    warn_signal_share: float = 0.15
+    min_signal_share: float = 0.02
+    warn_signal_share: float = 0.05
     min_snr: float = 5.0
     max_expected_ratio: float = 2.5
     max_unlike_ratio: float = 1.8
@@ -57,7 +57,7 @@ class ChecksConfig:
     max_excess_share: float = 0.05
     warn_motion_mm: float = 1.5
     max_motion_mm: float = 4.0
-    min_sharpness: float = 0.45
-    warn_sharpness: float = 0.65
+    min_sharpness: float = 0.5
+    warn_sharpness: float = 0.7
     min_highlight_ratio: float = 0.01
     max_baseline_change: float = 0.1

@@ -11,11 +11,13 @@ import dataclasses
 import cv2
 import numpy as np
 
-from lightstage.checks.photo import Photo
+from lightstage.checks.photo import LIT_SHARE, Photo
 
-SCALES = (6.0, 3.0, 1.5)
-"""Standard deviation of the blur under which shifts are solved, cells; one after the other."""
-ROUNDS = 2
+SCALES = ((6.0, 4, 2), (3.0, 2, 2), (1.5, 2, 1))
+"""Blur under which shifts are solved, one after the other: its standard deviation and the step
+between the cells that are used, both in cells, and how often it is repeated."""
+MARGIN = 8
+"""Cells around the lit part that are looked at."""
 FARTHEST = 12.0
 """Shifts beyond this many cells are not believed."""
 
@@ -63,21 +65,41 @@ def sum_shift(
     a, b = (p.light[..., 1] * np.float32(g) for p, g in zip((first, second), gains, strict=True))
     w = whole.light[..., 1]
     full = (first.full | second.full | whole.full).astype(np.uint8)
+    box = _lit_box(w)
+    a, b, w, full = a[box], b[box], w[box], full[box]
+    if min(w.shape) < MARGIN:
+        return None
     free = cv2.dilate(full, np.ones((5, 5), np.uint8)) == 0
     shifts, error = np.zeros(4), np.inf
-    for sigma in SCALES:
+    for sigma, step, rounds in SCALES:
         smooth = [cv2.GaussianBlur(picture, (0, 0), sigma) for picture in (a, b, w)]
-        for _ in range(ROUNDS):
+        some = free[::step, ::step]
+        for _ in range(rounds):
             moved_a, moved_b = moved(smooth[0], -shifts[:2]), moved(smooth[1], -shifts[2:])
             slopes = [*_slopes(moved_a), *_slopes(moved_b)]
-            design = np.stack([slope[free] for slope in slopes], axis=1).astype(float)
-            left = (smooth[2] - moved_a - moved_b)[free].astype(float)
-            solved = _solve(design, left)
+            design = np.stack([slope[::step, ::step][some] for slope in slopes], axis=1)
+            left = (smooth[2] - moved_a - moved_b)[::step, ::step][some]
+            solved = _solve(design.astype(float), left.astype(float))
             if solved is None:
                 return None
             # What lies too far right by u is w = a + u da/dx: so u comes out with its own sign.
-            shifts, error = np.clip(shifts + solved[0], -FARTHEST, FARTHEST), solved[1] * sigma
+            shifts, error = (
+                np.clip(shifts + solved[0], -FARTHEST, FARTHEST),
+                solved[1] * sigma / step,
+            )
     return Shift(shifts[:2] * whole.cell_px, shifts[2:] * whole.cell_px, error * whole.cell_px)
+
+
+def _lit_box(picture: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of what is lit, with a margin."""
+    lit = picture > LIT_SHARE * float(np.quantile(picture, 0.99))
+    rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return (
+        slice(max(int(rows[0]) - MARGIN, 0), int(rows[-1]) + MARGIN + 1),
+        slice(max(int(columns[0]) - MARGIN, 0), int(columns[-1]) + MARGIN + 1),
+    )
 
 
 def moved(picture: np.ndarray, shift: np.ndarray) -> np.ndarray:

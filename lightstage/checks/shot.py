@@ -32,6 +32,8 @@ from lightstage.rig import Rig
 from lightstage.sequence import Shot
 
 FULL_STEP = 0.999
+LAMP_GAIN = 0.15
+"""One lamp changes no gain by more than about this (natural logarithm)."""
 
 
 class ShotChecks:
@@ -73,6 +75,7 @@ class ShotChecks:
         self._fits: dict[Sum, dict[str, SumFit]] = {}
         self._shifts: dict[Sum, dict[str, Shift]] = {}
         self._failed: set[tuple[str, str]] = set()
+        self._broken: set[Sum] = set()
         self._lock = threading.RLock()
 
     def photograph(self, pattern: str, camera_id: str, path: Path) -> list[Finding]:
@@ -214,10 +217,35 @@ class ShotChecks:
                 found += judge_sum(evidence, self.config)
                 fresh.append(one)
         bad = {f.pattern for f in found if f.severity == "retake"}
-        clean = [one for one in fresh if not bad.intersection(one.patterns)]
-        if clean or self._totals[pattern] == 0:
-            found += room_findings(self._left(pattern, clean), self._model, self.rig, self.config)
+        self._broken.difference_update(fresh)
+        self._broken.update(one for one in fresh if bad.intersection(one.patterns))
+        found += self._room(pattern, [one for one in fresh if one not in self._broken])
+        if self._broken.intersection(fresh) and self._nearly(fresh):
+            # A lamp makes small errors of level too; where it explains them, it alone is told.
+            lamps = [f for f in self._room(pattern, fresh) if f.code.startswith("lamp")]
+            if lamps:
+                kept = [f for f in found if f.code not in ("exposure", "light-level")]
+                found = [f for f in kept if f.code not in {lamp.code for lamp in lamps}] + lamps
         return found
+
+    def _room(self, pattern: str, sums: list[Sum]) -> list[Finding]:
+        """Light left over: in sums, in a dark photograph, or in an earlier one under `full`."""
+        whole = self._whole[kind_of(pattern)]
+        darks = [name for name, total in self._totals.items() if total == 0]
+        if pattern == whole and not sums:
+            shots = [name for name in darks if self._of(name)]
+        else:
+            shots = [pattern] if sums or pattern in darks else []
+        return [
+            finding
+            for shot in shots
+            for finding in room_findings(self._left(shot, sums), self._model, self.rig, self.config)
+        ]
+
+    def _nearly(self, sums: list[Sum]) -> bool:
+        """Whether all gains are close enough for a single lamp to be the cause."""
+        gains = [fit.gains for one in sums for fit in self._fits[one].values()]
+        return bool(np.abs(np.log(np.clip(gains, 1e-3, 1e3))).max() < LAMP_GAIN)
 
     def _fit(self, one: Sum, cameras: list[str]) -> None:
         fits, shifts = self._fits.setdefault(one, {}), self._shifts.setdefault(one, {})
@@ -228,14 +256,19 @@ class ShotChecks:
             if fit is None:
                 continue
             shift = sum_shift(first, second, whole, fit.gains)
-            if fit.misfit > self.config.max_misfit_share and shift is not None:
-                # Motion leaves edges behind: is there still a misfit when it is undone?
+            if not self._holds(fit) and shift is not None:
+                # Motion leaves edges behind: is there still a fault when it is undone?
                 still = fit_sum(first, second, whole, ambient, shift)
-                if still is not None and still.misfit <= self.config.max_misfit_share:
+                if still is not None and self._holds(still):
                     fit = still
             fits[camera] = fit
             if shift is not None:
                 shifts[camera] = shift
+
+    def _holds(self, fit: SumFit) -> bool:
+        """Whether a camera's photographs add up as they should."""
+        off = float(np.abs(np.log(fit.gains.clip(1e-3))).max())
+        return fit.misfit <= self.config.max_misfit_share and off <= self.config.max_gain_error
 
     def _evidence(self, one: Sum) -> Evidence:
         fits = self._fits.get(one, {})
@@ -251,13 +284,12 @@ class ShotChecks:
                     unlike[name, camera] = looks_like(
                         name, self._model.patterns, unlikeness(seen, expected), names
                     )
-        limit = self.config.max_misfit_share
         held = frozenset(
             camera
             for other, by_camera in self._fits.items()
             if other != one and other.whole == one.whole
             for camera, fit in by_camera.items()
-            if fit.misfit <= limit and np.abs(np.log(fit.gains.clip(1e-3))).max() <= limit
+            if self._holds(fit)
         )
         scale = {
             camera.id: float(np.linalg.norm(camera.centre_mm)) / camera.fx_px
@@ -292,7 +324,7 @@ class ShotChecks:
         shares = {
             one: float(np.median([fit.ambient[1] for fit in fits.values()]))
             for one, fits in self._fits.items()
-            if fits and one.whole == whole
+            if fits and one.whole == whole and one not in self._broken
         }
         known = any(self._dark(camera) is not None for camera in wholes)
         return Left(pattern, dark, known, tuple(sums), light, wholes, shares)
