@@ -73,6 +73,8 @@ def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:
     if origin is tuple and isinstance(value, (list, tuple)):
         return tuple(value)
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        if abs(value) > 10**300:
+            raise ConfigError(where, field=key, found="a number too large", expected="float")
         return float(value)
     if hint is Path and isinstance(value, str):
         return Path(value)

@@ -24,7 +24,6 @@ Each is used by its name, also with @parallel and @cross.
 from __future__ import annotations
 
 import dataclasses
-import fnmatch
 import re
 from pathlib import Path
 from typing import Any, Literal
@@ -34,6 +33,7 @@ import numpy as np
 from lightstage.errors import LightstageError, PatternError, one_error
 from lightstage.formats.config import make_config, read_toml
 from lightstage.patterns.names import is_reserved
+from lightstage.patterns.shapes import check_levels, chosen, numbers, shape
 from lightstage.patterns.surroundings import surroundings_flux
 from lightstage.rig import Rig
 
@@ -131,7 +131,7 @@ def read_patterns(path: Path, rig: Rig) -> dict[str, UserPattern]:
         where = f"{path}, [patterns.{name}]"
         try:
             _check_name(name, where)
-            patterns[name] = _pattern(name, table, where, path.parent, rig)
+            patterns[name] = make_pattern(name, table, where, path.parent, rig)
         except LightstageError as error:
             problems.append(error)
     if problems:
@@ -154,7 +154,19 @@ def _check_name(name: str, where: str) -> None:
         )
 
 
-def _pattern(name: str, table: Any, where: str, folder: Path, rig: Rig) -> UserPattern:
+def make_pattern(name: str, table: Any, where: str, folder: Path, rig: Rig) -> UserPattern:
+    """One pattern from its table.
+
+    Args:
+        name: what it is called.
+        table: as `PatternConfig`; keys that do not go together are refused.
+        where: what to name in an error.
+        folder: that an environment's path starts from.
+        rig: the lights it is for.
+
+    Raises:
+        LightstageError: what is wrong with the table or the file it names.
+    """
     if not isinstance(table, dict):
         raise PatternError(where, found=type(table).__name__, expected="a table")
     config = make_config(PatternConfig, table, where)
@@ -172,15 +184,18 @@ def _pattern(name: str, table: Any, where: str, folder: Path, rig: Rig) -> UserP
             where, field=idle[0], found=f"it beside {kind}", expected=", ".join(sorted(USED[kind]))
         )
     if kind == "levels":
-        levels = _numbers(config.levels, where, "levels", len(rig.lights))
-        _check_levels(levels, where, "levels")
+        levels = numbers(config.levels, where, "levels", len(rig.lights))
+        check_levels(levels, where, "levels")
         return _made(name, "levels", levels, False)
     if kind == "lights":
-        _check_levels(np.array([config.level]), where, "level")
-        return _made(name, "lights", _chosen(config, where, rig) * config.level, False)
+        check_levels(np.array([config.level]), where, "level")
+        return _made(
+            name, "lights", chosen(config.lights, config.names, where, rig) * config.level, False
+        )
     if kind == "direction":
-        _check_levels(np.array([config.level]), where, "level")
-        return _made(name, "direction", _shape(config, where, rig) * config.level, True)
+        check_levels(np.array([config.level]), where, "level")
+        lit = shape(config.direction, config.cap_deg, config.cosine, where, rig)
+        return _made(name, "direction", lit * config.level, True)
     for key in ("rotate_deg", "exposure_stops"):
         value = getattr(config, key)
         if not np.isfinite(value) or (key == "exposure_stops" and value > 0):
@@ -191,7 +206,12 @@ def _pattern(name: str, table: Any, where: str, folder: Path, rig: Rig) -> UserP
                 expected="degrees" if key == "rotate_deg" else "at most 0",
                 hint="" if key == "rotate_deg" else "At 0 the brightest light has its full level.",
             )
-    flux = surroundings_flux(folder / config.environment, rig, config.rotate_deg)
+    try:
+        flux = surroundings_flux(folder / config.environment, rig, config.rotate_deg)
+    except OSError as error:
+        raise PatternError(
+            where, field="environment", found=str(error), expected="a file that can be read"
+        ) from None
     # A light farther away must send more for the same flux at the centre.
     far = np.linalg.norm(rig.positions_mm, axis=1)
     sent = flux * (far / far.max()) ** 2
@@ -210,86 +230,3 @@ def _made(
         if faint:
             said += f"; {faint} of them too faint for the wire's steps, so dark"
     return UserPattern(name, kind, levels, is_field, scale, said)
-
-
-def _numbers(values: tuple[Any, ...], where: str, field: str, count: int) -> np.ndarray:
-    good = [isinstance(v, (int, float)) and not isinstance(v, bool) for v in values]
-    if len(values) != count or not all(good):
-        found = f"{len(values)} values"
-        if not all(good):
-            found = repr(values[good.index(False)])
-        raise PatternError(where, field=field, found=found, expected=f"{count} numbers")
-    return np.array(values, float)
-
-
-def _check_levels(levels: np.ndarray, where: str, field: str) -> None:
-    bad = np.flatnonzero(~((levels >= 0) & (levels <= 1)))
-    if len(bad):
-        place = f"{field}[{bad[0]}]" if len(levels) > 1 else field
-        raise PatternError(where, field=place, found=str(levels[bad[0]]), expected="0..1")
-
-
-def _chosen(config: PatternConfig, where: str, rig: Rig) -> np.ndarray:
-    """(n,) 1.0 for the lights of these ids and names."""
-    problems: list[LightstageError] = []
-    ids = {light.id for light in rig.lights}
-    for wanted in config.lights:
-        if isinstance(wanted, bool) or not isinstance(wanted, int) or wanted not in ids:
-            problems.append(
-                PatternError(where, field="lights", found=repr(wanted), expected="ids of the rig")
-            )
-    on = np.array([light.id in config.lights for light in rig.lights])
-    for glob in config.names:
-        named = [isinstance(glob, str) and fnmatch.fnmatchcase(x.name, glob) for x in rig.lights]
-        if not any(named):
-            problems.append(
-                PatternError(
-                    where,
-                    field="names",
-                    found=f"no light named {glob!r}",
-                    expected=f"such as {rig.lights[0].name!r} or 'arc00/*'",
-                )
-            )
-        on |= named
-    if problems:
-        raise one_error(problems)
-    return on.astype(float)
-
-
-def _shape(config: PatternConfig, where: str, rig: Rig) -> np.ndarray:
-    """(n,) 0..1 of a cap or a cosine around a direction."""
-    toward = _numbers(config.direction, where, "direction", 3)
-    length = float(np.linalg.norm(toward))
-    if not (np.isfinite(length) and length > 0):
-        raise PatternError(
-            where, field="direction", found=str(config.direction), expected="finite, not 0 0 0"
-        )
-    if (config.cap_deg is None) == (config.cosine is None):
-        raise PatternError(
-            where,
-            field="direction",
-            found="both cap_deg and cosine" if config.cosine is not None else "no shape",
-            expected="cap_deg or cosine",
-        )
-    far = np.linalg.norm(rig.positions_mm, axis=1)
-    cosine = np.clip(rig.positions_mm @ (toward / length) / far, -1.0, 1.0)
-    if config.cap_deg is not None:
-        angle = _between(config.cap_deg, 180.0, where, "cap_deg")
-        # A light at the very rim belongs to the cap, whatever rounding says.
-        shape = (np.degrees(np.arccos(cosine)) <= angle + 1e-6).astype(float)
-    else:
-        shape = np.maximum(cosine, 0.0) ** _between(config.cosine, 1e6, where, "cosine")
-    if not shape.any():
-        raise PatternError(
-            where, field="direction", found="no light there", expected="at least one light lit"
-        )
-    return np.asarray(shape)
-
-
-def _between(value: Any, most: float, where: str, field: str) -> float:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not number or not 0 < value <= most:
-        raise PatternError(
-            where, field=field, found=repr(value), expected=f"above 0, at most {most:g}"
-        )
-    return float(value)

@@ -1,11 +1,16 @@
 """A user's own patterns: what each kind lights, and every fault told at once."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from lightstage.errors import ConfigError, LightstageError, PatternError
 from lightstage.formats.exr import write_exr
 from lightstage.patterns import drive_levels, light_weights, read_patterns
+from lightstage.patterns.own import PatternConfig, make_pattern
 from lightstage.rig import default_rig
 
 RIG = default_rig()
@@ -103,6 +108,10 @@ def test_lights_too_faint_for_the_wire_are_told(tmp_path):
         ),
         ('environment = "none.exr"\nrotate_deg = inf', "rotate_deg: found inf"),
         ('environment = "sky.jpg"', "sky.jpg: found .jpg, expected .exr, .hdr or .json"),
+        ("lights = []", "lights: found no light"),
+        ("level = 1" + "0" * 400, "level: found a number too large"),
+        (f"levels = [1{'0' * 400}]", "levels: found 1000"),
+        ('environment = "' + "a" * 300 + '.exr"', "environment: found"),
         ("brightness = 1", "brightness: found an unknown key"),
         ('level = "high"', "level: found 'high', expected float"),
     ],
@@ -139,3 +148,20 @@ def test_a_file_without_patterns_or_with_other_tables_is_refused(tmp_path):
         read(tmp_path, "[patterns]\na = 1")
     with pytest.raises(ConfigError, match="no such file"):
         read_patterns(tmp_path / "none.toml", RIG)
+
+
+plain = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
+values = (
+    plain | st.lists(plain, max_size=4) | st.just([1, 0.5, 0]) | st.dictionaries(st.text(), plain)
+)
+
+
+@settings(max_examples=300)
+@given(st.dictionaries(st.sampled_from(list(PatternConfig.__dataclass_fields__)), values))
+def test_whatever_a_table_holds_it_is_a_pattern_or_one_clear_error(table):
+    try:
+        made = make_pattern("mine", table, "own.toml", Path("/nowhere"), RIG)
+    except LightstageError:
+        return
+    assert made.levels.shape == (168,)
+    assert ((made.levels >= 0) & (made.levels <= 1)).all()
