@@ -79,7 +79,45 @@ def reconcile(
             others is done by then, and nothing of this one is given up: resume again.
         CaptureError: this computer's disk refuses.
     """
-    return _Reconciler(writer, delete).all(cameras)
+    found = _Reconciler(writer, delete)
+    ids = {camera.id for camera in cameras}
+    whole = ids >= set(writer.state.cameras)
+    problems = found.look_at(cameras, found.damaged() if whole else [])
+    if problems:
+        raise one_error(problems)
+    if whole:
+        found.tidy()
+    return found.told()
+
+
+def bring_home(
+    writer: SessionWriter, cameras: Sequence[CameraDevice], *, delete: bool = False
+) -> Reconciled:
+    """Before a session ends: keep what lies on the cards and is not on this computer yet.
+
+    Such as a photograph that was taken again because its first take did not come.
+
+    Args:
+        writer: of the session.
+        cameras: opened; one that does not answer now is a finding: what counts is kept already.
+        delete: as in `reconcile`.
+
+    Raises:
+        CaptureError: this computer's disk refuses.
+    """
+    found = _Reconciler(writer, delete)
+    for problem in found.look_at(cameras, []):
+        found.say(
+            Finding(
+                "warn",
+                "card-unread",
+                problem.where,
+                found=problem.found or str(problem),
+                expected="its card, to look for pictures that were left there",
+                hint="All that counts is kept. Look at the card before you empty it.",
+            )
+        )
+    return found.told()
 
 
 class _Reconciler(Leftovers):
@@ -91,20 +129,25 @@ class _Reconciler(Leftovers):
         self.adopted: list[Key] = []
         self.restored: list[Key] = []
 
-    def all(self, cameras: Sequence[CameraDevice]) -> Reconciled:
-        ids = {camera.id for camera in cameras}
-        whole = ids >= set(self.state.cameras)
-        damaged = self.damaged() if whole else []
+    def look_at(
+        self, cameras: Sequence[CameraDevice], damaged: Sequence[Line]
+    ) -> list[LightstageError]:
+        """One camera after another; returns what failed, when the others are done.
+
+        Args:
+            cameras: opened.
+            damaged: ``frame`` lines whose file is to be brought again.
+        """
         problems: list[LightstageError] = []
         for camera in cameras:
             try:
                 self._camera(camera, [line for line in damaged if line["camera"] == camera.id])
             except DeviceError as error:
                 problems.append(error)
-        if whole and not problems:
-            self.tidy()
-        if problems:
-            raise one_error(problems)
+        return problems
+
+    def told(self) -> Reconciled:
+        """All that was done."""
         return Reconciled(
             tuple(self.adopted),
             tuple(self.restored),

@@ -7,7 +7,14 @@ import pytest
 
 from lightstage.cameras.camera import CardFile
 from lightstage.errors import DeviceError
-from lightstage.session import SessionWriter, arrived, read_journal, reconcile, state_of
+from lightstage.session import (
+    SessionWriter,
+    arrived,
+    bring_home,
+    read_journal,
+    reconcile,
+    state_of,
+)
 from tests.lightstage.session.crashes import Camera, Desk, Life, label, picture
 
 
@@ -139,6 +146,24 @@ def test_a_camera_that_does_not_answer_holds_nothing_up_but_is_not_given_up(desk
     assert writer.state.missing("full") == ("cam0",)
     cameras[0].body.unreachable = False
     assert reconcile(writer, cameras).adopted == (("full", "cam0", 1),)
+    writer.close()
+
+
+def test_before_a_session_ends_first_takes_that_never_came_are_brought_home(desk, begun, keep):
+    writer, cameras = begun
+    for camera in cameras:
+        writer.trigger("full", {camera.id: 2})
+        file = camera.trigger("full")
+        writer.exposed("full", 2, camera.id, file)
+        incoming = writer.incoming("full", camera.id, 2)
+        got = camera.download(file.name, incoming)
+        writer.keep("full", camera.id, 2, incoming, file, got.sha256)
+    cameras[1].body.unreachable = True
+    found = bring_home(writer, cameras)
+    assert found.adopted == (("full", "cam0", 1),)
+    assert writer.state.accepted("full", "cam0")["take"] == 2
+    assert [(each.code, each.severity) for each in found.findings] == [("card-unread", "warn")]
+    assert found.wanted["full"] == ()
     writer.close()
 
 
