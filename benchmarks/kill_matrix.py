@@ -4,13 +4,14 @@ Each cell is some captures of three patterns by three cameras, as a user runs th
 step (at the first, the middle and the last shot where that differs), killed, gone on with. Then
 once more for those who are killed again while they go on.
 
-``python -m benchmarks.kill_matrix``: about a quarter of an hour on two cores.
+``python -m benchmarks.kill_matrix``: about a quarter of an hour on two cores, a line a session.
 """
 
 from __future__ import annotations
 
 import collections
 import os
+import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -38,13 +39,16 @@ MORE = ("resume", "recovered", "rejected")
 
 
 def trial(kills: Sequence[Kill]) -> Outcome:
-    """One session through these kills."""
+    """One session through these kills; what it showed is told at once."""
     with tempfile.TemporaryDirectory() as name:
         delete = any(kill.step in DELETING for kill in kills)
         try:
-            return KillTrial(Path(name), delete).run(kills)
+            outcome = KillTrial(Path(name), delete).run(kills)
         except SimError as error:
-            return Outcome((str(error),), 0, 0, 0, 0.0)
+            outcome = Outcome((str(error),), 0, 0, 0, 0.0)
+    said = "; ".join(outcome.faults) or "whole"
+    print(f"{' then '.join(map(str, kills))}: {said}", file=sys.stderr, flush=True)
+    return outcome
 
 
 def run() -> None:
@@ -78,9 +82,6 @@ def run() -> None:
         f"file of every card once on the disk; the lights dark {slowest:.2f} s after a kill at "
         "the latest (where everybody dies, by the device's own watchdog of 2 s)",
     )
-    for kills, outcome in zip([*once, *twice], outcomes, strict=True):
-        for fault in outcome.faults:
-            print(f"{' then '.join(map(str, kills))}: {fault}")
 
 
 if __name__ == "__main__":
