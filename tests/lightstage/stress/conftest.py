@@ -63,9 +63,15 @@ class Bench:
         self.out = desk / "S"
         (desk / "config.toml").write_text(CONFIG)
 
-    def arguments(self, *more: str, out: Path | None = None, resume: bool = False) -> list[str]:
+    def arguments(
+        self,
+        *more: str,
+        out: Path | None = None,
+        resume: bool = False,
+        sequence: str = SEQUENCE,
+    ) -> list[str]:
         """The command line, without the interpreter's part."""
-        first = ["--rig", str(self.stage.rig_path), "--sequence", SEQUENCE]
+        first = ["--rig", str(self.stage.rig_path), "--sequence", sequence]
         return [
             *("capture", "--out", str(out or self.out), "--leds", self.stage.device.url(5.0, 2)),
             *("--cameras", str(self.stage.cameras_path)),
@@ -79,12 +85,14 @@ class Bench:
         *more: str,
         out: Path | None = None,
         resume: bool = False,
+        sequence: str = SEQUENCE,
         launcher: Sequence[str] = ("-m", "lightstage"),
         before: Callable[[], None] | None = None,
     ) -> subprocess.Popen[str]:
         """A capture in a process of its own."""
+        arguments = self.arguments(*more, out=out, resume=resume, sequence=sequence)
         return subprocess.Popen(
-            [sys.executable, *launcher, *self.arguments(*more, out=out, resume=resume)],
+            [sys.executable, *launcher, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -155,11 +163,18 @@ def small_disk(folder: Path, size: str) -> Iterator[bool]:
             subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+@contextlib.contextmanager
+def bench_of(desk: Path, rig: Rig) -> Iterator[Bench]:
+    """A stage of its own."""
+    with CodedStage(desk / "sim", rig) as stage:
+        yield Bench(stage, desk)
+
+
 @pytest.fixture
 def bench(tmp_path) -> Iterator[Bench]:
     """Two cameras, 168 lights."""
-    with CodedStage(tmp_path / "sim", small_rig()) as stage:
-        yield Bench(stage, tmp_path)
+    with bench_of(tmp_path, small_rig()) as made:
+        yield made
 
 
 @pytest.fixture
@@ -169,6 +184,6 @@ def tools():
     class Tools:
         pass
 
-    for each in (small_rig, obey_permissions, ended, message, journal_of, small_disk, Bench):
+    for each in (small_rig, obey_permissions, ended, message, journal_of, small_disk, bench_of):
         setattr(Tools, each.__name__, staticmethod(each))
     return Tools
