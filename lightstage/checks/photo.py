@@ -100,11 +100,18 @@ def measure_photo(path: Path, thumbnail_px: int = 192) -> Photo:
     except OSError as error:
         raise FormatError(path, found=error.strerror or str(error), expected="a file") from None
     if begins == MAGIC:
-        image = read_exr(path)
-        mosaic = _mosaic(image)
-        size = image.shape[1], image.shape[0]
-        return measure_counts(mosaic, BAYER, 0.0, math.inf, size, "linear", path, thumbnail_px, 1.0)
+        return measure_image(read_exr(path), path, thumbnail_px)
     return _measure_raw(path, thumbnail_px)
+
+
+def measure_image(image: np.ndarray, where: Path, thumbnail_px: int = 192) -> Photo:
+    """Measure a scene-linear picture (h, w) or (h, w, 3), in which 1 counts as white.
+
+    Raises:
+        FormatError: less than 8 x 8 pixels.
+    """
+    size = image.shape[1], image.shape[0]
+    return measure_counts(_mosaic(image), BAYER, 0.0, math.inf, size, "linear", where, thumbnail_px)
 
 
 def _measure_raw(path: Path, thumbnail_px: int) -> Photo:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
+from lightstage.checks.config import ChecksConfig
+from lightstage.checks.photo import Photo, measure_image, measure_photo
+from lightstage.checks.shot import ShotChecks
+from lightstage.checks.sums import find_sums
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, one_error
+from lightstage.findings import Finding
 from lightstage.formats.exr import read_exr
 from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.session import (
@@ -20,6 +25,7 @@ from lightstage.formats.session import (
     missing_frames,
 )
 from lightstage.photograph import identify
+from lightstage.sequence import Shot
 
 SUM_TOLERANCE = 0.1
 """Light adds up: patterns that sum to a third must, in every camera's mean, up to this share."""
@@ -38,16 +44,29 @@ class CheckReport:
         sums: pattern sums compared, over all cameras.
         worst_sum: largest deviation found in them, as a share.
         clipped: largest share of clipped pixels in a photograph.
+        findings: what else the photographs show, as a capture tells it after each shot: the
+            operator may have seen and accepted it.
+        facts: figures of all that was compared (`ShotChecks.facts`), for a later session's
+            baseline.
     """
 
     frames: int
     sums: int
     worst_sum: float
     clipped: float
+    findings: tuple[Finding, ...] = ()
+    facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def check_session(root: Path, progress: ProgressCallback = quiet) -> CheckReport:
+def check_session(
+    root: Path, progress: ProgressCallback = quiet, config: ChecksConfig | None = None
+) -> CheckReport:
     """Check every photograph of a session: there, unchanged, readable, sized, lit as recorded.
+
+    Args:
+        root: of the session.
+        progress: counts photographs.
+        config: limits of the findings, as in a capture; what is refused has limits of its own.
 
     Raises:
         FormatError: every fault found, in one message.
@@ -62,22 +81,34 @@ def check_session(root: Path, progress: ProgressCallback = quiet) -> CheckReport
     broken = {problem.where for problem in problems}
     means: dict[tuple[str, str], float] = {}
     clipped: dict[tuple[str, str], float] = {}
-    frames = session.file.frames
-    for done, frame in enumerate(frames, 1):
-        path = session.frame_path(frame)
-        if path.is_file() and str(path) not in broken:
-            try:
-                key = frame.pattern, frame.camera
-                means[key], clipped[key] = _measure(session, frame, path)
-            except FormatError as error:
-                problems.append(error)
-        progress(done, len(frames))
+    shots = [Shot(name, session.levels(name)) for name in session.file.sequence]
+    checks = ShotChecks(session.rig, shots, config)
+    findings: list[Finding] = []
+    done = 0
+    for pattern in session.file.sequence:
+        for frame in session.file.frames:
+            path = session.frame_path(frame)
+            if frame.pattern != pattern:
+                continue
+            if path.is_file() and str(path) not in broken:
+                try:
+                    photo = _measure(session, frame, path, checks.config.thumbnail_px)
+                    key = frame.pattern, frame.camera
+                    means[key], clipped[key] = photo.mean, photo.clipped_all
+                    findings += checks.add(*key, photo)
+                except FormatError as error:
+                    problems.append(error)
+            done += 1
+            progress(done, len(session.file.frames))
+        findings += checks.shot(pattern)
     problems += _overexposed(session, clipped)
     worst, sums, unlike = _compare_sums(session, means)
     problems += unlike
     if problems:
         raise one_error(problems)
-    return CheckReport(len(frames), sums, worst, max(clipped.values(), default=0.0))
+    worst_clipped = max(clipped.values(), default=0.0)
+    frames = len(session.file.frames)
+    return CheckReport(frames, sums, worst, worst_clipped, tuple(findings), checks.facts())
 
 
 def _doubled(session: Session) -> list[LightstageError]:
@@ -111,8 +142,8 @@ def _load(root: Path) -> Session:
     return load_session(root)
 
 
-def _measure(session: Session, frame: Frame, path: Path) -> tuple[float, float]:
-    """Mean above black and share of clipped pixels of a photograph; FormatError when unreadable."""
+def _measure(session: Session, frame: Frame, path: Path, thumbnail_px: int) -> Photo:
+    """A photograph's measures; FormatError when it is unreadable or of another size."""
     camera = session.rig.camera(frame.camera)
     kind = identify(path.read_bytes(), path)
     if kind.encoding != frame.encoding:
@@ -120,40 +151,17 @@ def _measure(session: Session, frame: Frame, path: Path) -> tuple[float, float]:
             path, field="encoding", found=kind.encoding, expected=f"{frame.encoding} (session.json)"
         )
     if frame.encoding == "linear":
-        image = read_exr(path, finite=True)
-        shape, mean, clipped = image.shape[:2], float(image.mean()), 0.0
+        photo = measure_image(read_exr(path, finite=True), path, thumbnail_px)
     else:
-        shape, mean, clipped = _measure_raw(path)
-    if shape != (camera.height_px, camera.width_px):
+        photo = measure_photo(path, thumbnail_px)
+    if photo.size_px != (camera.width_px, camera.height_px):
         raise FormatError(
             path,
             field="size",
-            found=f"{shape[1]} x {shape[0]} pixels",
+            found=f"{photo.size_px[0]} x {photo.size_px[1]} pixels",
             expected=f"{camera.width_px} x {camera.height_px} (rig.json, {camera.id})",
         )
-    return mean, clipped
-
-
-def _measure_raw(path: Path) -> tuple[tuple[int, int], float, float]:
-    import rawpy
-
-    try:
-        with rawpy.imread(str(path)) as raw:
-            counts = raw.raw_image_visible
-            black = float(np.mean(raw.black_level_per_channel))
-            white = float(raw.white_level)
-            mean = float(counts.mean(dtype=float)) - black
-            clipped = float(np.count_nonzero(counts >= white)) / counts.size
-            # A portrait camera stores landscape rows and a tag; the rig's rows are upright.
-            size = (raw.sizes.height, raw.sizes.width)
-            return size[::-1] if raw.sizes.flip in (5, 6) else size, mean / (white - black), clipped
-    except (rawpy.LibRawError, ValueError) as error:
-        raise FormatError(
-            path,
-            found=error.args[0].decode() if isinstance(error.args[0], bytes) else str(error),
-            expected="a RAW that LibRaw reads",
-            hint="Is the file truncated, or the camera too new for LibRaw?",
-        ) from None
+    return photo
 
 
 def _overexposed(session: Session, clipped: dict[tuple[str, str], float]) -> list[LightstageError]:
@@ -175,17 +183,12 @@ def _compare_sums(
 ) -> tuple[float, int, list[LightstageError]]:
     """Compare photographs whose driven levels add up (x+ and x- to full): light is linear."""
     levels = {pattern: session.levels(pattern) for pattern in session.file.sequence}
-    lit = {pattern: levels[pattern] for pattern in levels if levels[pattern].any()}
-    wholes = {_rounded(level): pattern for pattern, level in lit.items()}
-    sums = [
-        (first, second, wholes[_rounded(lit[first] + lit[second])])
-        for first, second in itertools.combinations(lit, 2)
-        if _rounded(lit[first] + lit[second]) in wholes
-    ]
+    sums = find_sums(levels)
     problems: list[LightstageError] = []
     worst, count = 0.0, 0
-    for (first, second, whole), camera in itertools.product(sums, session.camera_ids()):
-        keys = [(pattern, camera) for pattern in (first, second, whole)]
+    for one, camera in itertools.product(sums, session.camera_ids()):
+        first, second, whole = one.patterns
+        keys = [(pattern, camera) for pattern in one.patterns]
         if not all(key in means for key in keys):
             continue
         parts, total = means[keys[0]] + means[keys[1]], means[keys[2]]
@@ -202,8 +205,3 @@ def _compare_sums(
                 )
             )
     return worst, count, problems
-
-
-def _rounded(levels: np.ndarray) -> bytes:
-    """Levels to a thousandth, as a key: devices round to steps of their own."""
-    return bytes(np.round(levels * 1000).astype(np.int32).tobytes())
