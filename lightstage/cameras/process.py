@@ -20,7 +20,8 @@ class Deadlines:
     """After how long a camera that has not answered is ended.
 
     Attributes:
-        open_s: connecting; also the whole search for a camera that is to be restarted.
+        open_s: connecting; a camera that is to be restarted may need it at more than one port.
+        absent_s: a camera that is to be restarted may be away, as after its cable was pulled.
         trigger_s: after the time at which it was to trigger, until its files are on the card.
         download_s: a download, beside the time that its bytes take.
         download_bytes_per_s: the slowest that a cable may be.
@@ -28,6 +29,7 @@ class Deadlines:
     """
 
     open_s: float = 30.0
+    absent_s: float = 5.0
     trigger_s: float = 30.0
     download_s: float = 10.0
     download_bytes_per_s: float = 2e6
@@ -44,8 +46,8 @@ class Deadlines:
 
     @staticmethod
     def all(seconds: float) -> Deadlines:
-        """The same time for everything; bytes take theirs on top."""
-        return Deadlines(seconds, seconds, seconds, other_s=seconds)
+        """The same time for everything that a camera is asked; bytes take theirs on top."""
+        return Deadlines(open_s=seconds, trigger_s=seconds, download_s=seconds, other_s=seconds)
 
 
 UNKNOWN_BYTES = 100_000_000
@@ -111,7 +113,7 @@ class CameraProcess:
 
         A body that told its serial number is looked for at every port, its own first: a cable may
         be in another socket now. One that cannot tell it is looked for at its port alone. One
-        that is gone is waited for until the time for opening is over.
+        that is away is waited for.
 
         Raises:
             DeviceError: it is not there, with what is at each port instead.
@@ -119,7 +121,8 @@ class CameraProcess:
         child = self._child
         if child is not None:
             child.kill()
-        until = time.monotonic() + self.deadlines.open_s
+        absent_until = time.monotonic() + self.deadlines.absent_s
+        until = absent_until + self.deadlines.open_s
         said: dict[str, str] = {}
         while not self._closed:
             for port in self._candidates(until):
@@ -135,7 +138,7 @@ class CameraProcess:
                     return told
                 said[port] = f"{port}: found serial {told.serial}"
                 self._end_child()
-            if time.monotonic() + PAUSE_S >= until:
+            if time.monotonic() + PAUSE_S >= absent_until:
                 break
             time.sleep(PAUSE_S)
         known = f"the camera with serial {self._serial}" if self._serial else f"it at {self.port}"

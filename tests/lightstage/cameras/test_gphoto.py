@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import hashlib
 import time
@@ -13,12 +14,12 @@ from lightstage.cameras.gphoto_link import Patience
 from lightstage.errors import DeviceError
 
 PORT = "usb:001,004"
-BRIEF = Patience(
-    claimed_tries=4, claimed_pause_s=0.01, busy_s=0.6, event_s=0.8, quiet_s=0.1, drain_s=0.2
-)
+STEADY = Patience(claimed_tries=4, claimed_pause_s=0.01, busy_s=0.6, event_s=20.0, quiet_s=0.5)
+BRIEF = dataclasses.replace(STEADY, event_s=0.8)
+"""For shots that give no file: so long they are waited for."""
 
 
-def opened(patience=BRIEF, port=PORT):
+def opened(patience=STEADY, port=PORT):
     camera = GphotoCamera(port, patience=patience)
     camera.open()
     return camera
@@ -83,7 +84,7 @@ def test_events_that_are_late_or_of_no_meaning_are_waited_for(fake):
 def test_a_file_of_an_earlier_shot_is_never_taken_for_this_one(fake):
     """The first shot gives no file; it comes after the second trigger, before the second's own."""
     fake.make_body("6001", shots=[["done"], ["late DSC_0001.NEF", "raw", "done"], ["raw", "done"]])
-    camera = opened()
+    camera = opened(BRIEF)
     with pytest.raises(DeviceError, match=r"found no file.*Is its card full"):
         camera.trigger(0.0)
     with pytest.raises(DeviceError, match=r"files of 2 shots .*still on the card"):
@@ -111,14 +112,14 @@ def test_no_long_wait_is_asked_for_since_each_may_outlast_its_time(fake):
     """Asked for all of its time at once, a wait that takes longer would end at no known moment."""
     fake.make_body("6001", shots=[[]], overrun_s=0.15)
     with pytest.raises(DeviceError, match="found no file"):
-        opened().trigger(0.0)
+        opened(BRIEF).trigger(0.0)
     assert 1 <= fake.body_of("6001")["longest_wait_ms"] <= 250
 
 
 def test_a_late_file_that_comes_alone_is_not_the_shot_s_that_failed_too(fake, tmp_path):
     """It reached the card after the first trigger's deadline and before the second trigger."""
     fake.make_body("6001", shots=[["done"], ["late DSC_0001.NEF", "done"]])
-    camera = opened()
+    camera = opened(BRIEF)
     with pytest.raises(DeviceError, match="found no file"):
         camera.trigger(0.0)
     (tmp_path / "bus" / "6001" / "card" / fake.FOLDER[1:] / "DSC_0001.NEF").write_bytes(b"late")

@@ -63,10 +63,14 @@ def test_what_cameras_tell_must_fit_the_rig(small_rig):
     assert summary_problems(small_rig.cameras[:1], [told("600")], BUT_NAMES) == []
 
 
-def test_whatever_a_camera_cannot_tell_must_be_allowed_by_name(small_rig):
-    (problem,) = summary_problems(small_rig.cameras[:1], [told("600")], ["owner"])
-    wanted = ", ".join(name for name in BUT_NAMES if name != "owner")
-    assert f"camera cam0, {wanted}: found not verifiable" in str(problem)
+def test_who_a_camera_is_must_be_told_or_allowed_by_name(small_rig):
+    allowed = [*BUT_NAMES, "iso"]
+    unknown = [Summary(serial=None, model=None)]
+    (problem,) = summary_problems(small_rig.cameras[:1], unknown, allowed)
+    assert "camera cam0, serial, model: found not verifiable: the camera cannot tell" in str(
+        problem
+    )
+    assert summary_problems(small_rig.cameras[:1], unknown, VERIFIABLE) == []
 
 
 def test_one_serial_for_several_cameras_is_an_error(small_rig):

@@ -193,7 +193,7 @@ def test_closing_a_driver_that_hangs_while_it_lets_go_kills_it(camera, gone, mon
 
 
 def test_a_restart_that_searches_ends_when_the_camera_is_closed(camera):
-    one = camera(deadlines=60.0)
+    one = camera(deadlines=Deadlines(absent_s=60.0))
     one.driver = "camera_drivers:NotThere"
     said = []
 

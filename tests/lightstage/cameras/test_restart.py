@@ -54,6 +54,7 @@ def test_cameras_whose_cables_were_exchanged_are_both_found(two, fake):
 def test_a_stranger_at_its_port_is_let_go_again_and_told(two, fake):
     fake.make_body("7777")
     fake.plug({A: "7777", B: "6002"})
+    two[0].deadlines = Deadlines(absent_s=60.0)
     said = []
 
     def restart():
@@ -78,6 +79,7 @@ def test_a_stranger_at_its_port_is_let_go_again_and_told(two, fake):
 
 def test_a_camera_that_comes_back_after_a_while_is_waited_for(two, fake):
     fake.plug({B: "6002"})
+    two[0].deadlines = Deadlines(absent_s=20.0)
     later = threading.Timer(0.6, lambda: fake.plug({B: "6002", C: "6001"}))
     later.start()
     assert two[0].restart().serial == "6001"
@@ -95,7 +97,14 @@ def test_a_port_that_hangs_does_not_hide_the_others(two, fake, monkeypatch):
     monkeypatch.setenv("FAKE_HANGS", A)
     fake.make_body("8888")
     fake.plug({A: "8888", B: "6002", C: "6001"})
-    two[0].deadlines = Deadlines(open_s=6.0)
+    two[0].deadlines = Deadlines(open_s=5.0, absent_s=1.0)
     began_s = time.monotonic()
     assert two[0].restart().serial == "6001"
     assert time.monotonic() - began_s >= 3.0  # it did ask the one that hangs first
+
+
+def test_a_camera_that_stays_away_is_given_up(two, fake):
+    fake.plug({B: "6002"})
+    two[0].deadlines = Deadlines(absent_s=0.3)
+    with pytest.raises(DeviceError, match=r"cam1, restart: found no camera at any port, expected"):
+        two[0].restart()

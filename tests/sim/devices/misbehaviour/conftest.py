@@ -26,7 +26,7 @@ from lightstage.sequence import plan_shots
 from lightstage.session import read_journal
 from sim.devices.coded_stage import CodedStage, Labels
 from sim.devices.faults import Fault, Story, read_fault_log
-from sim.devices.grainy_camera import DRIVER, GrainyCamera
+from sim.devices.simulated_camera import DRIVER, SimulatedCamera
 
 WIDTH, HEIGHT = 48, 64
 RETAKES = 2
@@ -169,18 +169,18 @@ class SmallStage:
         return Ending(said, root, dark, happened, report, labels)
 
 
-class Named(GrainyCamera):
+class Named(SimulatedCamera):
     """A simulated camera in this process, under the rig's name (CameraDevice)."""
 
     def __init__(self, camera_id: str, port: str) -> None:
         super().__init__(port)
         self.id = camera_id
 
-    def trigger(self, at_s: float, pattern: str = "*"):
+    def trigger(self, at_s: float, _pattern: str = "*"):
         """As the driver does; the pattern is for the names of steps."""
         return super().trigger(at_s)
 
-    def download(self, name: str, path: Path, pattern: str = "*"):
+    def download(self, name: str, path: Path, _pattern: str = "*"):
         """As the driver does."""
         return super().download(name, path)
 

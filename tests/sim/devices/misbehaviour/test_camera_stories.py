@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import time
 import types
 
 import numpy as np
@@ -123,7 +124,7 @@ def test_a_setting_that_drifts_is_set_back_and_its_photograph_taken_again(stage,
     assert ending.happened == [name]
     assert ending.fine, ending.said
     assert "x+/cam1.take2" in ending.kept()
-    assert [line["code"] for line in ending.lines("finding")][0] == "drift"
+    assert next(line["code"] for line in ending.lines("finding")) == "drift"
     assert any("set back" in line["said"] for line in ending.lines("note"))
 
 
@@ -192,7 +193,13 @@ def test_a_camera_that_was_disconnected_comes_back(tmp_path, rig, seen, monkeypa
     fault = Fault("disconnect", camera="cam0", at=1, seconds=20)
     bodies = make_bodies(tmp_path, rig, seen, fault)
     now_s = [100.0]
-    clock = types.SimpleNamespace(monotonic=lambda: now_s[0], sleep=lambda _: None)
+    clock = types.SimpleNamespace(
+        monotonic=lambda: now_s[0],
+        sleep=lambda _: None,
+        time=lambda: now_s[0],
+        strftime=time.strftime,
+        gmtime=time.gmtime,
+    )
     monkeypatch.setattr(camera_body, "time", clock)
     camera = SimulatedCamera(str(bodies.folder("cam0")))
     camera.open()
