@@ -1,6 +1,6 @@
 """Tiny photographs whose pixels say which camera took them under which light: labels to verify.
 
-They look like photographs to every check (a texture, as bright as the lights are), and carry a code
+They look like photographs to every check (a textured ball, lit as the lights are), and carry a code
 as faint as noise: differences of neighbours, which no other setting of the camera can hide.
 """
 
@@ -27,8 +27,10 @@ CODE_ROWS = 12
 """Rows on top that hold the code, twice."""
 MIN_WIDTH_PX = CODE_BITS * 4 * 2 // CODE_ROWS
 """A bit is four pixels of a row, and is there twice."""
+CELL_PX = 4
+"""Light and texture are the same over so many pixels a side."""
 BRIGHTEST = 0.6
-"""Share of the sensor's range that `full` gives where the texture is white."""
+"""Share of the sensor's range that `full` gives where the ball is brightest."""
 F_NUMBER = 8.0
 EXPOSURE_S = 1 / 60
 
@@ -75,7 +77,7 @@ class CodedPhotographer:
             for index, camera in enumerate(rig.cameras)
         }
 
-        self._facing = {camera.id: _facing(rig, camera) for camera in rig.cameras}
+        self._balls = {camera.id: _ball(rig, camera) for camera in rig.cameras}
 
     def lit(self, levels: np.ndarray) -> int:
         """Remember a state of the lamps; its code, to be given to `photograph`."""
@@ -91,8 +93,10 @@ class CodedPhotographer:
             noise = self._rng.normal(0.0, 2.0, shape)
         config = SensorConfig()
         span = BRIGHTEST * (config.white_dn - config.black_dn)
-        share = float(self._facing[camera.id] @ levels)
-        counts = config.black_dn + span * share * self._textures[camera.id] + noise
+        cells = (self._balls[camera.id] @ levels).reshape(camera.height_px // CELL_PX, -1)
+        shading = np.kron(cells, np.ones((CELL_PX, CELL_PX)))
+        counts = config.black_dn + noise
+        counts[: shading.shape[0], : shading.shape[1]] += span * shading * self._textures[camera.id]
         place = self.rig.cameras.index(camera)
         counts[:CODE_ROWS] += CODE_DN * _signs(place, light, camera.width_px)
         mosaic = np.clip(np.round(counts), 0, config.white_dn).astype(np.uint16)
@@ -135,19 +139,32 @@ def _signs(camera: int, light: int, width_px: int) -> np.ndarray:
 
 
 def _texture(camera: Camera, rng: np.random.Generator) -> np.ndarray:
-    """(h, w) reflectance 0.2..1, even where the code lies."""
-    cells = rng.uniform(0.2, 1.0, (camera.height_px // 4 + 1, camera.width_px // 4 + 1))
-    texture = np.kron(cells, np.ones((4, 4)))[: camera.height_px, : camera.width_px]
-    texture[:CODE_ROWS] = 0.5
-    return texture
+    """(h, w), both whole cells: reflectance 0.5..1, even where the code lies."""
+    cells = rng.uniform(0.5, 1.0, (camera.height_px // CELL_PX, camera.width_px // CELL_PX))
+    cells[: CODE_ROWS // CELL_PX] = 1.0
+    return np.kron(cells, np.ones((CELL_PX, CELL_PX)))
 
 
-def _facing(rig: Rig, camera: Camera) -> np.ndarray:
-    """(n,) each light's part of what a face turned to the camera reads, 1 together.
+def _ball(rig: Rig, camera: Camera) -> np.ndarray:
+    """(h // CELL_PX * w // CELL_PX, n) what each light gives to the cells of a picture.
 
-    Every light gives some: a face is not flat.
+    A white ball before a black wall, as a face would stand: `full` reads 1 in its middle at most.
+    On top, where the code lies, an even card that every light reaches.
     """
-    toward = camera.centre_mm
-    lengths = np.linalg.norm(rig.positions_mm, axis=1) * np.linalg.norm(toward)
-    part = 0.3 + np.maximum(rig.positions_mm @ toward / lengths, 0.0)
-    return part / part.sum()
+    rows, columns = camera.height_px // CELL_PX, camera.width_px // CELL_PX
+    top = CODE_ROWS // CELL_PX
+    y, x = np.meshgrid(
+        (np.arange(rows - top) + 0.5) / (rows - top) * 2 - 1,
+        (np.arange(columns) + 0.5) / columns * 2 - 1,
+        indexing="ij",
+    )
+    inside = x**2 + y**2 < 0.95
+    depth = np.sqrt(np.maximum(1 - x**2 - y**2, 0.0))
+    # Camera axes: x right, y down, z away from the camera.
+    normals = np.stack([x, y, -depth], axis=-1) @ camera.cam_from_world[:, :3]
+    lights = rig.positions_mm / np.linalg.norm(rig.positions_mm, axis=1, keepdims=True)
+    ball = np.maximum(normals @ lights.T, 0.0) * inside[..., None]
+    card = np.full((top, columns, len(lights)), 0.3)
+    cells = np.concatenate([card, ball / max(ball.sum(axis=2).max(), 1e-9)])
+    cells[:top] /= cells[:top].sum(axis=2, keepdims=True) / 0.5
+    return cells.reshape(rows * columns, -1)
