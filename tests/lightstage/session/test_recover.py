@@ -212,6 +212,62 @@ def test_a_name_that_comes_again_after_a_card_was_formatted_is_another_file(desk
     writer.close()
 
 
+def test_a_name_that_comes_again_after_its_file_was_deleted_is_another_file(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras, delete=True)
+    body = cameras[0].body
+    assert len(body.card) == 1
+    body.number = 1
+    writer.trigger("x+", {"cam0": 1})
+    cameras[0].trigger("x+")  # and the process dies: no line of it, the old name, the old size
+    found = reconcile(writer, cameras)
+    assert [label(path.read_bytes()) for path in found.recovered] == [("x+", "cam0")]
+    assert found.wanted == {"full": (), "x+": ("cam0", "cam1")}
+    writer.close()
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_a_photograph_lost_here_comes_from_the_card_only_if_it_is_the_same_to_the_byte(
+    desk, begun, same
+):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    line = writer.state.accepted("full", "cam1")
+    path = desk.root / line["path"]
+    path.write_bytes(path.read_bytes()[:-5] + b"wrong")
+    if not same:
+        cameras[1].body.card[line["file"]] = picture("elsewhere", "nobody", 3)
+    found = reconcile(writer, cameras)
+    key = ("full", "cam1", 1)
+    assert (found.restored, found.rejected) == (((key,), ()) if same else ((), (key,)))
+    assert [each.read_bytes()[-5:] for each in found.recovered] == [b"wrong"]
+    assert path.exists() == same
+    if same:
+        assert path.read_bytes() == cameras[1].body.exposed[0]
+    assert writer.state.missing("full") == (() if same else ("cam1",))
+    writer.close()
+
+
+def test_a_number_once_intended_is_never_given_again(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    for take in (1, 2, 3):
+        assert writer.next_take("x+", "cam0") == take
+        writer.trigger("x+", {"cam0": take})
+    writer.close()
+
+
+def test_two_files_of_one_name_are_both_kept_aside(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    files = []
+    for data in (b"one", b"two", b"one"):
+        cameras[0].body.card["/DCIM/A.DNG"] = data
+        files.append(writer.recover(cameras[0], CardFile("/DCIM/A.DNG", 3), None, "test").name)
+    assert files == ["DCIM_A.DNG", "DCIM_A.2.DNG", "DCIM_A.DNG"]
+    writer.close()
+
+
 def test_what_arrived_on_a_card_is_told_by_name_and_size():
     before = [CardFile("a", 1), CardFile("b", 2)]
     now = [CardFile("b", 3), CardFile("a", 1), CardFile("c", 2)]
