@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from lightstage.calibrations import command as calibration_command
+from lightstage.calibrations import command as calibrations_command
 from lightstage.capture import command as capture_command
 from lightstage.checks import check_session
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
@@ -21,6 +22,7 @@ app = make_app("Drive the light stage: capture a session, check it, import one t
 capture_command.register(app)
 calibration_command.register(app)
 operator_command.register(app)
+calibrations_command.register(app)
 patterns_command.register(app)
 
 

@@ -10,6 +10,9 @@ from lightstage.cameras.cameras_file import CamerasFile
 from lightstage.errors import DeviceError, LightstageError
 from lightstage.rig import Camera, Rig
 
+IDENTITY = ("serial", "model")
+"""What binds a camera to its place; preflight looks at the rest."""
+
 
 def binding_problems(rig: Rig, file: CamerasFile) -> list[LightstageError]:
     """What is wrong with a cameras file before any camera is asked."""
@@ -61,7 +64,7 @@ def binding_problems(rig: Rig, file: CamerasFile) -> list[LightstageError]:
 def summary_problems(
     cameras: Sequence[Camera], told: Sequence[Summary], allow_unverifiable: Sequence[str]
 ) -> list[LightstageError]:
-    """Where cameras contradict the rig or each other, or cannot tell what is not allowed.
+    """Where cameras contradict the rig or each other, or cannot tell who they are, unallowed.
 
     Args:
         cameras: the rig's, in the order of `told`.
@@ -94,7 +97,8 @@ def summary_problems(
                     else "Is another camera at this port?",
                 )
             )
-        refused = [name for name in summary.untold() if name not in allow_unverifiable]
+        untold = [name for name in IDENTITY if getattr(summary, name) is None]
+        refused = [name for name in untold if name not in allow_unverifiable]
         if refused:
             problems.append(
                 DeviceError(

@@ -22,7 +22,7 @@ from lightstage.patterns import Drive, read_patterns, sequence_patterns
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import check_shots
 from lightstage.sequence import plan_shots
-from lightstage.session import check_pseudonym, read_colour, require_new
+from lightstage.session import check_consent, check_pseudonym, read_colour, require_new
 
 SUBJECT = "subject-1"
 EXPRESSION = "neutral"
@@ -124,9 +124,10 @@ def _new_order(
     """A new session's rig and order; everything is looked at before a device is opened."""
     if rig is None:
         raise ConfigError("--rig", found="nothing", expected="a rig.json, or --resume")
-    for text, field in ((subject, "subject"), (expression, "expression"), (consent, "consent")):
-        if text is not None:
-            check_pseudonym(text, field)
+    check_pseudonym(subject, "subject")
+    check_pseudonym(expression, "expression")
+    if consent is not None:
+        check_consent(consent)
     require_new(out)
     the_rig = load_rig(rig)
     own = {} if patterns is None else read_patterns(patterns, the_rig)

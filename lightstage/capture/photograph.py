@@ -27,6 +27,7 @@ from lightstage.errors import (
 from lightstage.findings import Finding
 from lightstage.leds.controller import LedController, LightLostError
 from lightstage.preflight import drift, photograph_findings
+from lightstage.preflight.privacy import EMPTY
 from lightstage.rig import Rig
 from lightstage.session import SessionWriter, arrived
 from lightstage.steps import step
@@ -158,7 +159,8 @@ class Photographer:
             for finding in drift(before, camera.summary(), camera.id):
                 name = finding.where.rpartition(", ")[2]
                 if finding.code == "drift":
-                    camera.change(name, getattr(before, name))
+                    # A field that names somebody was empty, or not told, before.
+                    camera.change(name, getattr(before, name) or EMPTY.get(name, ""))
                     self._writer.note("note", camera=camera.id, said=f"{name} set back")
         except LightstageError as error:
             self._writer.note("note", camera=camera.id, said=f"not set back: {error}")
@@ -259,7 +261,15 @@ class Photographer:
         # A camera that dies now is noticed at its next trigger; this photograph is safe.
         with contextlib.suppress(DeviceError):
             findings += drift(told, camera.summary(), camera.id)
-        findings = [dataclasses.replace(each, pattern=pattern) for each in findings]
+        # Lights are on already: what would have been refused before is taken again now.
+        findings = [
+            dataclasses.replace(
+                each,
+                pattern=pattern,
+                severity="retake" if each.severity == "refuse" else each.severity,
+            )
+            for each in findings
+        ]
         for finding in findings:
             self._writer.finding(finding)
         return findings

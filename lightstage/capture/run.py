@@ -12,7 +12,7 @@ from lightstage.capture.config import CaptureConfig
 from lightstage.capture.photograph import Checks, Photographer
 from lightstage.capture.shot import ShotTaken, aborted, take_shot
 from lightstage.capture.wishes import Wishes
-from lightstage.errors import CaptureError, one_error
+from lightstage.errors import CaptureError, LightstageError, one_error
 from lightstage.findings import Finding
 from lightstage.leds.controller import LedController
 from lightstage.operator import Operator
@@ -155,7 +155,7 @@ class Run:
                 self._writer.note("note", pattern=pattern, said="accepted by the operator")
                 again = {}
             else:
-                raise one_error([self._unfinished(each) for each in bad])
+                raise one_error([_unfinished(each) for each in bad])
         if pattern not in again:
             self._writer.shot(
                 pattern,
@@ -230,16 +230,6 @@ class Run:
         self._retakes += len(ids)
         self._queue.appendleft((pattern, frozenset(ids).union(*(also for _, also in queued))))
 
-    def _unfinished(self, finding: Finding) -> CaptureError:
-        on = f"Go on with: lightstage capture --resume --out {self._writer.root}"
-        return CaptureError(
-            finding.where,
-            field=finding.code,
-            found=finding.found,
-            expected=finding.expected,
-            hint=f"{finding.hint} {on}".strip(),
-        )
-
     def _heed(self, last: str) -> None:
         """Act on what the operator wished since the last shot, whose pattern is given."""
         while (wish := self._wishes.take()) is not None:
@@ -264,3 +254,13 @@ class Run:
                 raise aborted()
             time.sleep(PAUSE_POLL_S)
         self._paused_s += time.monotonic() - begun_s
+
+
+def _unfinished(finding: Finding) -> LightstageError:
+    return CaptureError(
+        finding.where,
+        field=finding.code,
+        found=finding.found,
+        expected=finding.expected,
+        hint=finding.hint,
+    )

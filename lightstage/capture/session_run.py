@@ -13,10 +13,10 @@ import numpy as np
 from lightstage import __version__
 from lightstage.cameras.camera import Summary
 from lightstage.capture.config import CaptureConfig
-from lightstage.capture.no_checks import ShotChecks
 from lightstage.capture.photograph import Checks, Photographer
 from lightstage.capture.run import CaptureReport, Run
 from lightstage.capture.stage import Stage
+from lightstage.checks import ShotChecks
 from lightstage.errors import LightstageError
 from lightstage.findings import Finding
 from lightstage.formats.config import as_dict
@@ -25,7 +25,7 @@ from lightstage.patterns import on_plane
 from lightstage.preflight import Plan, clear_privacy, drift, preflight, require
 from lightstage.rig import Rig, load_rig
 from lightstage.sequence import Shot
-from lightstage.session import SessionPlan, SessionWriter, read_journal, reconcile
+from lightstage.session import SessionPlan, SessionWriter, bring_home, read_journal, reconcile
 from lightstage.session.manifest import write_manifest
 from lightstage.steps import step
 
@@ -106,6 +106,7 @@ def capture_session(
                 delete = config.delete_from_cameras
                 wanted = reconcile(writer, stage.cameras, delete=delete).wanted
             report = _run(stage, order, config, operator, writer, wanted, checks)
+            bring_home(writer, stage.cameras, delete=config.delete_from_cameras)
             writer.finish()
             write_manifest(order.root, {**order.facts, "capture": dataclasses.asdict(report)})
             step("manifest-written")
@@ -116,6 +117,9 @@ def capture_session(
                 stage.lights.dark()
             with contextlib.suppress(LightstageError):
                 writer.note("aborted", said=str(error) or type(error).__name__)
+            if isinstance(error, LightstageError):
+                again = f"lightstage capture --resume --out {order.root}"
+                raise type(error)(f"{error}\n  Go on with: {again}") from None
             raise
     return report
 

@@ -173,11 +173,10 @@ def take_shot(
     if disk is not None:
         raise disk
     findings = [finding for each in taken for finding in each.findings]
-    findings += [
-        not_taken(shot.pattern, camera.id, failed[camera.id])
-        for camera in cameras
-        if camera.id in failed
-    ]
+    missed = [not_taken(shot.pattern, c.id, failed[c.id]) for c in cameras if c.id in failed]
+    for finding in missed:
+        writer.finding(finding)
+    findings += missed
     lost = any(isinstance(error, LightLostError) for error in failed.values())
     return ShotTaken(tuple(taken), tuple(findings), lit_s, lost)
 
@@ -195,7 +194,6 @@ def not_taken(pattern: str, camera: str, error: LightstageError) -> Finding:
         f"{pattern} by {camera}",
         found=str(error),
         expected="a photograph",
-        hint=error.hint,
         pattern=pattern,
         camera=camera,
     )

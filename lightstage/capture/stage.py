@@ -15,9 +15,10 @@ from lightstage.cameras.binding import (
 from lightstage.cameras.camera import CameraDevice, Summary
 from lightstage.cameras.process import detect_ports
 from lightstage.capture.config import CaptureConfig
-from lightstage.errors import DeviceError, LightstageError, one_error
+from lightstage.errors import one_error
 from lightstage.leds.address import parse_url
 from lightstage.leds.opening import open_leds
+from lightstage.preflight import PreflightConfig, device_findings, refusals
 from lightstage.rig import Rig
 from lightstage.safety import SafeLights
 
@@ -62,30 +63,23 @@ def open_stage(rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig) ->
         try:
             with SafeLights(device, config.safety, rig, worst_s) as lights:
                 lights.dark()
-                told = _connect(rig, lights, cameras, file)
+                told = _connect(rig, lights, cameras, file, config.preflight)
                 yield Stage(rig, lights, tuple(cameras), told, file)
         finally:
             close_cameras(cameras)
 
 
 def _connect(
-    rig: Rig, lights: SafeLights, cameras: Sequence[CameraDevice], file: CamerasFile
+    rig: Rig,
+    lights: SafeLights,
+    cameras: Sequence[CameraDevice],
+    file: CamerasFile,
+    config: PreflightConfig,
 ) -> dict[str, Summary]:
-    """Open all cameras; what all devices tell must agree with the rig."""
-    problems: list[LightstageError] = []
-    if lights.hello.light_count != len(rig.lights):
-        problems.append(
-            DeviceError(
-                "LED device",
-                field="light count",
-                found=str(lights.hello.light_count),
-                expected=f"{len(rig.lights)} (rig.json)",
-                hint="Is this the rig file of this stage?",
-            )
-        )
+    """Open all cameras; each must be the rig's own."""
     wanted = [rig.camera(camera.id) for camera in cameras]
-    told, wrong = connect_problems(wanted, cameras, file.allow_unverifiable)
-    problems += wrong
+    told, problems = connect_problems(wanted, cameras, file.allow_unverifiable)
     if problems:
-        raise one_error(problems)
+        # The others' settings in the same message: the operator goes to the stage once.
+        raise one_error(problems + refusals(device_findings(rig, told, file, lights, config)))
     return told

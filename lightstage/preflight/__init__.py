@@ -1,6 +1,6 @@
 """What is made sure before a light goes on, and that it stays so."""
 
-from lightstage.preflight.check import preflight, require
+from lightstage.preflight.check import device_findings, preflight, refusals, require
 from lightstage.preflight.config import Plan, PreflightConfig
 from lightstage.preflight.drift import drift
 from lightstage.preflight.photograph import photograph_findings
@@ -12,9 +12,11 @@ __all__ = [
     "PreflightConfig",
     "SkewReport",
     "clear_privacy",
+    "device_findings",
     "drift",
     "photograph_findings",
     "preflight",
+    "refusals",
     "require",
     "skew_findings",
 ]

@@ -43,23 +43,41 @@ def preflight(
     """
     shutters = {camera_id: summary.shutter for camera_id, summary in told.items()}
     return [
-        *_led_findings(rig, leds),
+        *device_findings(rig, told, file, leds, config),
         *pulse_findings(shutters, leds.pulse_hz, plan.lowest_level, config),
-        *settings_findings(told, file, config),
-        *privacy_findings(told),
         *card_findings(rig, told, plan, config),
         *disk_findings(rig, out, plan, config),
         *computer_clock_findings(out, config),
     ]
 
 
-def require(findings: Sequence[Finding]) -> None:
-    """DeviceError with everything that forbids a capture, in one message."""
-    problems: list[LightstageError] = [
+def device_findings(
+    rig: Rig,
+    told: Mapping[str, Summary],
+    file: CamerasFile,
+    leds: LedController,
+    config: PreflightConfig,
+) -> list[Finding]:
+    """What devices tell of themselves, whatever is to be taken (arguments as `preflight`'s)."""
+    return [
+        *_led_findings(rig, leds),
+        *settings_findings(told, file, config),
+        *privacy_findings(told),
+    ]
+
+
+def refusals(findings: Sequence[Finding]) -> list[LightstageError]:
+    """What forbids a capture, as errors."""
+    return [
         DeviceError(f.where, found=f.found, expected=f.expected, hint=f.hint)
         for f in findings
         if f.severity == "refuse"
     ]
+
+
+def require(findings: Sequence[Finding]) -> None:
+    """DeviceError with everything that forbids a capture, in one message."""
+    problems = refusals(findings)
     if problems:
         raise one_error(problems)
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from lightstage.cameras.binding import CamerasFile
 from lightstage.cameras.camera import VERIFIABLE, Summary
+from lightstage.cameras.identity import IDENTITY
 from lightstage.findings import Finding
 from lightstage.preflight.config import PreflightConfig
 from lightstage.preflight.values import (
@@ -24,8 +25,6 @@ EXPECTABLE = (
 """What ``[expect]`` in a cameras file may hold."""
 ALIKE = ("iso", "shutter", "aperture", "white_balance")
 """What must be equal over all cameras unless the cameras file expects something."""
-IDENTITY = ("serial", "model")
-"""Checked against the rig where cameras are bound to it."""
 FILE = "the cameras file"
 
 

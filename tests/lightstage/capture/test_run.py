@@ -116,12 +116,12 @@ def test_a_download_that_was_cut_is_asked_for_again_without_another_shot(bench):
     assert bench.log.count("download cam0") == 4
 
 
-def test_a_camera_that_is_gone_ends_the_capture_with_what_to_do_and_the_others_are_kept(bench):
+def test_a_camera_that_is_gone_ends_the_capture_and_the_others_are_kept(bench):
     bench.cameras[1].faults[2] = "after"
     bench.cameras[1].restart = lambda: (_ for _ in ()).throw(
         DeviceError("camera cam1", found="gone")
     )
-    with pytest.raises(CaptureError, match=r"(?s)x\+ by cam1.*gone.*--resume"):
+    with pytest.raises(CaptureError, match=r"(?s)x\+ by cam1.*gone"):
         bench.run()
     assert bench.kept("x+") == ["cam0.dng", "cam2.dng"]
     assert bench.writer.state.wanted() == {"x+": ("cam1",), "x-": ("cam0", "cam1", "cam2")}
@@ -158,9 +158,9 @@ def test_a_finding_about_no_single_camera_takes_the_whole_pattern_again(bench):
     assert [camera.shots for camera in bench.cameras] == [4, 4, 4]
 
 
-def test_retakes_end_when_the_operator_is_out_of_them_and_say_how_to_go_on(bench):
+def test_retakes_end_when_the_operator_is_out_of_them(bench):
     bench.checks.of_shots["full"] = [[bad("blurred", "cam0", "full")]] * 9
-    with pytest.raises(CaptureError, match=r"(?s)blurred.*lightstage capture --resume --out"):
+    with pytest.raises(CaptureError, match="blurred"):
         bench.run()
     assert bench.cameras[0].shots == 1 + bench.config.operator.retakes
 
