@@ -85,7 +85,9 @@ def _disagreement(left: Left, config: ChecksConfig) -> list[Finding]:
     middle = float(np.median(list(left.shares.values())))
     out = []
     for one in left.sums:
-        off = left.shares.get(one, middle) - middle
+        if one not in left.shares:
+            continue  # no camera could tell
+        off = left.shares[one] - middle
         others = [share for other, share in left.shares.items() if other != one]
         if len(left.shares) == 2:
             middle = others[0]
