@@ -59,9 +59,11 @@ def test_a_day_on_which_a_camera_dies_says_so_and_leaves_no_finished_session(
     with pytest.raises(SimError, match="exit code 2"):
         capture_session(world, tmp_path / "s", 5, "full,x+", story=story)
     said = capfd.readouterr().err
-    assert "pattern x+: 1 of 2 photographs kept" in said
     assert "camera cam1" in said
     assert "its battery is empty" in said
+    assert "Check its cable, power and battery" in said
+    assert "lightstage capture --resume" in said
+    assert (tmp_path / "s" / "frames" / "x+" / "cam0.dng").is_file()
     assert not (tmp_path / "s" / "session.json").exists()
     (told,) = read_fault_log(faults_path(tmp_path / "s"))
     assert (told.device, told.name, told.counted, told.count) == (
