@@ -11,6 +11,8 @@ from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.formats.config import make_config
 
 SACN_PORT = 5568
+MULTICAST = "multicast"
+"""In place of a host: each universe to its own group."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,8 +129,10 @@ class Address:
 
     @property
     def worst_s(self) -> float:
-        """After so long a request has failed."""
-        return self.options.timeout_s * self.options.attempts
+        """After so long a request has failed, or its light has settled."""
+        options = self.options
+        settle_s = options.settle_s if isinstance(options, AdalightOptions | SacnOptions) else 0.0
+        return options.timeout_s * options.attempts + settle_s
 
     def __str__(self) -> str:
         return self.place if not self.port else f"{self.place}:{self.port}"
@@ -156,6 +160,10 @@ def parse_url(url: str) -> Address:
     if cls is None or empty or misplaced or unported or parts.fragment or "@" in parts.netloc:
         raise ConfigError("--leds", found=repr(url), expected=EXPECTED)
     options = _options(cls, parts.query)
+    if isinstance(options, SacnOptions) and options.interface and host != MULTICAST:
+        raise ConfigError(
+            "--leds", field="interface", found=f"a host, {host}", expected="multicast"
+        )
     return Address(parts.scheme, host if network else path, port or 0, options)
 
 

@@ -12,13 +12,11 @@ import numpy as np
 
 from lightstage.errors import ConfigError, DeviceError
 from lightstage.leds import e131
-from lightstage.leds.address import SacnOptions
+from lightstage.leds.address import MULTICAST, SacnOptions
 from lightstage.leds.controller import Hello, LightLostError, level_steps
 from lightstage.leds.guard import LastWill
 from lightstage.leds.line import lock_address
 
-MULTICAST = "multicast"
-"""In place of a host: each universe to its own group."""
 NAME = "lightstage"
 END_PACKETS = 3
 """A source that ends says so three times."""

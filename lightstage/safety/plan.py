@@ -31,7 +31,7 @@ class SafetyConfig:
     light_interval_s: float = 0.4
     max_light_on_s: float = 600.0
     max_heat: float = 0.9
-    heat_time_constant_s: float = 180.0
+    heat_time_constant_s: float = 300.0
     max_silence_s: float = 10.0
 
 

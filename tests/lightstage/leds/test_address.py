@@ -57,7 +57,8 @@ def test_each_scheme_has_its_place_its_options_and_its_defaults():
         ("sacn://h?universe=0", "universe: found '0', expected a whole number from 1 to 63999"),
         ("sacn://h?bits=12", "8 or 16"),
         ("sacn://h?priority=201", "from 0 to 200"),
-        ("sacn://h?interface=eth0", "an IPv4 address"),
+        ("sacn://multicast?interface=eth0", "an IPv4 address"),
+        ("sacn://h?interface=10.0.0.1", "interface: found a host, h, expected multicast"),
     ],
 )
 def test_a_malformed_url_is_refused(url, said):

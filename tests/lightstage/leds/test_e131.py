@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 
 import numpy as np
@@ -79,6 +80,31 @@ def test_any_datagram_is_read_or_refused(noise, place, value):
 def test_a_multicast_group_is_its_universe():
     assert e131.multicast_host(1) == "239.255.0.1"
     assert e131.multicast_host(63999) == "239.255.249.255"
+
+
+def test_multicast_reaches_each_universes_own_group_and_nobody_elses():
+    groups = {}
+    try:
+        for universe in (300, 301):
+            end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            group = e131.multicast_host(universe)
+            end.bind((group, groups[300].getsockname()[1] if groups else 0))
+            member = socket.inet_aton(group) + socket.inet_aton("127.0.0.1")
+            end.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+            end.settimeout(30)
+            groups[universe] = end
+        port = groups[300].getsockname()[1]
+        url = f"sacn://multicast:{port}?universe=300&interface=127.0.0.1&attempts=1"
+        with open_leds(url, 600) as leds:
+            leds.light(np.linspace(0, 1, 600))
+            for universe, end in groups.items():
+                packet = read_packet(end.recv(1000))
+                assert packet.universe == universe
+                assert any(packet.slots)
+    finally:
+        for end in groups.values():
+            end.close()
 
 
 @pytest.mark.parametrize(("channels", "bits"), [(1, 8), (3, 8), (4, 16), (1, 16)])
