@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from pathlib import Path
 
 import typer
@@ -33,9 +34,13 @@ def check_command(
     """Verify every hash, size, exposure and pattern of a session."""
     with progress_bar("check") as progress:
         report = check_session(session, progress)
+    told = [finding for finding in report.findings if finding.severity != "note"]
+    for finding in told:
+        print(f"warning: {finding}", file=sys.stderr)
     finish(
         f"{session}: {report.frames} frames whole and unchanged, {report.sums} pattern sums "
-        f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % clipped",
+        f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % clipped, "
+        f"{len(told)} warnings",
         {"session": str(session), **dataclasses.asdict(report)},
         as_json,
     )

@@ -26,6 +26,7 @@ from lightstage.formats.session import (
 )
 from lightstage.photograph import identify
 from lightstage.sequence import Shot
+from lightstage.session.manifest import check_manifest
 
 SUM_TOLERANCE = 0.1
 """Light adds up: patterns that sum to a third must, in every camera's mean, up to this share."""
@@ -79,6 +80,8 @@ def check_session(
         except FormatError as error:
             problems.append(error)
     broken = {problem.where for problem in problems}
+    whole = {f.path: f.sha256 for f in session.file.frames if str(root / f.path) not in broken}
+    problems += [each for each in check_manifest(root, whole) if each.where not in broken]
     means: dict[tuple[str, str], float] = {}
     clipped: dict[tuple[str, str], float] = {}
     shots = [Shot(name, session.levels(name)) for name in session.file.sequence]
@@ -137,7 +140,7 @@ def _load(root: Path) -> Session:
             root / "session.json",
             found="only a journal",
             expected="a finished session",
-            hint="The capture was interrupted; what it took is in frames/. Capture again.",
+            hint=f"The capture was interrupted. lightstage capture --resume --out {root}",
         )
     return load_session(root)
 
