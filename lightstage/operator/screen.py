@@ -116,7 +116,7 @@ class Screen:
             line.append("Lights and cameras are being checked.", "bold")
             return line
         if view.phase == "running" and view.pattern:
-            line.append(f"LIGHT ON: {view.pattern}", "bold")
+            line.append(f"TAKING {view.pattern}", "bold")
         else:
             line.append("DARK", "bold")
             line.append({"paused": " (paused)", "aborted": " (stopped)"}.get(view.phase, ""))

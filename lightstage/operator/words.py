@@ -38,6 +38,8 @@ FINDING: dict[str, tuple[Tone, str, str]] = {
 }
 """By severity: tone, how the line begins, what to do where the finding does not say."""
 
+MISSING = "Look at the camera's cable, battery and card; switch it off and on."
+"""Said where a photograph did not come."""
 FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
 RESUME = "Nothing that was kept is lost. Go on with: lightstage capture --resume --out {session}"
 
@@ -156,6 +158,7 @@ def _finding(line: Line) -> Said:
     found, expected = text_of(line, "found"), text_of(line, "expected")
     what = f"{found or text_of(line, 'code') or 'something'}"
     obvious = text_of(line, "code") == "not-taken"
+    todo = MISSING if obvious else todo
     wanted = f" (wanted: {expected})" if expected and not obvious else ""
     text = f"{begins}: {where + ': ' if where else ''}{what}{wanted}"
     return Said(tone, text, text_of(line, "hint") or todo)

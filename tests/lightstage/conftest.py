@@ -129,7 +129,7 @@ class LedDevice:
             except OSError:
                 return
             *frames, pending = pending.split(b"\0")
-            for frame in frames:
+            for frame in filter(None, frames):  # a cut packet is ended by one more zero
                 self._answer(cobs.decode(frame))
 
     def _answer(self, packet: bytes) -> None:

@@ -55,7 +55,7 @@ def test_nine_cameras_their_states_and_the_keys_fit(busy, columns, rows):
     for camera in busy.cameras:
         assert len(re.findall(rf"^{camera} ", text, re.M)) == 1
     assert text.count("kept") >= 5
-    for part in ("downloading", "triggering", "FAILED", "LIGHT ON: y+", "acknowledged"):
+    for part in ("downloading", "triggering", "FAILED", "TAKING y+", "acknowledged"):
         assert part in text
     for part in ("32 of 63 photographs", "left", "no answer within 30 s", " q ", "dark at once"):
         assert part in text

@@ -82,7 +82,7 @@ def capture(terminals, tmp_path, story, written):
 
 def test_the_picture_is_shown_and_q_stops_with_the_terminal_as_it_was(capture):
     terminal, lights = capture(LOOP)
-    terminal.wait_for("LIGHT ON: x+")
+    terminal.wait_for("TAKING x+")
     terminal.wait_for("stop, dark at once")
     assert terminal.mode() != terminal.before
     terminal.press("q")

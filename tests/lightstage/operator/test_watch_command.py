@@ -223,7 +223,7 @@ def test_a_watcher_at_a_terminal_sees_the_picture_and_leaves_by_q(
     running = capturing()
     running.write(*bare(replay[:60]))
     terminal = terminals("-c", WATCH, "watch", str(tmp_path))
-    terminal.wait_for("LIGHT ON")
+    terminal.wait_for("TAKING")
     seen = terminal.wait_for("leave (the capture goes on)")
     running.write({"event": "finding", "severity": "warn", "where": "cam1", "found": "it is dim"})
     terminal.wait_for("it is dim", seen)

@@ -1,0 +1,153 @@
+"""`lightstage capture` at a terminal: real keys, real virtual cameras, a device on a pty."""
+
+import json
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from lightstage.formats.session import load_session
+from lightstage.operator.client import ask, follow
+
+NOISE = """[checks]
+max_motion_mm = 1e9
+warn_motion_mm = 1e9
+min_sharpness = 0.0
+warn_sharpness = 0.0
+"""
+"""The small stage's photographs are noise of one brightness: nothing in them stands still."""
+PATTERNS = ["full", "x+", "x-", "y+", "y-", "z+", "z-"]
+
+
+@pytest.fixture
+def capture(stage, tmp_path, terminals, runtime):
+    """Starts a capture of the small stage at a terminal."""
+    out = tmp_path / "S"
+    config = tmp_path / "noise.toml"
+    config.write_text(NOISE)
+
+    def start(*more):
+        what = ["--resume"] if "--resume" in more else ["--rig", str(stage.rig_path)]
+        more = [each for each in more if each != "--resume"]
+        where = ["--out", out, "--leds", stage.device.url, "--cameras", stage.cameras_path]
+        settings = ["--config", config]
+        arguments = [*what, *map(str, [*where, *settings]), *more]
+        terminal = terminals("-m", "lightstage", "capture", *arguments)
+        return terminal, out
+
+    return start
+
+
+def events(out, *kinds):
+    journal = out / "journal.jsonl"
+    if not journal.exists():
+        return []
+    lines = [json.loads(raw) for raw in journal.read_bytes().split(b"\n")[:-1]]
+    return [line for line in lines if line["event"] in kinds]
+
+
+def test_q_in_the_middle_is_dark_and_kept_and_resume_finishes(stage, capture):
+    terminal, out = capture()
+    terminal.wait_until(lambda: len(events(out, "shot")) == 3, "no three shots")
+    terminal.press("q")
+    assert terminal.end() == 2
+    assert stage.device.dark
+    assert terminal.mode() == terminal.before
+    terminal.wait_for("STOPPING: lights out")
+    terminal.wait_for(f"lightstage capture --resume --out {out}")
+    assert len(events(out, "aborted")) == 1
+    assert not (out / "session.json").exists()
+    kept = len(events(out, "frame"))
+    assert kept >= 9
+
+    again, _ = capture("--resume")
+    assert again.end() == 0, again.said[-3000:]
+    again.wait_for("21 of 21 photographs, COMPLETE")
+    session = load_session(out)
+    assert [frame.pattern for frame in session.file.frames][::3] == PATTERNS
+    assert stage.device.dark
+
+
+def test_after_q_no_light_goes_on_again(stage, capture):
+    terminal, out = capture()
+    terminal.wait_until(lambda: len(events(out, "lit")) == 2, "no second light")
+    terminal.press("q")
+    assert terminal.end() == 2
+    lit = [bool(state.any()) for state in stage.device.states]
+    first_dark = lit.index(False, lit.index(True))
+    assert not any(lit[first_dark:]), lit
+
+
+def test_a_failed_camera_is_asked_about_and_taken_again_alone(stage, capture):
+    gone, show = stage.seeds[1], stage.device.on_state
+    away = gone.with_name("away")
+
+    def show_and_lose(levels):
+        show(levels)
+        if len(stage.device.states) > 2 and not away.exists() and levels.any():
+            gone.rename(away)
+
+    stage.device.on_state = show_and_lose
+    terminal, out = capture("--sequence", "full,x+,x-")
+    terminal.wait_for("What now?")
+    terminal.wait_for("Look at the camera's cable, battery and card")
+    assert "accept as it is" not in terminal.said
+    stage.device.on_state = show
+    away.rename(gone)
+    terminal.press("r")
+    assert terminal.end() == 0, terminal.said[-3000:]
+    failed = events(out, "finding")
+    assert {line["camera"] for line in failed if line["code"] == "not-taken"} == {"cam1"}
+    takes = {(line["pattern"], line["camera"]): line["take"] for line in events(out, "frame")}
+    assert len(takes) == 9
+    assert len(events(out, "frame")) == 9  # the others were not taken again
+    assert stage.device.dark
+
+
+def test_pause_is_dark_and_goes_on(stage, capture):
+    terminal, out = capture("--sequence", "full,x+,x-")
+    terminal.wait_until(lambda: len(events(out, "lit")) == 1, "no light")
+    terminal.press("p")
+    terminal.wait_for("DARK (paused)")
+    assert stage.device.dark
+    count = len(events(out, "frame"))
+    assert count < 9
+    terminal.press("c")
+    assert terminal.end() == 0, terminal.said[-3000:]
+    assert len(events(out, "frame")) == 9
+
+
+def test_others_follow_every_line_and_may_stop_it(stage, capture):
+    terminal, out = capture()
+    terminal.wait_until(lambda: events(out, "shot"), "no shot")
+    got = []
+    follower = threading.Thread(target=lambda: got.extend(follow(out)))
+    follower.start()
+    assert ask(out, "abort") is None
+    assert terminal.end() == 2
+    follower.join(60)
+    journal = [json.loads(raw) for raw in (out / "journal.jsonl").read_bytes().splitlines()]
+    assert got == journal
+    assert got[-1]["event"] == "aborted"
+    assert stage.device.dark
+
+
+def test_a_log_of_a_capture_has_plain_lines(stage, tmp_path, runtime):
+    out, config = tmp_path / "S", tmp_path / "noise.toml"
+    config.write_text(NOISE)
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "lightstage", "capture", "--rig", str(stage.rig_path)),
+            *("--out", str(out), "--leds", stage.device.url),
+            *("--cameras", str(stage.cameras_path), "--sequence", "full,x+,x-"),
+            *("--config", str(config)),
+        ],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "\x1b" not in done.stderr
+    assert "+ x- done. 9 of 9 photographs" in done.stderr
+    assert f"lightstage watch {out}" in done.stderr
+    assert list(runtime.glob("*.sock")) == []
