@@ -3,12 +3,14 @@
 from lightstage.session.colour import COLOUR_PATH, COLOUR_SCHEMA, read_colour
 from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
+from lightstage.session.opening import require_new, rig_hash
 from lightstage.session.plan import SessionPlan
 from lightstage.session.pseudonym import check_consent, check_pseudonym
 from lightstage.session.reading import read_journal
-from lightstage.session.recover import Reconciled, arrived, bring_home, reconcile
+from lightstage.session.reconciling import Reconciled
+from lightstage.session.recover import arrived, bring_home, reconcile
 from lightstage.session.state import Exposed, SessionState, state_of
-from lightstage.session.writer import SessionWriter, require_new, rig_hash
+from lightstage.session.writer import SessionWriter
 
 __all__ = [
     "COLOUR_PATH",

@@ -5,31 +5,26 @@ The journal (journal.jsonl) is the record; session.json is made from it when all
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from lightstage.cameras.camera import CameraDevice, CardFile
 from lightstage.errors import CaptureError, FormatError
-from lightstage.formats.files import write_json
 from lightstage.formats.session import save_session, session_id
-from lightstage.rig import Rig, load_rig, rig_to_json, save_rig
+from lightstage.rig import Rig, load_rig
 from lightstage.session.aside import put_aside, take_aside
 from lightstage.session.colour import COLOUR_PATH
 from lightstage.session.disk import disk_errors, make_folder
 from lightstage.session.finished import session_from_journal
-from lightstage.session.journal import Journal, begun_name, utc_now
+from lightstage.session.journal import Journal, utc_now
 from lightstage.session.keep import Arrival, settle, sha256_on_disk
+from lightstage.session.opening import JOURNAL, RIG, require_new, rig_hash, save_beside
 from lightstage.session.plan import SessionPlan
 from lightstage.session.reading import Line
 from lightstage.session.record import Record, as_json
 from lightstage.session.state import SessionState, told
 from lightstage.steps import step
-
-JOURNAL = "journal.jsonl"
-RIG = "rig.json"
 
 
 class SessionWriter(Record):
@@ -77,7 +72,7 @@ class SessionWriter(Record):
             root.mkdir(parents=True, exist_ok=True)
         journal, begin = Journal.new(
             root / JOURNAL,
-            lambda: _save_beside(root, rig, colour),
+            lambda: save_beside(root, rig, colour),
             session=session_id(plan.subject, plan.expression, created),
             created_utc=created,
             **plan.facts(),
@@ -305,36 +300,3 @@ class SessionWriter(Record):
     def close(self) -> None:
         """Close the journal; the folder stays as it is."""
         self.journal.close()
-
-
-def _save_beside(root: Path, rig: Rig, colour: Mapping[str, Any] | None) -> None:
-    """What lies in a session's folder before its journal begins."""
-    save_rig(rig, root / RIG)
-    if colour is not None:
-        write_json(root / COLOUR_PATH, dict(colour))
-
-
-def require_new(root: Path) -> None:
-    """CaptureError when the folder for a new session exists and holds something.
-
-    What a capture leaves that was killed before its journal began is nothing.
-    """
-    begun = begun_name(root / JOURNAL)
-    with disk_errors(root):
-        names = {path.name for path in root.iterdir()} if root.is_dir() else set()
-        there = root.exists() and not root.is_dir()
-    if begun in names:
-        own = {begun, RIG, Path(COLOUR_PATH).parts[0]}
-        names -= own | {name for name in names if name.startswith(".rig.")}
-    if there or names:
-        raise CaptureError(
-            root,
-            found="something there already",
-            expected="a new folder",
-            hint="Sessions are never overwritten; give another --out.",
-        )
-
-
-def rig_hash(rig: Rig) -> str:
-    """SHA-256 of what rig.json says, however it is laid out."""
-    return hashlib.sha256(json.dumps(rig_to_json(rig), sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,288 @@
+"""Journal and disk against one camera's card after another."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from lightstage.cameras.camera import CameraDevice, CardFile
+from lightstage.errors import DeviceError, FormatError, LightstageError
+from lightstage.findings import Finding
+from lightstage.formats.files import fsync_path
+from lightstage.photograph import identify_file
+from lightstage.session.disk import disk_errors
+from lightstage.session.keep import Arrival, is_whole, settle, sha256_on_disk
+from lightstage.session.leftovers import Leftovers
+from lightstage.session.reading import Line
+from lightstage.session.state import Exposed, Key, key_of, told
+from lightstage.session.writer import SessionWriter
+from lightstage.steps import step
+
+DOWNLOADS = 2
+"""How often a file that does not come whole is asked for."""
+UNSURE = "size and header"
+"""How a photograph was verified whose card no longer has it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Reconciled:
+    """What was brought together.
+
+    Attributes:
+        adopted: takes that were exposed before the crash and are kept now.
+        restored: takes whose file was missing or damaged and came from the card again.
+        rejected: takes that do not count and are taken again.
+        recovered: files of uncertain light or label.
+        findings: what the operator should know.
+        wanted: cameras that must still take each pattern; () where only its ``shot`` is wanted.
+    """
+
+    adopted: tuple[Key, ...]
+    restored: tuple[Key, ...]
+    rejected: tuple[Key, ...]
+    recovered: tuple[Path, ...]
+    findings: tuple[Finding, ...]
+    wanted: dict[str, tuple[str, ...]]
+
+
+class Reconciler(Leftovers):
+    """Disk and journal against the cards."""
+
+    def __init__(self, writer: SessionWriter, delete: bool) -> None:
+        super().__init__(writer)
+        self.delete = delete
+        self.adopted: list[Key] = []
+        self.restored: list[Key] = []
+
+    def look_at(
+        self, cameras: Sequence[CameraDevice], damaged: Sequence[Line]
+    ) -> list[LightstageError]:
+        """One camera after another; returns what failed, when the others are done.
+
+        Args:
+            cameras: opened.
+            damaged: ``frame`` lines whose file is to be brought again.
+        """
+        problems: list[LightstageError] = []
+        for camera in cameras:
+            try:
+                self._camera(camera, [line for line in damaged if line["camera"] == camera.id])
+            except DeviceError as error:
+                problems.append(error)
+        return problems
+
+    def told(self) -> Reconciled:
+        """All that was done."""
+        return Reconciled(
+            tuple(self.adopted),
+            tuple(self.restored),
+            tuple(self.rejected),
+            tuple(self.recovered),
+            tuple(self.findings),
+            self.state.wanted(),
+        )
+
+    # -- one camera
+
+    def _camera(self, camera: CameraDevice, damaged: Sequence[Line]) -> None:
+        self._require_same(camera)
+        now = set(camera.card())
+        changed = self.state.on_card(camera.id) - now
+        for line in damaged:
+            self._restore(camera, line, now)
+        for exposed in self.state.unsettled(camera.id):
+            if exposed.file in now and not changed:
+                self._from_card(camera, exposed)
+            else:
+                self._without_card(camera, exposed, now)
+        unknown = sorted(now - self.state.known(camera.id), key=lambda file: file.name)
+        self._give_up_outstanding(camera, () if changed else unknown)
+        if changed:
+            self._tell_changed(camera, changed, unknown)
+            files = sorted([file.name, file.size] for file in now)
+            self.writer.note("note", about="card", camera=camera.id, cards={camera.id: files})
+        else:
+            self._finish_deleting(camera, now)
+
+    def _require_same(self, camera: CameraDevice) -> None:
+        before, now = self.state.serials.get(camera.id), camera.summary().serial
+        if before is not None and now is not None and before != now:
+            raise DeviceError(
+                f"camera {camera.id}",
+                field="serial",
+                found=f"{now}, another camera than the session began with",
+                expected=before,
+                hint="Connect that one again: photographs may lie on its card.",
+            )
+
+    def _from_card(self, camera: CameraDevice, exposed: Exposed) -> None:
+        """Keep an exposure that is on the card: its bytes decide about what is on the disk."""
+        incoming, sha256, size = self._download(camera, exposed)
+        twin = self.state.kept_hashes().get(sha256)
+        if twin is not None or size != exposed.file.size:
+            why = f"the bytes of {twin}" if twin else f"{size} bytes came of {exposed.file.size}"
+            self.set_aside(incoming, exposed, why)
+            self.reject(exposed.key, why)
+            return
+        named = self.named(exposed)
+        if named is not None:
+            with disk_errors(named):
+                same = sha256_on_disk(named) == sha256
+            if same:
+                with disk_errors(named):
+                    incoming.unlink()
+                    fsync_path(named.parent)
+                    encoding = identify_file(named).encoding
+                self.writer.frame(*exposed.key, named, exposed.file, sha256, encoding, adopted=True)
+                self.adopted.append(exposed.key)
+                return
+            self.set_aside(named, exposed, "not what is on the card", of_card=False)
+        try:
+            self.writer.keep(*exposed.key, incoming, exposed.file, sha256, adopted=True)
+        except FormatError as error:
+            self.set_aside(incoming, exposed, str(error))
+            self.reject(exposed.key, str(error))
+        else:
+            self.adopted.append(exposed.key)
+
+    def _download(self, camera: CameraDevice, exposed: Exposed) -> tuple[Path, str, int]:
+        for _ in range(DOWNLOADS):
+            incoming = self.writer.incoming(*exposed.key)
+            got = camera.download(exposed.file.name, incoming, exposed.pattern)
+            with disk_errors(incoming):
+                size = incoming.stat().st_size
+            if size == exposed.file.size == got.size:
+                break
+        return incoming, got.sha256, size
+
+    def _without_card(
+        self, camera: CameraDevice, exposed: Exposed, now: Collection[CardFile]
+    ) -> None:
+        """Settle an exposure whose card was changed since: what the disk has is all there is."""
+        named, partial = self.named(exposed), self.partial(exposed)
+        whole = [p for p in (named, partial) if p is not None and is_whole(p, exposed.file.size)]
+        if whole:
+            with disk_errors(whole[0]):
+                sha256 = sha256_on_disk(whole[0])
+            if sha256 not in self.state.kept_hashes():
+                self._adopt_unsure(exposed, whole[0], sha256)
+                return
+        for path in (named, partial):
+            if path is not None:
+                why = "left of a photograph that its card no longer has"
+                self.set_aside(path, exposed, why, of_card=False)
+        why = "it was not on this computer yet when the card was emptied or exchanged"
+        if exposed.file in now:
+            # A file of its name and size; whether it is this photograph nobody can tell.
+            self.recovered.append(
+                self.writer.recover(camera, exposed.file, exposed.pattern, "the card was changed")
+            )
+        self.reject(exposed.key, why)
+
+    def _adopt_unsure(self, exposed: Exposed, path: Path, sha256: str) -> None:
+        if path == self.partial(exposed):
+            self.writer.keep(
+                *exposed.key, path, exposed.file, sha256, adopted=True, verified=UNSURE
+            )
+        else:
+            with disk_errors(path):
+                fsync_path(path.parent)
+                encoding = identify_file(path).encoding
+            self.writer.frame(
+                *exposed.key, path, exposed.file, sha256, encoding, adopted=True, verified=UNSURE
+            )
+        self.adopted.append(exposed.key)
+        self.say(
+            Finding(
+                "warn",
+                "verified-by-size",
+                told(exposed.key),
+                found="a card that no longer has it, and a whole file on this computer",
+                expected="both, to compare their bytes",
+                hint="It is kept; look at it.",
+                pattern=exposed.pattern,
+                camera=exposed.camera,
+            )
+        )
+
+    def _give_up_outstanding(self, camera: CameraDevice, unknown: Sequence[CardFile]) -> None:
+        outstanding = self.state.outstanding(camera.id)
+        pattern = None if outstanding is None else outstanding[0]
+        for file in unknown:
+            why = "found on the card; whether its light lasted is not known"
+            self.recovered.append(self.writer.recover(camera, file, pattern, why))
+        if outstanding is not None:
+            why = "its light is not certain" if unknown else "the camera took no photograph of it"
+            self.reject((outstanding[0], camera.id, outstanding[1]), why)
+
+    def _tell_changed(
+        self, camera: CameraDevice, changed: Collection[CardFile], unknown: Sequence[CardFile]
+    ) -> None:
+        left = f" {len(unknown)} files of others were left on it." if unknown else ""
+        self.say(
+            Finding(
+                "warn",
+                "card-changed",
+                f"camera {camera.id}",
+                found=f"{len(changed)} files missing from its card, such as "
+                f"{min(file.name for file in changed)}",
+                expected="the card as this session left it",
+                hint="Was it emptied or exchanged? What was not yet on this computer is taken "
+                f"again.{left}",
+                camera=camera.id,
+            )
+        )
+
+    def _finish_deleting(self, camera: CameraDevice, now: Collection[CardFile]) -> None:
+        kept = {
+            CardFile(line["file"], line["size"]): line["pattern"]
+            for line in self.state.frames()
+            if line["camera"] == camera.id
+        }
+        begun = self.state.deleting(camera.id)
+        for file, pattern in begun.items():
+            if file not in now:
+                self.writer.deleted(pattern, camera.id, file)
+        for file, pattern in kept.items():
+            if file in now and (self.delete or file in begun):
+                if file not in begun:
+                    self.writer.deleting(pattern, camera.id, file)
+                step("deleting", pattern, camera.id)
+                camera.delete(file.name)
+                self.writer.deleted(pattern, camera.id, file)
+                step("deleted", pattern, camera.id)
+
+    def _restore(self, camera: CameraDevice, line: Line, now: Collection[CardFile]) -> None:
+        """Bring a photograph that was kept from the card again, if it is the same to the byte."""
+        key, path = key_of(line), self.root / line["path"]
+        if path.exists():
+            self.set_aside_file(path, camera.id, line["pattern"], "changed on the disk")
+        file = CardFile(line["file"], line["size"])
+        if file in now:
+            incoming = self.writer.incoming(*key)
+            got = camera.download(file.name, incoming, line["pattern"])
+            if got.sha256 == line["sha256"]:
+                settle(
+                    Arrival(
+                        incoming, path.stem, file.size, got.sha256, told(key), key[0], camera.id
+                    )
+                )
+                self.writer.note("note", about="restored", path=line["path"], camera=camera.id)
+                self.restored.append(key)
+                return
+            with disk_errors(incoming):
+                incoming.unlink()
+        self.reject(key, "its file is missing or damaged, and the card does not have it")
+        self.say(
+            Finding(
+                "warn",
+                "photograph-lost",
+                str(path),
+                found="a file that is missing or damaged, and that the card does not have either",
+                expected="the photograph that was kept",
+                hint="It is taken again. Look at the disk.",
+                pattern=line["pattern"],
+                camera=camera.id,
+            )
+        )
