@@ -122,7 +122,9 @@ class Stage:
         return out
 
 
-def simulate(seed: int, rig: Rig, *, sway: float = 1.0, extras: bool = True) -> Stage:
+def simulate(
+    seed: int, rig: Rig, *, sway: float = 1.0, extras: bool = True, texture_rows: int = 768
+) -> Stage:
     """Photograph a parametric person: tones, expressions and drives take turns with the seed.
 
     Args:
@@ -130,6 +132,7 @@ def simulate(seed: int, rig: Rig, *, sway: float = 1.0, extras: bool = True) -> 
         rig: small cameras.
         sway: times that of the set `lab`.
         extras: single lamps, polarised and swapped patterns too.
+        texture_rows: of the person.
     """
     flaws = PRESETS["lab"]
     swayed = dataclasses.replace(
@@ -140,7 +143,7 @@ def simulate(seed: int, rig: Rig, *, sway: float = 1.0, extras: bool = True) -> 
     sex = ("female", "male")[seed // 6 % 2]
     traits = Traits(sex=sex, age_years=float(rng.uniform(18, 75)), tone=1 + seed % 6)
     faces = ["neutral", *EXPRESSIONS]
-    person = parametric_subject(f"p{seed}", seed, faces[seed % len(faces)], 768, traits)
+    person = parametric_subject(f"p{seed}", seed, faces[seed % len(faces)], texture_rows, traits)
     lamps = lamps_of(rig, flaws.lamps, seed)
     count = len(rig.lights)
     # Even light, as by the solid angle that a lamp stands for, in every other session.

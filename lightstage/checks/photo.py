@@ -22,6 +22,9 @@ COARSE_PX = 32
 """Longer side of the coarse cells, on which light and noise are compared."""
 LIT_SHARE = 0.1
 """Of the brightest percent: a cell above it shows lit subject."""
+LINE_SLACK = 1.15
+"""A cell is held to be without detail up to this many times the noise's line."""
+BIN_CELLS = 20
 MIN_QUADS = 4
 """A photograph of fewer quads a side is no photograph."""
 
@@ -232,7 +235,7 @@ def _photo(
     coarse, fine = pooled(light, pool), pooled(detail, pool)
     green = light[..., 1]
     signal = float(np.quantile(green, 0.99))
-    noise = fit_noise(coarse[..., 1], fine[..., 0])
+    noise = fit_noise(coarse[..., 1], fine[..., 0], quads**2 * pool**2)
     lit = green > max(LIT_SHARE * signal, 0.0)
     level = float(np.median(green[lit])) if lit.any() else 0.0
     deviation = math.sqrt(max(noise[0] + noise[1] * max(level, 0.0), 0.0))
@@ -261,7 +264,7 @@ def _photo(
     )
 
 
-def fit_noise(level: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def fit_noise(level: np.ndarray, variance: np.ndarray, pairs: int = 10_000) -> np.ndarray:
     """Photon transfer: variance = a + b level, along the lower edge of the cells.
 
     Detail adds to a cell's variance and never takes away; so cells above the line are left out,
@@ -270,6 +273,7 @@ def fit_noise(level: np.ndarray, variance: np.ndarray) -> np.ndarray:
     Args:
         level: (...) mean of cells.
         variance: (...) of a pixel in them.
+        pairs: of pixels from which each variance was taken; it is that uncertain.
 
     Returns:
         (2,) a and b, at least 0.
@@ -279,16 +283,25 @@ def fit_noise(level: np.ndarray, variance: np.ndarray) -> np.ndarray:
     x, y = x[good], y[good]
     if not len(x) or not y.any():
         return np.zeros(2)
-    keep = np.ones(len(x), bool)
+    keep = _lower(x, y)
+    slack = max(LINE_SLACK, 1.0 + 2.5 * math.sqrt(2.0 / pairs))
     line = np.zeros(2)
-    for _ in range(8):
+    for _ in range(12):
         weight = 1.0 / np.maximum(y[keep], 1e-3 * y[keep].max() + 1e-300)
         line = _line(x[keep], y[keep], weight)
-        inside = y <= 1.25 * (line[0] + line[1] * np.maximum(x, 0.0)) + 1e-300
+        inside = y <= slack * (line[0] + line[1] * np.maximum(x, 0.0)) + 1e-300
         if inside.sum() < max(8, len(x) // 20) or (inside == keep).all():
             break
         keep = inside
     return line
+
+
+def _lower(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(n,) bool, the lower quarter of the cells among neighbours in level: where a fit begins."""
+    keep = np.zeros(len(x), bool)
+    for part in np.array_split(np.argsort(x, kind="stable"), max(len(x) // BIN_CELLS, 1)):
+        keep[part[y[part] <= np.quantile(y[part], 0.25)]] = True
+    return keep
 
 
 def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -160,6 +160,7 @@ class ShotChecks:
             wholes = {name: self._of(name) for name in set(self._whole.values())}
             return {
                 "photographs": len(self._figures),
+                "kept": len(self._photos),
                 "figures": {
                     name: {
                         camera: {key: _rounded(value) for key, value in own.items()}
