@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from lightstage.cameras.camera import CameraDevice, CardFile
 from lightstage.errors import DeviceError, FormatError, LightstageError
+from lightstage.exif import read_exif
 from lightstage.findings import Finding
 from lightstage.formats.files import fsync_path
 from lightstage.photograph import identify_file
@@ -23,6 +25,12 @@ DOWNLOADS = 2
 """How often a file that does not come whole is asked for."""
 UNSURE = "size and header"
 """How a photograph was verified whose card no longer has it."""
+
+
+CLOCK_S = 120.0
+"""By how much a camera's clock may be off; a preflight allows less."""
+ZONE_S = 900.0
+"""Time zones are whole quarters of an hour."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,8 +128,12 @@ class Reconciler(Leftovers):
         """Keep an exposure that is on the card: its bytes decide about what is on the disk."""
         incoming, sha256, size = self._download(camera, exposed)
         twin = self.state.kept_hashes().get(sha256)
-        if twin is not None or size != exposed.file.size:
-            why = f"the bytes of {twin}" if twin else f"{size} bytes came of {exposed.file.size}"
+        why = _other_time(incoming, exposed)
+        if twin is not None:
+            why = f"the bytes of {twin}"
+        elif size != exposed.file.size:
+            why = f"{size} bytes came of {exposed.file.size}"
+        if why:
             self.set_aside(incoming, exposed, why)
             self.reject(exposed.key, why)
             return
@@ -286,3 +298,21 @@ class Reconciler(Leftovers):
                 camera=camera.id,
             )
         )
+
+
+def _other_time(path: Path, exposed: Exposed) -> str:
+    """Why a file is no picture of this exposure by the time in it; empty where nothing says so.
+
+    A card formatted and used again has the same names, and raw files are often of one size.
+    """
+    with disk_errors(path):
+        taken = read_exif(path).taken
+    if taken is None or not exposed.time_utc:
+        return ""
+    told_utc = datetime.datetime.fromisoformat(exposed.time_utc)
+    if taken.tzinfo is not None:
+        off_s = (taken - told_utc).total_seconds()
+    else:
+        off_s = (taken - told_utc.replace(tzinfo=None)).total_seconds()
+        off_s -= round(off_s / ZONE_S) * ZONE_S if abs(off_s) < 15 * 3600 else 0.0
+    return f"taken at another time, {taken}" if abs(off_s) > CLOCK_S else ""

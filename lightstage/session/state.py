@@ -25,6 +25,7 @@ class Exposed:
         file: on the camera's card.
         beside: other files of the same shot, such as a JPEG.
         acknowledged: whether the lights told that they were lit; None where it is not known.
+        time_utc: when it was told, by this computer's clock; empty where it is not known.
     """
 
     pattern: str
@@ -33,6 +34,7 @@ class Exposed:
     file: CardFile
     beside: tuple[CardFile, ...] = ()
     acknowledged: bool | None = None
+    time_utc: str = ""
 
     @property
     def key(self) -> Key:
@@ -220,6 +222,7 @@ class SessionState:
             CardFile(*line["file"]),
             tuple(CardFile(*each) for each in line.get("beside", ())),
             lit.get("acknowledged"),
+            line["time_utc"],
         )
         self._exposed[exposed.key] = exposed
         self._outstanding.pop(exposed.camera, None)

@@ -1,8 +1,10 @@
 """Going on after a crash, case by case: what is adopted, kept aside, taken again, and said."""
 
 import dataclasses
+import datetime
 import json
 
+import numpy as np
 import pytest
 
 from lightstage.cameras.camera import CardFile
@@ -15,6 +17,8 @@ from lightstage.session import (
     reconcile,
     state_of,
 )
+from sim.camera.dng import Exif, dng_bytes
+from sim.camera.sensor import Sensor, SensorConfig
 from tests.lightstage.session.crashes import Camera, Desk, Life, label, picture
 
 
@@ -112,6 +116,43 @@ def test_a_picture_with_the_bytes_of_another_is_no_photograph_of_this_light(desk
     assert found.rejected == (("x+", "cam0", 1),)
     assert [path.read_bytes() for path in found.recovered] == [stale]
     assert writer.state.missing("x+") == ("cam0", "cam1")
+    writer.close()
+
+
+def dated(moment, offset="+00:00"):
+    counts = np.random.default_rng(3).integers(512, 4000, (24, 24)).astype(np.uint16)
+    exif = Exif("Nikon", "600", 8.0, 85.0, moment.strftime("%Y:%m:%d %H:%M:%S"), offset)
+    return dng_bytes(counts, Sensor(SensorConfig(), np.eye(3), 0.01), exif)
+
+
+@pytest.mark.parametrize(
+    ("off_s", "offset", "same"),
+    [
+        (0, "+00:00", True),
+        (60, "+00:00", True),
+        (2 * 3600 + 30, None, True),  # a clock that shows local time and does not tell its zone
+        (400, "+00:00", False),
+        (3600, "+00:00", False),
+        (-86400 * 3, None, False),
+        (400, None, False),
+    ],
+)
+def test_on_a_card_formatted_and_used_again_a_picture_of_another_time_is_not_taken_for_ours(
+    desk, plan, off_s, offset, same
+):
+    body = desk.bodies["cam0"]
+    body.card.clear()  # nothing is on it that would be missed
+    cameras = [Camera(name, each, Life()) for name, each in desk.bodies.items()]
+    cards = {camera.id: camera.card() for camera in cameras}
+    writer = SessionWriter.new(desk.root, desk.rig, plan, cards)
+    writer.trigger("full", {"cam0": 1})
+    taken = datetime.datetime.now(datetime.UTC) + datetime.timedelta(seconds=off_s)
+    data = dated(taken, offset)
+    body.card["/DCIM/DSC_0001.DNG"] = data
+    writer.exposed("full", 1, "cam0", CardFile("/DCIM/DSC_0001.DNG", len(data)))
+    found = reconcile(writer, cameras)
+    assert (len(found.adopted), len(found.rejected)) == ((1, 0) if same else (0, 1))
+    assert [path.read_bytes() for path in found.recovered] == ([] if same else [data])
     writer.close()
 
 
