@@ -88,7 +88,7 @@ def capture_command(
         the_rig, order = unfinished(out)
     else:
         the_rig, order = _new_order(
-            out, rig, sequence or SEQUENCE, subject or SUBJECT, expression or EXPRESSION,
+            out, rig, _default(sequence, SEQUENCE), _default(subject, SUBJECT), _default(expression, EXPRESSION),
             consent, patterns, colour, settings,
         )  # fmt: skip
     worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
@@ -146,6 +146,11 @@ def _with_calibration(
     )
     facts = {**order.facts, "calibration_shots": used.facts}
     return dataclasses.replace(order, facts=facts, findings=[*order.findings, *used.findings])
+
+
+def _default(given: str | None, default: str) -> str:
+    """What is not given; an empty text is given, and refused later."""
+    return default if given is None else given
 
 
 def _drive(text: str | None) -> Drive | None:
