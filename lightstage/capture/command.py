@@ -88,7 +88,8 @@ def capture_command(
         the_rig, order = unfinished(out)
     else:
         the_rig, order = _new_order(
-            out, rig, _default(sequence, SEQUENCE), _default(subject, SUBJECT), _default(expression, EXPRESSION),
+            out, rig, _default(sequence, SEQUENCE), _default(subject, SUBJECT),
+            _default(expression, EXPRESSION),
             consent, patterns, colour, settings,
         )  # fmt: skip
     worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
