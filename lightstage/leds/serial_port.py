@@ -33,7 +33,10 @@ class SerialPort:
         until = time.monotonic() + BUSY_WAIT_S
         while True:
             try:
-                self._port = serial.Serial(path, baud, write_timeout=timeout_s, exclusive=True)
+                # Reading never waits: what `select` saw may be gone, or less than was counted.
+                self._port = serial.Serial(
+                    path, baud, timeout=0, write_timeout=timeout_s, exclusive=True
+                )
                 return
             except ValueError as error:
                 raise OSError(str(error)) from None
