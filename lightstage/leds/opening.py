@@ -20,6 +20,7 @@ from lightstage.leds.sacn import SacnLeds
 from lightstage.leds.serial_port import SerialPort
 from lightstage.leds.wire_leds import WireLeds
 
+MAX_LIGHTS = 65535
 BITS_A_BYTE = 10
 """On a serial line, with start and stop bit."""
 
@@ -47,7 +48,7 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
             (`hello.light_count`): a capture compares.
 
     Raises:
-        ConfigError: a malformed URL, or a line too slow for so many lights.
+        ConfigError: a malformed URL, or a line that cannot carry so many lights.
         DeviceError: nobody there, or in use by another program.
     """
     address = parse_url(url) if isinstance(url, str) else url
@@ -55,6 +56,13 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
     where = f"LED device at {address}"
     if isinstance(options, SacnOptions):
         return SacnLeds(address.place, address.port, light_count, options)
+    if light_count > MAX_LIGHTS:
+        raise ConfigError(
+            "--leds",
+            field=address.scheme,
+            found=f"{light_count} lights in the rig",
+            expected=f"at most {MAX_LIGHTS}: the wire counts them with 16 bits",
+        )
     if isinstance(options, AdalightOptions):
         needed_s = _transfer_s(6 + 3 * light_count, options.baud) * options.attempts
 

@@ -86,6 +86,12 @@ def test_ten_thousand_lights_on_a_slow_line_are_refused_before_it_is_opened():
         open_leds("serial:///dev/none?baud=115200", 10_000)
 
 
+@pytest.mark.parametrize("url", ["pty:///dev/none", "socket://h:1", "adalight:///dev/none"])
+def test_more_lights_than_a_wire_can_count_are_refused_before_it_is_opened(url):
+    with pytest.raises(ConfigError, match="found 65536 lights in the rig, expected at most 65535"):
+        open_leds(url, 65536)
+
+
 def test_more_lights_than_universes_are_refused():
     with pytest.raises(ConfigError, match="universe: found 65535 lights up to universe 66037"):
         open_leds("sacn://127.0.0.1?universe=63990&channels=16", 65535)
