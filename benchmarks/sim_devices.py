@@ -1,8 +1,8 @@
 """What becomes of a capture under each fault: whole, refused, or wrong without a word?
 
 Every fault that a story can tell happens to small captures, at a random moment each time. A
-capture that ends well is compared, byte for byte, with what its cameras saw under the light that
-its session says; `lightstage check` then says whether it would have found what differs.
+capture that ends well is asked, photograph by photograph, who took it under which light (the pixels
+say so); `lightstage check` then says whether it would have found what differs.
 """
 
 from __future__ import annotations
@@ -18,34 +18,28 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.record import record
-from lightstage.cameras.binding import close_cameras
-from lightstage.cameras.process import CameraProcess
-from lightstage.capture import CaptureConfig, capture, connect
+from lightstage.cameras.binding import read_cameras_file
+from lightstage.cameras.process import Deadlines
+from lightstage.capture import CaptureConfig, Order, capture_session, open_stage
 from lightstage.checks import check_session
 from lightstage.errors import LightstageError
-from lightstage.formats.session import load_session
-from lightstage.leds.opening import open_leds
+from lightstage.operator import Unattended
 from lightstage.rig import Rig, default_rig
 from lightstage.safety import SafetyConfig
 from lightstage.sequence import plan_shots
-from lightstage.session import SessionWriter
-from sim.camera.dng import Exif, dng_bytes
-from sim.camera.optics import own_rng
-from sim.camera.sensor import SensorConfig, make_sensor
+from sim.devices.coded_stage import CodedStage
 from sim.devices.fault_names import LEDS, NAMES
-from sim.devices.faults import Fault, FaultLog, Story
-from sim.devices.led_device import LedDevice
-from sim.devices.simulated_camera import DRIVER, SimulatedCameras
+from sim.devices.faults import Fault, Story, read_fault_log
 
 CAPTURES = 6
 PATTERNS = ("full", "x+", "x-", "full@parallel", "full@cross")
-WIDTH, HEIGHT = 32, 48
+WIDTH, HEIGHT = 48, 64
 LAST_PACKET = 2 + 2 * len(PATTERNS)
 """HELLO?, DARK, then SET and STATE? of each shot; at the last DARK no photograph is taken."""
 CONFIG = CaptureConfig(
-    camera_deadline_s=2.0,
+    deadlines=Deadlines.all(5.0),
     trigger_lead_s=0.0,
-    safety=SafetyConfig(light_interval_s=0.0),
+    safety=SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6),
 )
 QUIET = "no fault"
 
@@ -59,57 +53,20 @@ def small_rig() -> Rig:
     return Rig(rig.lights, tuple(cameras))
 
 
-def seen(rig: Rig, levels: np.ndarray, number: int) -> bytes:
-    """A grey card seen by a camera: the sum of the lights, more from its side; its own noise."""
-    weights = 1.0 + 0.3 * np.cos(np.arange(len(levels)) + number)
-    light = np.full((HEIGHT, WIDTH, 3), 0.6 * float(levels @ weights) / len(levels))
-    state = np.round(levels * 65535).astype("<u2").tobytes()
-    camera = rig.cameras[number]
-    sensor = make_sensor(SensorConfig(), np.ones(3), own_rng(0, camera.id, b"sensor"))
-    counts = sensor.expose(light, own_rng(0, camera.id, state))
-    return dng_bytes(counts, sensor, Exif(camera.model, camera.serial, 16.0, 60.0))
-
-
 def one_capture(rig: Rig, desk: Path, faults: Sequence[Fault], seed: int) -> tuple[str, bool]:
     """How a capture under a story ends, and whether a fault happened in it."""
-    story, log = Story(faults, seed), FaultLog(desk / "faults.jsonl")
-    bodies = SimulatedCameras(desk, rig, story, log)
-
-    def show(levels: np.ndarray) -> None:
-        for number, camera in enumerate(rig.cameras):
-            bodies.put(camera.id, seen(rig, levels, number))
-
-    banks = [light.bank for light in rig.lights]
     root = desk / "session"
-    cameras = [
-        CameraProcess(c.id, str(bodies.folder(c.id)), None, CONFIG.camera_deadline_s, DRIVER)
-        for c in rig.cameras
-    ]
-    try:
-        with (
-            LedDevice(len(banks), show, 1, story, log, banks) as device,
-            open_leds(device.url(0.5, 4), len(banks)) as lights,
-        ):
-            connect(rig, lights, cameras, [])
-            writer = SessionWriter(root, rig, PATTERNS, "card", "neutral", {})
-            try:
-                capture(plan_shots(PATTERNS, rig), lights, cameras, writer, CONFIG)
-            finally:
-                writer.close()
-    except LightstageError:
-        return "refused", log.path is not None and log.path.exists()
-    finally:
-        close_cameras(cameras)
-    happened = log.path is not None and log.path.exists()
-    session = load_session(root)
-    numbers = {camera.id: number for number, camera in enumerate(rig.cameras)}
-    wrong = any(
-        session.frame_path(frame).read_bytes()
-        != seen(rig, session.levels(frame.pattern), numbers[frame.camera])
-        for frame in session.file.frames
-    )
-    if not wrong:
-        return "whole", happened
+    with CodedStage(desk / "stage", rig, Story(faults, seed), seed) as coded:
+        cameras = read_cameras_file(coded.cameras_path)
+        try:
+            with open_stage(rig, coded.device.url(0.5, 4), cameras, CONFIG) as stage:
+                order = Order(root, plan_shots(PATTERNS, rig, CONFIG.drive))
+                capture_session(stage, order, CONFIG, Unattended(CONFIG.operator))
+        except LightstageError:
+            return "refused", bool(read_fault_log(desk / "stage" / "faults.jsonl"))
+        happened = bool(read_fault_log(desk / "stage" / "faults.jsonl"))
+        if coded.labels(root).right == len(PATTERNS) * len(rig.cameras):
+            return "whole", happened
     try:
         check_session(root)
     except LightstageError:
@@ -162,8 +119,8 @@ def main() -> None:
         rows,
         f"{CAPTURES} captures of {', '.join(PATTERNS)} for each fault, {len(rig.lights)} lights, "
         f"{len(rig.cameras)} cameras of {WIDTH} x {HEIGHT} pixels in processes of their own; the "
-        "fault at a random packet or shot, 28 lights where it is of lights. Whole: every byte is "
-        "what the camera saw under the recorded light. Captures in which it did not happen "
+        "fault at a random packet or shot, 28 lights where it is of lights. Whole: every "
+        "photograph is its camera's, under the recorded light. Captures in which it did not happen "
         "(a fault beyond the last packet, a stale picture without one before it) end whole.",
     )
 
