@@ -27,6 +27,7 @@ from lightstage.operator.words import (
     Said,
     Tone,
     duration,
+    merged,
 )
 
 STYLES: dict[Tone, str] = {
@@ -236,7 +237,7 @@ class Screen:
     def _said(self, console: Console, options: ConsoleOptions, room: int) -> list[RenderableType]:
         """The question, or the latest news, as far as there is room for it."""
         asked = self.ask.question
-        items = list(asked) if asked else list(reversed(self.view.news))
+        items = merged(asked) if asked else merged(self.view.news)[::-1]
         shown: list[RenderableType] = []
         for item in items:
             line = _said(item)
@@ -246,7 +247,7 @@ class Screen:
             shown.append(line)
         if not asked:
             return [Text(), *reversed(shown)]
-        more = len(asked) - len(shown)
+        more = len(items) - len(shown)
         others = [Text(f"  and {more} more", "dim")] if more else []
         return [Text(), *shown, *others, Text(QUESTION, "bold reverse")]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
@@ -38,7 +38,7 @@ FINDING: dict[str, tuple[Tone, str, str]] = {
 }
 """By severity: tone, how the line begins, what to do where the finding does not say."""
 
-MISSING = "Look at the camera's cable, battery and card; switch it off and on."
+MISSING = "The others are kept. If it fails again, look at its cable, battery and card."
 """Said where a photograph did not come."""
 FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
 RESUME = "Nothing that was kept is lost. Go on with: lightstage capture --resume --out {session}"
@@ -52,11 +52,13 @@ class Said:
         tone: how much it matters.
         text: what happened.
         todo: what to do; empty where nothing must be done.
+        camera: whose, where it is a matter of one.
     """
 
     tone: Tone
     text: str
     todo: str = ""
+    camera: str = ""
 
     def __str__(self) -> str:
         text = f"{SIGNS[self.tone]} {self.text}".strip()
@@ -117,7 +119,21 @@ def said(line: Line, session: str = "SESSION") -> Said:
         return Said("quiet", f"{event or 'something'} {_place(line)}".strip())
     words = make(line)
     text, todo = (part.replace("{session}", clean(session)) for part in (words.text, words.todo))
-    return Said(words.tone, text, todo)
+    return Said(words.tone, text, todo, text_of(line, "camera"))
+
+
+def merged(items: Sequence[Said]) -> list[Said]:
+    """The same said of several cameras, or several times, said once: in the place of the last."""
+    groups: dict[tuple[str, str, str], list[Said]] = {}
+    for item in items:
+        alike = item.text.replace(item.camera, "\0") if item.camera else item.text
+        key = (item.tone, alike, item.todo)
+        groups[key] = [*groups.pop(key, []), item]
+    whole = []
+    for (_, alike, _), group in groups.items():
+        cameras = ", ".join(dict.fromkeys(item.camera for item in group))
+        whole.append(dataclasses.replace(group[-1], text=alike.replace("\0", cameras)))
+    return whole
 
 
 def _place(line: Line) -> str:
@@ -160,13 +176,9 @@ def _finding(line: Line) -> Said:
     obvious = text_of(line, "code") == "not-taken"
     todo = MISSING if obvious else todo
     wanted = f" (wanted: {expected})" if expected and not obvious else ""
-    text = f"{begins}: {where + ': ' if where else ''}{what}{wanted}"
+    where = "" if what.startswith(where) else f"{where}: "
+    text = f"{begins}: {where}{what}{wanted}"
     return Said(tone, text, text_of(line, "hint") or todo)
-
-
-def _rejected(line: Line) -> Said:
-    why = text_of(line, "why")
-    return Said("plain", f"{_at(line)}taken again{' since ' + why if why else ''}")
 
 
 def _recovered(line: Line) -> Said:
@@ -222,7 +234,7 @@ _WORDS: dict[str, Callable[[Line], Said]] = {
     "frame": _frame,
     "failed": _failed,
     "finding": _finding,
-    "rejected": _rejected,
+    "rejected": _quiet,
     "recovered": _recovered,
     "deleting": _quiet,
     "deleted": _quiet,

@@ -91,7 +91,7 @@ def test_a_failed_camera_is_asked_about_and_taken_again_alone(stage, capture):
     stage.device.on_state = show_and_lose
     terminal, out = capture("--sequence", "full,x+,x-")
     terminal.wait_for("What now?")
-    terminal.wait_for("Look at the camera's cable, battery and card")
+    terminal.wait_for("look at its cable, battery and card")
     assert "accept as it is" not in terminal.said
     stage.device.on_state = show
     away.rename(gone)

@@ -18,6 +18,7 @@ from lightstage.operator.words import (
     Tone,
     clean,
     duration,
+    merged,
     said,
 )
 
@@ -103,6 +104,20 @@ def test_braces_in_what_devices_say_stay_as_they_are():
 )
 def test_time_left_in_words(seconds, words):
     assert duration(seconds) == words
+
+
+def test_the_same_of_several_cameras_is_said_once():
+    lines = [
+        {"event": "failed", "pattern": "x+", "camera": camera, "said": f"{camera} is gone"}
+        for camera in ("cam1", "cam10", "cam1")
+    ]
+    other = {"event": "failed", "pattern": "x-", "camera": "cam1", "said": "it hangs"}
+    words = merged([said(each) for each in [lines[0], other, *lines[1:]]])
+    assert [each.text for each in words] == [
+        "x-, cam1: it hangs",
+        "x+, cam1, cam10: cam1, cam10 is gone",
+    ]
+    assert words[1].todo
 
 
 def test_control_characters_never_reach_the_terminal():
