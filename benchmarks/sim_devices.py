@@ -32,7 +32,7 @@ from sim.devices.fault_names import LEDS, NAMES
 from sim.devices.faults import Fault, Story, read_fault_log
 
 CAPTURES = 6
-PATTERNS = ("full", "x+", "x-", "full@parallel", "full@cross")
+PATTERNS = ("full", "x+", "x-", "y+", "y-")
 WIDTH, HEIGHT = 48, 64
 LAST_PACKET = 2 + 2 * len(PATTERNS)
 """HELLO?, DARK, then SET and STATE? of each shot; at the last DARK no photograph is taken."""
