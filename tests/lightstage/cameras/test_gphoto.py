@@ -83,7 +83,8 @@ def test_events_that_are_late_or_of_no_meaning_are_waited_for(fake):
 
 def test_a_file_of_an_earlier_shot_is_never_taken_for_this_one(fake):
     """The first shot gives no file; it comes after the second trigger, before the second's own."""
-    fake.make_body("6001", shots=[["done"], ["late DSC_0001.NEF", "raw", "done"], ["raw", "done"]])
+    second = ["late DSC_0001.NEF", "done", 0.1, "raw"]
+    fake.make_body("6001", shots=[["done"], second, ["raw", "done"]])
     camera = opened(BRIEF)
     with pytest.raises(DeviceError, match=r"found no file.*Is its card full"):
         camera.trigger(0.0)

@@ -160,7 +160,9 @@ def test_no_file_is_left_open_by_cameras_that_come_and_go(camera):
 
 
 def test_ctrl_c_of_the_terminal_does_not_reach_the_camera_processes(camera):
-    assert os.getpgid(camera().pid) != os.getpgid(0)
+    pid = camera().pid
+    assert os.getpgid(pid) != os.getpgid(0)
+    assert os.getsid(pid) != os.getsid(0)
 
 
 def test_closing_from_another_thread_ends_a_command_that_hangs(camera, monkeypatch):
