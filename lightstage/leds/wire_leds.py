@@ -14,7 +14,7 @@ from lightstage.errors import DeviceError
 from lightstage.leds import wire
 from lightstage.leds.controller import Hello, LightLostError
 from lightstage.leds.guard import LastWill
-from lightstage.leds.line import Line
+from lightstage.leds.line import BUSY_WAIT_S, Line
 from lightstage.leds.wire import Kind, Packet, PacketReader
 
 HELLO_TIMEOUT_S = 2.0
@@ -65,12 +65,19 @@ class WireLeds:
         self._sequence = random if first_sequence is None else first_sequence - 1
         self._boot_id: int | None = None
         self._cut = self._broken = False
-        self._line = self._open()
-        try:
-            self._hello = self._ask_hello()
-        except BaseException:
-            self.close()
-            raise
+        until = time.monotonic() + BUSY_WAIT_S
+        while True:
+            self._line = self._open()
+            try:
+                self._hello = self._ask_hello()
+                return
+            except BaseException:
+                self.close()
+                # Turned away: a host before may be on its way out.
+                if not self._broken or time.monotonic() > until:
+                    raise
+            self._broken = self._cut = False
+            time.sleep(POLL_S)
 
     @property
     def hello(self) -> Hello:

@@ -100,14 +100,7 @@ class TcpEnd:
         ready = select.select(ends, [], [], None if timeout_s is None else max(0.0, timeout_s))[0]
         if stop in ready:
             return "stop"
-        if self._listener in ready:
-            host, _ = self._listener.accept()
-            if self._host is not None:
-                host.close()
-                return None
-            host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._host = host
-            return "opened"
+        # First the one who is there: the next may have waited for it to go.
         if self._host in ready and self._host is not None:
             with contextlib.suppress(OSError):
                 self._data = self._host.recv(READ_BYTES)
@@ -116,6 +109,14 @@ class TcpEnd:
             self._host.close()
             self._host = None
             return "closed"
+        if self._listener in ready:
+            host, _ = self._listener.accept()
+            if self._host is not None:
+                host.close()
+                return None
+            host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._host = host
+            return "opened"
         return None
 
     def read(self) -> bytes:

@@ -125,6 +125,22 @@ def test_a_port_that_is_given_back_in_time_is_waited_for():
         later.join()
 
 
+def test_a_device_that_serves_another_machine_turns_this_one_away_until_it_is_free():
+    with far_end("socket") as device:
+        host, port = device.path.split(":")
+        other = socket.create_connection((host, int(port)))
+        until(device.connected.is_set)
+        later = threading.Timer(0.2, other.close)
+        later.start()
+        with open_leds(url(device), 8) as leds:
+            leds.light(np.ones(8))
+        later.join()
+        with socket.create_connection((host, int(port))):
+            until(device.connected.is_set)
+            with pytest.raises(DeviceError, match="a line that stays open"):
+                open_leds(url(device), 8)
+
+
 def test_nobody_at_the_other_end_is_told():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
