@@ -58,6 +58,6 @@ class ChecksConfig:
     warn_motion_mm: float = 1.5
     max_motion_mm: float = 4.0
     min_sharpness: float = 0.5
-    warn_sharpness: float = 0.7
+    warn_sharpness: float = 0.65
     min_highlight_ratio: float = 0.01
     max_baseline_change: float = 0.1

@@ -34,6 +34,8 @@ from lightstage.sequence import Shot
 FULL_STEP = 0.999
 LAMP_GAIN = 0.15
 """One lamp changes no gain by more than about this (natural logarithm)."""
+LAMP_EXPLAINED = 0.8
+"""Share of what is wrong in a camera beyond which a gain explains it, and not a lamp."""
 
 
 class ShotChecks:
@@ -74,7 +76,7 @@ class ShotChecks:
         self._shares: dict[str, dict[str, float]] = {}
         self._fits: dict[Sum, dict[str, SumFit]] = {}
         self._shifts: dict[Sum, dict[str, Shift]] = {}
-        self._failed: set[tuple[str, str]] = set()
+        self._failed: set[tuple[str, str | None]] = set()
         self._broken: set[Sum] = set()
         self._lock = threading.RLock()
 
@@ -121,7 +123,7 @@ class ShotChecks:
         with self._lock:
             self._photos.pop(key, None)
             self._figures.pop(key, None)
-            self._failed.discard(key)
+            self._failed -= {key, (pattern, None)}
             self._shares.get(pattern, {}).pop(camera_id, None)
             self._digests = {d: k for d, k in self._digests.items() if k != key}
             for kept in (self._fits, self._shifts):
@@ -152,7 +154,11 @@ class ShotChecks:
             found += self._summed(pattern, found)
             found += highlight_findings(pattern, self._photos, self._levels, self.config)
             found += baseline_findings(pattern, self._shares, self.baseline, self.config)
-            return _once(found)
+            found = _once(found)
+            self._failed |= {
+                (f.pattern, f.camera) for f in found if f.severity == "retake" and f.pattern
+            }
+            return found
 
     def facts(self) -> dict[str, Any]:
         """Figures for a report, and for `baseline` of a later session; JSON-ready."""
@@ -221,7 +227,7 @@ class ShotChecks:
         self._broken.difference_update(fresh)
         self._broken.update(one for one in fresh if bad.intersection(one.patterns))
         found += self._room(pattern, [one for one in fresh if one not in self._broken])
-        if self._broken.intersection(fresh) and self._nearly(fresh):
+        if self._broken.intersection(fresh) and self._maybe_lamp(fresh):
             # A lamp makes small errors of level too; where it explains them, it alone is told.
             lamps = [f for f in self._room(pattern, fresh) if f.code.startswith("lamp")]
             if lamps:
@@ -243,10 +249,16 @@ class ShotChecks:
             for finding in room_findings(self._left(shot, sums), self._model, self.rig, self.config)
         ]
 
-    def _nearly(self, sums: list[Sum]) -> bool:
-        """Whether all gains are close enough for a single lamp to be the cause."""
-        gains = [fit.gains for one in sums for fit in self._fits[one].values()]
-        return bool(np.abs(np.log(np.clip(gains, 1e-3, 1e3))).max() < LAMP_GAIN)
+    def _maybe_lamp(self, sums: list[Sum]) -> bool:
+        """Whether a lamp may be the cause: gains near 1, and none explains its camera's fault."""
+        fits = [fit for one in sums for fit in self._fits[one].values()]
+        gains = np.abs(np.log(np.clip([fit.gains for fit in fits], 1e-3, 1e3))).max(axis=1)
+        explained = [
+            fit.misfit < (1 - LAMP_EXPLAINED) * fit.before
+            for fit, gain in zip(fits, gains, strict=True)
+            if gain > self.config.max_gain_error
+        ]
+        return bool(gains.max() < LAMP_GAIN) and not any(explained)
 
     def _fit(self, one: Sum, cameras: list[str]) -> None:
         fits, shifts = self._fits.setdefault(one, {}), self._shifts.setdefault(one, {})
