@@ -25,6 +25,11 @@ light_interval_s = 0.0
 max_flashes_per_s = 1e6
 max_light_on_s = 1e6
 max_heat = 1.0
+
+# Pictures of 48 x 64 pixels have no fine detail to speak of.
+[checks]
+min_sharpness = 0.0
+warn_sharpness = 0.0
 """
 PATIENCE_S = 120.0
 SEQUENCE = "full,x+,x-,y+,y-,z+,z-"
