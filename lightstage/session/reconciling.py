@@ -127,8 +127,15 @@ class Reconciler(Leftovers):
     def _from_card(self, camera: CameraDevice, exposed: Exposed) -> None:
         """Keep an exposure that is on the card: its bytes decide about what is on the disk."""
         incoming, sha256, size = self._download(camera, exposed)
+        named = self.named(exposed)
+        if named is not None:
+            with disk_errors(named):
+                if sha256_on_disk(named) == sha256:
+                    # Downloaded before the crash and on the card still: it is certainly this one.
+                    incoming.unlink()
+                    incoming = named
         twin = self.state.kept_hashes().get(sha256)
-        why = _other_time(incoming, exposed)
+        why = "" if incoming == named else _other_time(incoming, exposed)
         if twin is not None:
             why = f"the bytes of {twin}"
         elif size != exposed.file.size:
@@ -137,18 +144,14 @@ class Reconciler(Leftovers):
             self.set_aside(incoming, exposed, why)
             self.reject(exposed.key, why)
             return
-        named = self.named(exposed)
-        if named is not None:
+        if incoming == named:
             with disk_errors(named):
-                same = sha256_on_disk(named) == sha256
-            if same:
-                with disk_errors(named):
-                    incoming.unlink()
-                    fsync_path(named.parent)
-                    encoding = identify_file(named).encoding
-                self.writer.frame(*exposed.key, named, exposed.file, sha256, encoding, adopted=True)
-                self.adopted.append(exposed.key)
-                return
+                fsync_path(named.parent)
+                encoding = identify_file(named).encoding
+            self.writer.frame(*exposed.key, named, exposed.file, sha256, encoding, adopted=True)
+            self.adopted.append(exposed.key)
+            return
+        if named is not None:
             self.set_aside(named, exposed, "not what is on the card", of_card=False)
         try:
             self.writer.keep(*exposed.key, incoming, exposed.file, sha256, adopted=True)
@@ -247,8 +250,9 @@ class Reconciler(Leftovers):
         )
 
     def _finish_deleting(self, camera: CameraDevice, now: Collection[CardFile]) -> None:
+        """Delete what is kept and was to be deleted, if it is the same to the byte."""
         kept = {
-            CardFile(line["file"], line["size"]): line["pattern"]
+            CardFile(line["file"], line["size"]): line
             for line in self.state.frames()
             if line["camera"] == camera.id
         }
@@ -256,14 +260,22 @@ class Reconciler(Leftovers):
         for file, pattern in begun.items():
             if file not in now:
                 self.writer.deleted(pattern, camera.id, file)
-        for file, pattern in kept.items():
-            if file in now and (self.delete or file in begun):
-                if file not in begun:
-                    self.writer.deleting(pattern, camera.id, file)
-                step("deleting", pattern, camera.id)
-                camera.delete(file.name)
-                self.writer.deleted(pattern, camera.id, file)
-                step("deleted", pattern, camera.id)
+        for file, line in kept.items():
+            if file not in now or not (self.delete or file in begun):
+                continue
+            pattern = line["pattern"]
+            incoming = self.writer.incoming(*key_of(line))
+            got = camera.download(file.name, incoming, pattern)
+            with disk_errors(incoming):
+                incoming.unlink()
+            if got.sha256 != line["sha256"]:
+                continue  # another picture under its name: nobody else has that one
+            if file not in begun:
+                self.writer.deleting(pattern, camera.id, file)
+            step("deleting", pattern, camera.id)
+            camera.delete(file.name)
+            self.writer.deleted(pattern, camera.id, file)
+            step("deleted", pattern, camera.id)
 
     def _restore(self, camera: CameraDevice, line: Line, now: Collection[CardFile]) -> None:
         """Bring a photograph that was kept from the card again, if it is the same to the byte."""

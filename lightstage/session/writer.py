@@ -293,7 +293,7 @@ class SessionWriter(Record):
 
     def end(self, **facts: Any) -> None:
         """Journal that all is done; nothing may be written after it."""
-        frames = sum(len(self.state.cameras) for _ in self.state.patterns)
+        frames = len(self.state.cameras) * len(self.state.patterns)
         self.journal.write("end", frames=frames, **facts)
         step("ended")
 

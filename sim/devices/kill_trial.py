@@ -169,8 +169,9 @@ class KillTrial:
 
     def _stopped(self, capture: subprocess.Popen[bytes], wanted: Kill) -> Process | None:
         """Wait until a process stands at the step; None where the capture ended before."""
+        stop = f"{wanted.step} {wanted.pattern} {wanted.camera}\n"
+        write_text(self._stop_file, stop)
         while True:
-            write_text(self._stop_file, f"{wanted.step} {wanted.pattern} {wanted.camera}\n")
             found: list[Process] = []
             if not wait_until(functools.partial(self._stands, capture, found), STOP_S):
                 raise SimError(str(wanted), found="nothing stopped", expected="a stopped process")
@@ -178,6 +179,7 @@ class KillTrial:
                 return None
             if wanted.event in ("", self._half_line()):
                 return found[0]
+            write_text(self._stop_file, stop)  # before it goes on: the next one may come at once
             os.kill(found[0].pid, signal.SIGCONT)
 
     def _stands(self, capture: subprocess.Popen[bytes], found: list[Process]) -> bool:

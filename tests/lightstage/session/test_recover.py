@@ -289,6 +289,36 @@ def test_a_photograph_lost_here_comes_from_the_card_only_if_it_is_the_same_to_th
     writer.close()
 
 
+def test_what_is_deleted_on_a_card_is_the_photograph_that_is_kept_and_no_other(desk, begun):
+    writer, cameras = begun
+    reconcile(writer, cameras)
+    name = writer.state.accepted("full", "cam0")["file"]
+    cameras[0].body.card[name] = picture("elsewhere", "nobody", 7)
+    reconcile(writer, cameras, delete=True)
+    assert name in cameras[0].body.card
+    assert writer.state.accepted("full", "cam1")["file"] not in cameras[1].body.card
+    assert len(lines_of(writer, "deleted")) == 1
+    writer.close()
+
+
+def test_a_file_that_was_named_before_the_crash_is_ours_whatever_its_camera_says_of_the_time(
+    desk, plan
+):
+    cameras = [Camera(name, each, Life()) for name, each in desk.bodies.items()]
+    cards = {camera.id: camera.card() for camera in cameras}
+    writer = SessionWriter.new(desk.root, desk.rig, plan, cards)
+    data = dated(datetime.datetime(1999, 1, 1))
+    cameras[0].body.card["/DCIM/DSC_7.DNG"] = data
+    writer.trigger("full", {"cam0": 1})
+    writer.exposed("full", 1, "cam0", CardFile("/DCIM/DSC_7.DNG", len(data)))
+    incoming = writer.incoming("full", "cam0", 1)
+    incoming.with_name("cam0.dng").write_bytes(data)
+    found = reconcile(writer, cameras)
+    assert found.adopted == (("full", "cam0", 1),)
+    assert not incoming.exists()
+    writer.close()
+
+
 def test_a_number_once_intended_is_never_given_again(desk, begun):
     writer, cameras = begun
     reconcile(writer, cameras)
