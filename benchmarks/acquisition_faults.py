@@ -1,4 +1,4 @@
-"""A thousand shots with five per cent of faults of every kind: what is lost, what is mislabelled.
+"""A thousand shots, one in ten with a fault of every kind: what is lost, what is mislabelled.
 
 Nine simulated cameras and an LED device have every fault that the simulator knows; `lightstage
 capture --unattended` takes the shots, and is gone on with (`--resume`) whenever it gives up, as an
@@ -34,7 +34,7 @@ from sim.devices.faults import Story
 WIDTH_PX, HEIGHT_PX = 48, 64
 CONFIG = """
 [deadlines]
-open_s = 8.0
+open_s = 20.0
 trigger_s = 4.0
 download_s = 3.0
 other_s = 5.0

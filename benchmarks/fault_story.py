@@ -1,4 +1,4 @@
-"""Five per cent of faults of every kind, drawn from a seed: the story of a trial."""
+"""Five shots in a hundred meet a fault of a camera, five one of the lights: a trial's story."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from sim.devices.fault_names import NAMES
 from sim.devices.faults import Fault, Story
 
 SHARE = 0.05
-"""Of all photographs, and of all packets, that meet a fault."""
+"""Of all shots that meet a fault of any camera; and of all that meet one of the LED device."""
+PACKETS_A_SHOT = 12
+"""To the LED device: levels, and each camera asks whether they lasted."""
 WAYS = ("request", "answer")
 DURING = ("trigger", "download")
 LAMPS = (3, 20, 41, 77, 102, 140)
@@ -43,15 +45,16 @@ def trial_story(rig: Rig, shots: int, seed: int) -> Story:
         elif "during" in kind.fields:
             variants = [{"during": during} for during in DURING]
         (line if kind.device == "leds" else camera).extend((name, each) for each in variants)
-    faults = [Fault(n, probability=SHARE / len(line), **more) for n, more in line]
-    faults += [Fault(n, probability=SHARE / len(camera), **more) for n, more in camera]
+    packet = SHARE / PACKETS_A_SHOT / len(line)
+    photograph = SHARE / len(rig.cameras) / len(camera)
+    faults = [Fault(n, probability=packet, **more) for n, more in line]
+    faults += [Fault(n, probability=photograph, **more) for n, more in camera]
     faults += [Fault("claimed", probability=SHARE), Fault("reset-on-open", at=2, until=2)]
     lamps = [n for n, k in NAMES.items() if "lights" in k.fields] + ["swapped-bank"]
     for number, name in enumerate(lamps):
-        # A shot is at least two packets: each of these lasts some shots.
-        at = round(2 * shots * (number + 1) / (len(lamps) + 1))
+        at = round(PACKETS_A_SHOT * shots * (number + 1) / (len(lamps) + 1))
         more = {} if name == "swapped-bank" else {"lights": LAMPS}
-        faults.append(Fault(name, at=at, until=at + 8, **more))
+        faults.append(Fault(name, at=at, until=at + 2 * PACKETS_A_SHOT, **more))
     ids = [each.id for each in rig.cameras]
     third = max(2, shots // 3)
     faults.append(Fault("fill-up", camera=ids[2], at=third, until=third + 1))
