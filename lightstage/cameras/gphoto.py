@@ -7,7 +7,8 @@ file_delete, exit and autodetect: harmless here, where nothing else runs in the 
 
 libgphoto2's virtual camera remembers nothing beyond its process: after a restart its card holds
 the seed alone, and its names begin anew (GPH_0099.JPG), so that a photograph not yet downloaded
-when its process dies is gone. Its 27th shot has no file.
+when its process dies is gone. Its 27th shot has no file (-3 where it captures in one call); what
+follows in the same process is not to be relied on, and a new process has an empty card.
 """
 
 from __future__ import annotations

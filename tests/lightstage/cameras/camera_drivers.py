@@ -81,3 +81,10 @@ class Crashing(Fine):
     def trigger(self, _at_s):
         print("as C libraries print", file=sys.stdout)
         raise RuntimeError("a fault in the driver")
+
+
+class Segfaulting(Fine):
+    """Ends as a fault in a C library does."""
+
+    def trigger(self, _at_s):
+        ctypes.string_at(0)

@@ -99,6 +99,13 @@ def test_a_driver_that_fails_is_told_by_its_last_words_and_can_be_restarted(came
     assert one.card()[0].size == 4000
 
 
+def test_a_library_that_crashes_takes_its_own_process_alone(camera):
+    one = camera("Segfaulting")
+    with pytest.raises(DeviceError, match=r"camera cam0, trigger: found .*exit status -11"):
+        one.trigger(0.0)
+    assert one.restart().serial == "cam0"
+
+
 def test_each_kind_of_command_has_its_own_deadline(camera, monkeypatch):
     deadlines = Deadlines(
         open_s=11.0, trigger_s=12.0, download_s=13.0, download_bytes_per_s=1000.0, other_s=14.0
