@@ -209,6 +209,7 @@ class Photographer:
             now = camera.card()
         except DeviceError:
             try:
+                self._writer.note("note", camera=camera.id, said="restarting")
                 camera.restart()
                 self._writer.note("note", camera=camera.id, said="started again")
                 now = camera.card()

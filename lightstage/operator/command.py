@@ -55,7 +55,8 @@ def watch_command(
             for line in tail.read():
                 if until is None or line["id"] <= until:
                     view.told(line)
-        write_text(picture, drawn(Screen(view), columns))
+        keys = ("retake", "pause", "abort") if view.phase == "running" else ()
+        write_text(picture, drawn(Screen(view, Ask(keys=keys)), columns))
     else:
         _watch(session, view)
     running = view.phase in ("running", "paused")
