@@ -63,7 +63,7 @@ class SafeLights:
         self._until_s = np.inf
         self._guardian: Guardian | None = None
         self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._threads: list[threading.Thread] = []
         watchdog_s = lights.hello.watchdog_s
         self._awake_s = min(AWAKE_S, watchdog_s / 4 if watchdog_s else AWAKE_S)
 
@@ -102,7 +102,7 @@ class SafeLights:
             expected = f"{len(self._rig.lights)}, as in the rig"
             raise DeviceError("levels", found=str(len(levels)), expected=expected)
         with self._turn:
-            if self._thread is None or self._stop.is_set():
+            if not self._threads or self._stop.is_set():
                 raise DeviceError("lights", found="no watch over them", expected="`with` around it")
             with self._state:
                 number = self._number = self._number + 1
@@ -156,8 +156,12 @@ class SafeLights:
     def __enter__(self) -> SafeLights:
         self._stop.clear()
         self._set_guardian()
-        self._thread = threading.Thread(target=self._watch, name="lights", daemon=True)
-        self._thread.start()
+        self._threads = [
+            threading.Thread(target=work, name=f"lights{work.__name__}", daemon=True)
+            for work in (self._watch, self._keep_awake)
+        ]
+        for thread in self._threads:
+            thread.start()
         return self
 
     def __exit__(
@@ -178,9 +182,9 @@ class SafeLights:
             finally:
                 with self._turn:
                     pass  # a light that was under way in another thread is out again
-                if self._thread is not None:
-                    self._thread.join()
-                    self._thread = None
+                for thread in self._threads:
+                    thread.join()
+                self._threads = []
                 self._dismiss_guardian()
 
     def _wait_to_change(self, levels: np.ndarray, number: int) -> None:
@@ -259,26 +263,39 @@ class SafeLights:
             self._guardian.goodbye()
             self._guardian = None
 
+    def _keep_awake(self) -> None:
+        """Speak to the device now and then; one that does not answer gets its state again."""
+        while not self._stop.wait(self._awake_s / 2):
+            with self._state:
+                number = self._number
+                asked = bool(self._spent.levels.any()) or not self._lights.acknowledged
+                silent = time.monotonic() - self._heard_s >= self._awake_s
+            if not (asked and silent) or self._failure is not None or self._turn.locked():
+                continue  # nothing to keep awake, or a light is on its way to it
+            try:
+                self._lights.confirm()
+                self._heard_s = time.monotonic()
+            except LightstageError as failure:
+                self._fail(failure, number)
+
     def _watch(self) -> None:
-        """Say to the guardian that we live, put out what stays too long, keep the device awake."""
+        """Say to the guardian that we live, and put out what stays too long.
+
+        Apart from keeping the device awake: an answer that does not come must not hold this up.
+        """
         while not self._stop.wait(self._awake_s / 2):
             guardian = self._guardian
             if guardian is not None and guardian.alive:
                 guardian.beat()
             with self._state:
-                number, now_s = self._number, time.monotonic()
+                number = self._number
                 lit = bool(self._spent.levels.any())
-                overdue = lit and now_s > self._until_s
-                asked = lit or not self._lights.acknowledged
-                silent = now_s - self._heard_s >= self._awake_s and self._failure is None
+                overdue = lit and time.monotonic() > self._until_s
             try:
                 if guardian is not None and not guardian.alive:
                     self._mourn(guardian, number)
                 elif overdue:
                     self._put_out(number)
-                elif asked and silent:
-                    self._lights.confirm()
-                    self._heard_s = time.monotonic()
             except LightstageError as failure:
                 self._fail(failure, number)
 
@@ -299,20 +316,20 @@ class SafeLights:
 
     def _mourn(self, guardian: Guardian, number: int) -> None:
         """The guardian has gone: it took this process for dead, or was killed itself."""
-        with self._turn:
-            if self._guardian is not guardian:
-                return  # dismissed, as it should be
-            self._fail(
-                LightLostError(
-                    "lights",
-                    field="guardian",
-                    found="it has ended, and put the lights out if this process stood still",
-                    expected="one that watches",
-                ),
-                number,
-            )
-            self._guardian = None
-            self._set_guardian()
+        if not self._turn.acquire(blocking=False):
+            return  # a light is under way; the next look will do
+        try:
+            if self._guardian is guardian:  # else dismissed, as it should be
+                found = "it has ended, and put the lights out if this process stood still"
+                expected = "one that watches"
+                self._fail(
+                    LightLostError("lights", field="guardian", found=found, expected=expected),
+                    number,
+                )
+                self._guardian = None
+                self._set_guardian()
+        finally:
+            self._turn.release()
 
 
 def _put_out_meanwhile() -> LightLostError:

@@ -91,7 +91,7 @@ def test_both_hands_take_the_same_packets_out_of_any_bytes(noise, step):
         assert np.array_equal(lamps.counts, START)
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(counts, st.integers(0, 65535), mutations)
 def test_a_damaged_set_changes_no_lamp_unless_the_other_hand_reads_it_as_whole(
     wanted, sequence, changes

@@ -327,6 +327,38 @@ def test_a_board_that_resets_in_a_shot_is_recovered_and_lit_again(small_rig):
     assert device.dark
 
 
+def test_lamps_that_take_long_to_settle_are_no_silence_of_the_capture(small_rig):
+    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6, max_silence_s=1.0)
+    with (
+        LedDevice(8, lambda levels: time.sleep(1.8 * bool(levels.any()))) as device,
+        open_leds(device.url(60.0), 8) as leds,
+        SafeLights(leds, config, small_rig) as lights,
+    ):
+        first = lights.guardian_pid
+        lights.light(FULL)
+        lights.confirm()
+        assert lights.guardian_pid == first
+        assert len(device.states) == 2
+
+
+def test_an_answer_that_does_not_come_is_no_silence_of_the_capture(small_rig):
+    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6, max_silence_s=1.0)
+    lamps = Lamps(watchdog_s=0.04)
+    asked, go_on = threading.Event(), threading.Event()
+
+    def slow():
+        asked.set()
+        assert go_on.wait(30)
+
+    with SafeLights(lamps, config, small_rig, shot_worst_s=0.05) as lights:
+        lamps.confirm = slow
+        lights.light(FULL)
+        assert asked.wait(30)
+        # Put out although the line is still being asked.
+        until(lambda: not lamps.levels.any())
+        go_on.set()
+
+
 def test_a_guardian_that_was_killed_is_replaced_and_its_shot_does_not_count(small_rig):
     with (
         LedDevice(8, lambda _: None, watchdog_s=0.4) as device,
