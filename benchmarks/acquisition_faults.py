@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.fault_story import operator_mends, told, trial_story
-from benchmarks.gphoto2_faults import cli_rows
+from benchmarks.gphoto2_faults import cli_rows, require_cli
 from benchmarks.record import record
 from lightstage.formats.files import write_text
 from lightstage.patterns.names import BINARY
@@ -242,6 +242,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of what goes wrong")
     parser.add_argument("--keep", type=Path, help="folder to keep everything in")
     given = parser.parse_args()
+    require_cli()
     rig = trial_rig()
     with tempfile.TemporaryDirectory() as name:
         desk = given.keep or Path(name)

@@ -54,7 +54,9 @@ def trial_story(rig: Rig, shots: int, seed: int) -> Story:
     for number, name in enumerate(lamps):
         at = round(PACKETS_A_SHOT * shots * (number + 1) / (len(lamps) + 1))
         more = {} if name == "swapped-bank" else {"lights": LAMPS}
-        faults.append(Fault(name, at=at, until=at + 2 * PACKETS_A_SHOT, **more))
+        # One that the device tells of stops every capture at once; others pass unseen for shots.
+        lasts = 8 if name in ("stuck-on", "dead-light") else 2 * PACKETS_A_SHOT
+        faults.append(Fault(name, at=at, until=at + lasts, **more))
     ids = [each.id for each in rig.cameras]
     third = max(2, shots // 3)
     faults.append(Fault("fill-up", camera=ids[2], at=third, until=third + 1))

@@ -55,10 +55,14 @@ def wheel_environment(links: Path) -> dict[str, str]:
     }
 
 
-def cli_rows(desk: Path, rig: Rig, shots: int, seed: int) -> list[list[object]]:
-    """The table's line for the command line as it is; needs the program `gphoto2`."""
+def require_cli() -> None:
+    """Exit where the program is not there, before anything long is begun."""
     if shutil.which("gphoto2") is None:
         raise SystemExit("The gphoto2 command line is not there: apt-get install gphoto2")
+
+
+def cli_rows(desk: Path, rig: Rig, shots: int, seed: int) -> list[list[object]]:
+    """The table's line for the command line as it is."""
     return [_row(desk, rig, shots, seed)]
 
 
