@@ -97,6 +97,8 @@ class Photographer:
         self._config = config
         self._told = told
         self._known = {camera_id: set(files) for camera_id, files in cards.items()}
+        # Cameras of which a trigger gave no picture: it may come to the card at any later time.
+        self._doubtful: set[str] = set()
         self._kept = writer.state.kept_hashes()
         self._lock = threading.Lock()
 
@@ -125,6 +127,7 @@ class Photographer:
             CaptureError: this computer's disk failed.
         """
         try:
+            self._clear_doubts(camera)
             exposure, failure = self._trigger(pattern, camera, at_s)
             light = self._light_lost()
         finally:
@@ -178,6 +181,16 @@ class Photographer:
             return None, DeviceError(f"camera {camera.id}", found="no picture after its trigger")
         return exposure, DeviceError("")
 
+    def _clear_doubts(self, camera: CameraDevice) -> None:
+        """Bring home what came to the card of a camera whose earlier trigger gave no picture."""
+        if camera.id not in self._doubtful:
+            return
+        # A camera that cannot tell its card now fails at the trigger, and is seen to there.
+        with contextlib.suppress(DeviceError):
+            late = arrived(self._known[camera.id], camera.card())
+            self._known[camera.id] |= set(late)
+            self._bring_home(camera, late, None, "it came late, after its trigger had failed")
+
     def _light_lost(self) -> DeviceError | None:
         """What speaks against the light having lasted until now."""
         try:
@@ -192,14 +205,16 @@ class Photographer:
         """The picture that a camera took before it failed, from its card; `failure` if none."""
         new = self._arrived(camera, failure)
         if not new:
+            self._doubtful.add(camera.id)
             raise failure
         names = ", ".join(file.name for file in new)
         self._writer.note(
             "note", camera=camera.id, pattern=pattern, said=f"{failure}; on its card: {names}"
         )
-        if len({Path(file.name).stem for file in new}) > 1:
-            # Two pictures after one trigger: which one is this light's nobody can tell.
-            self._bring_home(camera, new, pattern, f"more than one picture: {failure}")
+        several = len({Path(file.name).stem for file in new}) > 1
+        if several or camera.id in self._doubtful:
+            # Which one is this light's, or whether it is an earlier one's, nobody can tell.
+            self._bring_home(camera, new, pattern, f"not certain to be of this light: {failure}")
             raise failure
         return Exposure(new, at_s, time.monotonic())
 
@@ -276,7 +291,7 @@ class Photographer:
         return findings
 
     def _bring_home(
-        self, camera: CameraDevice, files: Collection[CardFile], pattern: str, why: str
+        self, camera: CameraDevice, files: Collection[CardFile], pattern: str | None, why: str
     ) -> None:
         """Keep pictures whose light or label is not certain; they stay on the card otherwise."""
         for file in files:

@@ -71,7 +71,8 @@ class FakeCamera:
     Attributes:
         faults: shot (from 1) -> what goes wrong: ``fail``, ``after`` (the picture is on the card,
             but the camera answers no more), ``two`` (two pictures, no answer), ``stale``,
-            ``late`` (the picture takes a second).
+            ``late`` (the picture takes a second), ``tardy`` (none, until after the next trigger
+            was asked for).
         cut: the next so many downloads bring half a file.
         on_card: name -> bytes.
     """
@@ -85,7 +86,7 @@ class FakeCamera:
         self.cut = 0
         self.on_card: dict[str, bytes] = {}
         self.shots = 0
-        self.dead = False
+        self.dead = self.tardy = False
         self.restarts = 0
         self.gone = False
 
@@ -103,20 +104,25 @@ class FakeCamera:
     def summary(self) -> Summary:
         return TOLD
 
-    def change(self, name: str, value: str) -> None:
+    def change(self, *_: str) -> None:
         self._alive()
 
     def card(self) -> tuple[CardFile, ...]:
         self._alive()
         return tuple(CardFile(name, len(data)) for name, data in self.on_card.items())
 
-    def trigger(self, at_s: float, pattern: str) -> Exposure:
+    def trigger(self, *_: object) -> Exposure:
         self._alive()
         self.log.append(f"trigger {self.id}")
         triggered_s = time.monotonic()
         self.shots += 1
         fault = self.faults.get(self.shots)
-        if fault == "fail":
+        if self.tardy:
+            self._expose()
+            self.tardy = False
+        if fault == "tardy":
+            self.tardy = True
+        if fault in ("fail", "tardy"):
             raise DeviceError(f"camera {self.id}", found="no picture was taken")
         if fault == "late":
             time.sleep(1.0)
@@ -128,7 +134,7 @@ class FakeCamera:
             raise DeviceError(f"camera {self.id}", found="its process ended")
         return Exposure(tuple(files), triggered_s, time.monotonic())
 
-    def download(self, name: str, path: Path, pattern: str = "*") -> Download:
+    def download(self, name: str, path: Path, *_: str) -> Download:
         self._alive()
         self.log.append(f"download {self.id}")
         data = self.on_card[name]
@@ -196,7 +202,7 @@ class ScriptedChecks:
         self.of_shots: dict[str, list[list]] = {}
         self.forgotten: list[tuple[str, str]] = []
 
-    def photograph(self, pattern, camera_id, path):
+    def photograph(self, *_):
         return []
 
     def shot(self, pattern):

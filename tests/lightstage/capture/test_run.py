@@ -81,6 +81,16 @@ def test_two_pictures_of_one_trigger_are_both_kept_and_neither_counts(bench):
     assert bench.kept("x+") == ["cam0.take2.dng", "cam1.dng", "cam2.dng"]
 
 
+def test_a_picture_that_comes_after_its_trigger_had_failed_gets_nobody_elses_label(bench):
+    bench.cameras[0].faults = {1: "tardy", 3: "fail"}
+    bench.run()
+    first = bench.cameras[0].on_card["/DCIM/DSC_0001.DNG"]
+    on_disk = [p.read_bytes() for p in (bench.root / "recovered" / "cam0").iterdir()]
+    assert on_disk == [first]
+    assert first not in [p.read_bytes() for p in bench.root.glob("frames/*/*.dng")]
+    assert len(finished(bench).file.frames) == 9
+
+
 def test_a_picture_under_a_light_that_may_have_gone_is_recovered_and_taken_again(bench):
     lost = LightLostError("LED device", found="another boot id")
     bench.lights.fail["confirm"] = (4, 6, lost)  # the second pattern's three
