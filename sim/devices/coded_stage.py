@@ -34,8 +34,8 @@ class Labels:
 
     Attributes:
         right: taken by the camera, under the light, that the session says.
-        mislabelled: of another camera, or under another pattern of the sequence.
-        wrong_light: under a light that nobody asked for (a lamp that failed and did not tell).
+        mislabelled: of another camera, or of a light that was asked for under another name.
+        wrong_light: rightly named, but lamps did not shine as they told.
         unreadable: whose pixels say nothing.
         doubled: one photograph under two names.
         missing: patterns and cameras without a photograph.
@@ -86,6 +86,8 @@ class CodedStage:
         self.cameras_path = write_text(desk / "cameras.toml", self.cameras.cameras_file())
         self._shown = shown
         count = len(rig.lights)
+        self._asked: list[np.ndarray] = []
+        self._device: LedDevice | None = None
         self._show(np.zeros(count))
         banks = [light.bank for light in rig.lights]
         self.device = LedDevice(count, self._show, 1, story, self.log, banks, watchdog_s)
@@ -104,6 +106,8 @@ class CodedStage:
 
     def _show(self, levels: np.ndarray) -> None:
         light = self._photographer.lit(levels)
+        asked = _counts(levels) if self._device is None else self._device.commanded
+        self._asked.append(np.array(asked))
         for camera in self.rig.cameras:
             data = self._photographer.photograph(camera, light)
             put(self.cameras.folder(camera.id) / NEXT, data)
@@ -141,15 +145,17 @@ class CodedStage:
         taken_by = self.rig.cameras[code.camera].id
         if taken_by != camera:
             return "mislabelled", f"taken by {taken_by}"
-        lit = _counts(self._photographer.states[code.light - 1])
-        asked = {name: _counts(session.levels(name)) for name in session.file.sequence}
-        if np.array_equal(lit, asked[pattern]):
-            return "right", ""
-        for name, counts in asked.items():
-            if np.array_equal(lit, counts):
-                return "mislabelled", f"taken under {name}"
-        wrong = int((lit != asked[pattern]).sum())
-        return "wrong_light", f"{wrong} lamps were not as asked"
+        wanted = _counts(session.levels(pattern))
+        asked = self._asked[code.light - 1]
+        if not np.array_equal(asked, wanted):
+            names = [
+                name
+                for name in session.file.sequence
+                if np.array_equal(asked, _counts(session.levels(name)))
+            ]
+            return "mislabelled", f"taken when {', '.join(names) or 'another light'} was asked for"
+        wrong = int((_counts(self._photographer.states[code.light - 1]) != wanted).sum())
+        return ("wrong_light", f"{wrong} lamps were not as they told") if wrong else ("right", "")
 
 
 def _counts(levels: np.ndarray) -> np.ndarray:

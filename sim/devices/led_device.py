@@ -70,6 +70,11 @@ class EndDevice:
         self._thread = threading.Thread(target=self._serve, name="led-device", daemon=True)
 
     @property
+    def commanded(self) -> np.ndarray:
+        """(n,) uint16 that the host asked for last, whatever shines."""
+        return self._leds.protocol.counts
+
+    @property
     def dark(self) -> bool:
         """Whether no light shines."""
         return not self.states[-1].counts.any()
