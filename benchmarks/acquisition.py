@@ -22,7 +22,7 @@ from benchmarks.record import record
 from lightstage.cameras.binding import close_cameras, open_cameras
 from lightstage.cameras.process import CameraProcess
 from lightstage.rig import default_rig
-from lightstage.session import SessionWriter
+from lightstage.session import SessionPlan, SessionWriter
 
 CAMERAS = 9
 PORT = "usb:001,001"
@@ -126,24 +126,30 @@ def _ours(
         CameraProcess(camera.id, PORT, folder, 60.0)
         for camera, folder in zip(rig.cameras, folders, strict=True)
     ]
-    names = [f"olat-{shot:03d}" for shot in range(shots)]
-    writer = SessionWriter(out, rig, names, "bench", "neutral", {})
+    plan = SessionPlan(tuple(f"olat-{shot:03d}" for shot in range(shots)))
+    writer = SessionWriter.new(out, rig, plan)
     took, wrong, skews_ms = [], 0, []
     try:
         _, problems = open_cameras(cameras)
         assert not problems, problems
         with ThreadPoolExecutor(CAMERAS) as pool:
-            for name in names:
+            for name in plan.sequence:
                 begun = time.perf_counter()
+                writer.lit(name, [0.0], acknowledged=False)
+                writer.trigger(name, {camera.id: 1 for camera in cameras})
                 at_s = time.monotonic() + 0.02
 
                 def take(camera: CameraProcess, name: str = name, at_s: float = at_s) -> float:
-                    got = camera.capture(at_s)
-                    writer.keep(name, camera.id, got.data, got.sha256)
-                    return got.triggered_s
+                    exposure = camera.trigger(at_s, name)
+                    file = exposure.files[0]
+                    writer.exposed(name, 1, camera.id, file)
+                    incoming = writer.incoming(name, camera.id, 1)
+                    got = camera.download(file.name, incoming, name)
+                    writer.keep(name, camera.id, 1, incoming, file, got.sha256)
+                    return exposure.triggered_s
 
                 triggers = list(pool.map(take, cameras))
-                writer.shot(name, None)
+                writer.shot(name)
                 took.append(time.perf_counter() - begun)
                 skews_ms.append(1e3 * (max(triggers) - min(triggers)))
                 for camera, expected in zip(cameras, photographs, strict=True):
