@@ -70,11 +70,6 @@ class EndDevice:
         self._thread = threading.Thread(target=self._serve, name="led-device", daemon=True)
 
     @property
-    def commanded(self) -> np.ndarray:
-        """(n,) uint16 that the host asked for last, whatever shines."""
-        return self._leds.protocol.counts
-
-    @property
     def dark(self) -> bool:
         """Whether no light shines."""
         return not self.states[-1].counts.any()
@@ -188,6 +183,11 @@ class LedDevice(EndDevice):
         )
         self._watchdog_s = watchdog_s
         self._heard_s = time.monotonic()
+
+    @property
+    def commanded(self) -> np.ndarray:
+        """(n,) uint16 that the host asked for last, whatever shines."""
+        return self._leds.protocol.counts
 
     def url(self, timeout_s: float, attempts: int = 1) -> str:
         """The device's address for `lightstage capture --leds`."""
