@@ -17,7 +17,8 @@ min_sharpness = 0.0
 warn_sharpness = 0.0
 """
 """The small stage's photographs are noise of one brightness: nothing in them stands still."""
-PATTERNS = ["full", "x+", "x-", "y+", "y-", "z+", "z-"]
+PATTERNS = ["full", "x+", "x-", "y+"]
+SEQUENCE = ("--sequence", ",".join(PATTERNS))
 
 
 @pytest.fixture
@@ -48,8 +49,8 @@ def events(out, *kinds):
 
 
 def test_q_in_the_middle_is_dark_and_kept_and_resume_finishes(stage, capture):
-    terminal, out = capture()
-    terminal.wait_until(lambda: len(events(out, "shot")) == 3, "no three shots")
+    terminal, out = capture(*SEQUENCE)
+    terminal.wait_until(lambda: len(events(out, "shot")) == 2, "no two shots")
     terminal.press("q")
     assert terminal.end() == 2
     assert stage.device.dark
@@ -59,18 +60,18 @@ def test_q_in_the_middle_is_dark_and_kept_and_resume_finishes(stage, capture):
     assert len(events(out, "aborted")) == 1
     assert not (out / "session.json").exists()
     kept = len(events(out, "frame"))
-    assert kept >= 9
+    assert kept >= 6
 
     again, _ = capture("--resume")
     assert again.end() == 0, again.said[-3000:]
-    again.wait_for("21 of 21 photographs, COMPLETE")
+    again.wait_for("12 of 12 photographs, COMPLETE")
     session = load_session(out)
     assert [frame.pattern for frame in session.file.frames][::3] == PATTERNS
     assert stage.device.dark
 
 
 def test_after_q_no_light_goes_on_again(stage, capture):
-    terminal, out = capture()
+    terminal, out = capture(*SEQUENCE)
     terminal.wait_until(lambda: len(events(out, "lit")) == 2, "no second light")
     terminal.press("q")
     assert terminal.end() == 2
@@ -119,7 +120,7 @@ def test_pause_is_dark_and_goes_on(stage, capture):
 
 
 def test_others_follow_every_line_and_may_stop_it(stage, capture):
-    terminal, out = capture()
+    terminal, out = capture(*SEQUENCE)
     terminal.wait_until(lambda: events(out, "shot"), "no shot")
     got = []
     follower = threading.Thread(target=lambda: got.extend(follow(out)))
