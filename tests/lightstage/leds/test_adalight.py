@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lightstage.leds.adalight import Tint, header
+from lightstage.leds.adalight import BOOT_WORD, AdalightLeds, Tint, header
+from lightstage.leds.address import AdalightOptions
 from lightstage.leds.opening import open_leds
 from sim.devices.adalight_device import cut_frames
 
@@ -102,11 +103,32 @@ def test_any_bytes_are_frames_with_true_headers_or_none(noise):
     assert noise.endswith(left)
 
 
+class Nowhere:
+    """A line that takes everything."""
+
+    handles = (0,)
+
+    def write(self, data):
+        pass
+
+    def read(self, _):
+        return BOOT_WORD
+
+    def drain(self):
+        pass
+
+    def close(self):
+        pass
+
+
 def test_the_last_will_ends_a_frame_cut_anywhere_and_is_black():
-    black = bytes(6)
+    with AdalightLeds("x", Nowhere, 2, AdalightOptions()) as leds:
+        ((will, _),) = leds.last_will().messages
     white = header(2) + b"\xff" * 6
-    will = bytes(6) + 2 * (header(2) + black)
     for cut in range(len(white) + 1):
         frames, left = cut_frames(white + white[:cut] + will)
-        assert frames[-1] == header(2) + black
+        assert frames[-1] == header(2) + bytes(6)
         assert len(left) <= 2
+        # What was half sent is ended by darkness, not by the black frame's own header.
+        lit = sum(byte > 0 for frame in frames[1:] for byte in frame[6:])
+        assert lit <= max(0, cut - 6)

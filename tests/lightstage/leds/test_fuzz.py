@@ -9,11 +9,13 @@ import hashlib
 import struct
 
 import numpy as np
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lightstage.leds import wire
 from lightstage.leds.wire import Kind, Packet, PacketReader, WireError
+from lightstage.leds.wire_leds import WireLeds
 from sim.devices.led_protocol import LedProtocol
 
 LIGHTS = 5
@@ -162,6 +164,40 @@ def test_any_hello_is_read_or_refused(payload):
 @given(st.binary(max_size=40))
 def test_any_refusal_can_be_told(payload):
     assert wire.parse_refused(payload)
+
+
+class Direct:
+    """A line with the other hand at its end, in this thread."""
+
+    handles = (0,)
+
+    def __init__(self, lamps):
+        self.lamps, self.answers = lamps, b""
+
+    def write(self, data):
+        self.answers += self.lamps.feed(data)
+
+    def read(self, _):
+        answers, self.answers = self.answers, b""
+        return answers
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize("first_sequence", [1, 0x7000, 0x9000, 0xFFF0])
+def test_the_last_will_is_dark_at_once_wherever_the_last_packet_was_cut(first_sequence):
+    cut = wire.encode(Packet(Kind.SET, 1, wire.set_payload(START)))
+    for place in range(len(cut) + 1):
+        lamps = device()
+        line = Direct(lamps)
+        with WireLeds("x", lambda end=line: end, first_sequence=first_sequence) as leds:
+            leds.light(np.ones(LIGHTS))
+            will = leds.last_will()
+        lamps.feed(cut[:place])
+        ((message, _),) = will.messages
+        assert will.answer in lamps.feed(message)
+        assert not lamps.counts.any()
 
 
 def test_a_megabyte_without_an_end_is_forgotten_by_both_and_the_next_packet_counts():
