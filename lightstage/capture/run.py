@@ -148,6 +148,7 @@ class Run:
             again[pattern] = again.get(pattern, set()) | missing
         if again:
             left = min(self._left[each] for each in again)
+            self._lights.dark()  # somebody may think about the answer for long
             decision = self._operator.decide(bad, left)
             if decision == "retake":
                 self._queue_again(again, bad)

@@ -182,6 +182,18 @@ def test_an_operator_may_accept_what_a_check_refuses_but_never_a_missing_photogr
     assert any("accepted" in line.get("said", "") for line in bench.events("note"))
 
 
+def test_the_stage_is_dark_while_a_question_waits(bench):
+    bench.checks.of_shots["full"] = [[bad("blurred", "cam0", "full")]]
+    decide = bench.operator.decide
+
+    def decide_in_the_dark(findings, left):
+        assert not bench.lights.levels.any()
+        return decide(findings, left)
+
+    bench.operator.decide = decide_in_the_dark
+    assert bench.run().retakes == 1
+
+
 def test_accepting_does_not_make_a_photograph(bench):
     bench.cameras[0].faults[1] = "fail"
     bench.operator.answers = ["accept"]
