@@ -146,16 +146,20 @@ class CodedStage:
         if taken_by != camera:
             return "mislabelled", f"taken by {taken_by}"
         wanted = _counts(session.levels(pattern))
+        shone = _counts(self._photographer.states[code.light - 1])
+        if np.array_equal(shone, wanted):
+            return "right", ""
+        wrong = int((shone != wanted).sum())
         asked = self._asked[code.light - 1]
-        if not np.array_equal(asked, wanted):
-            names = [
-                name
-                for name in session.file.sequence
-                if np.array_equal(asked, _counts(session.levels(name)))
-            ]
-            return "mislabelled", f"taken when {', '.join(names) or 'another light'} was asked for"
-        wrong = int((_counts(self._photographer.states[code.light - 1]) != wanted).sum())
-        return ("wrong_light", f"{wrong} lamps were not as they told") if wrong else ("right", "")
+        if np.array_equal(asked, wanted):
+            return "wrong_light", f"{wrong} lamps were not as they told"
+        names = [
+            name
+            for name in session.file.sequence
+            if np.array_equal(asked, _counts(session.levels(name)))
+        ]
+        lit = f"{int((asked > 0).sum())} lamps"
+        return "mislabelled", f"taken when {', '.join(names) or lit} was asked for"
 
 
 def _counts(levels: np.ndarray) -> np.ndarray:
