@@ -173,9 +173,9 @@ class Journal:
             self._id += 1
             line: Line = {
                 "id": self._id,
+                "event": event,  # also half a line tells what it was to be
                 "time_utc": utc_now(),
                 "elapsed_s": round(time.monotonic() - self._begun_s, 6),
-                "event": event,
                 **facts,
             }
             self._waiting.append(line)
