@@ -90,7 +90,9 @@ class CodedStage:
         self._device: LedDevice | None = None
         self._show(np.zeros(count))
         banks = [light.bank for light in rig.lights]
-        self.device = LedDevice(count, self._show, 1, story, self.log, banks, watchdog_s)
+        self.device = self._device = LedDevice(
+            count, self._show, 1, story, self.log, banks, watchdog_s
+        )
 
     def __enter__(self) -> CodedStage:
         self.device.__enter__()
