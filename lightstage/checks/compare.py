@@ -23,10 +23,9 @@ EXCESS_CELLS = 0.1
 
 
 def unlike_findings(
-    pattern: str, photos: Mapping[str, Photo], model: BallModel, config: ChecksConfig
+    pattern: str, photos: Mapping[str, Photo], config: ChecksConfig
 ) -> list[Finding]:
     """Cameras whose exposure under the brightest pattern leaves the others'."""
-    del model
     levels = {camera: photo.signal for camera, photo in photos.items() if photo.signal > 0}
     if len(levels) < 3:
         return []

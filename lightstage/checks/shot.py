@@ -144,7 +144,7 @@ class ShotChecks:
             wholes = self._of(whole)
             found: list[Finding] = []
             if pattern == whole:
-                found += unlike_findings(pattern, photos, self._model, self.config)
+                found += unlike_findings(pattern, photos, self.config)
             elif self._totals[pattern] > 0:
                 self._note_shares(pattern, photos, wholes)
                 found += expected_findings(
