@@ -106,6 +106,7 @@ def capture_session(
                 delete = config.delete_from_cameras
                 wanted = reconcile(writer, stage.cameras, delete=delete).wanted
             report = _run(stage, order, config, operator, writer, wanted, checks)
+            stage.lights.dark()
             bring_home(writer, stage.cameras, delete=config.delete_from_cameras)
             writer.finish()
             write_manifest(order.root, {**order.facts, "capture": dataclasses.asdict(report)})
