@@ -174,7 +174,7 @@ def _robust(
     for _ in range(ROUNDS):
         normal = parts.T @ (parts * weight[:, None])
         # A part without light has no gain to tell: a little of "as it should be" keeps it at 1.
-        tie = 1e-6 * float(np.diag(normal).max()) + 1e-300
+        tie = 1e-9 * float(np.diag(normal).max()) + 1e-300
         normal += tie * np.eye(2)
         right = parts.T @ (target * weight) + tie
         gains = np.linalg.solve(normal, right)
