@@ -61,7 +61,7 @@ def test_cameras_draw_each_for_itself():
 @pytest.mark.parametrize(
     ("name", "fields", "said"),
     [
-        ("dorp", {}, r"found 'dorp', expected one of battery-empty, corrupt, dead-light"),
+        ("dorp", {}, r"found 'dorp', expected one of battery-empty, busy, claimed, corrupt"),
         ("drop", {"when": 3}, r"drop, when: found an unknown field, expected one of at, until"),
         ("drop", {"camera": "cam1"}, r"camera: found an unknown field"),
         ("fail", {"way": "request"}, r"way: found an unknown field, expected one of at, until, "),
