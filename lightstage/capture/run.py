@@ -42,17 +42,17 @@ class CaptureReport:
         skew: of each camera against the others, over all shots.
     """
 
-    frames: int
-    shots: int
-    retakes: int
-    warnings: int
-    seconds: float
-    lit_s: float
-    exposed_s: float
-    paused_s: float
-    overhead_s: float
-    max_skew_s: float
-    skew: dict[str, dict[str, float]]
+    frames: int = 0
+    shots: int = 0
+    retakes: int = 0
+    warnings: int = 0
+    seconds: float = 0.0
+    lit_s: float = 0.0
+    exposed_s: float = 0.0
+    paused_s: float = 0.0
+    overhead_s: float = 0.0
+    max_skew_s: float = 0.0
+    skew: dict[str, dict[str, float]] = dataclasses.field(default_factory=dict)
 
 
 class Run:
@@ -99,10 +99,8 @@ class Run:
         self._operator = operator
         self._wishes = Wishes(operator)
         self._config = config
-        self._paused_s = 0.0
-        self._tries: list[ShotTaken] = []
+        self._total = CaptureReport()
         self._skew = SkewReport()
-        self._retakes = self._rejected = self._warnings = 0
 
     def take_all(self) -> CaptureReport:
         """Take every shot that is wanted.
@@ -118,20 +116,16 @@ class Run:
             self._take(self._shots[last], [c for c in self._cameras if c.id in ids])
             self._heed(last)
         seconds = time.monotonic() - started_s
-        lit_s = sum(each.lit_s for each in self._tries)
-        exposed_s = sum(each.exposed_s for each in self._tries)
-        return CaptureReport(
-            frames=sum(len(each.taken) for each in self._tries) - self._rejected,
-            shots=len(self._tries),
-            retakes=self._retakes,
-            warnings=self._warnings,
-            seconds=seconds,
-            lit_s=lit_s,
-            exposed_s=exposed_s,
-            paused_s=self._paused_s,
-            overhead_s=seconds - lit_s - exposed_s - self._paused_s,
-            max_skew_s=max((each.skew_s for each in self._tries), default=0.0),
-            skew=self._skew.facts(),
+        total = self._total
+        spent_s = total.lit_s + total.exposed_s + total.paused_s
+        return dataclasses.replace(
+            total, seconds=seconds, overhead_s=seconds - spent_s, skew=self._skew.facts()
+        )
+
+    def _count(self, **more: float) -> None:
+        """Add to the figures of the report."""
+        self._total = dataclasses.replace(
+            self._total, **{name: getattr(self._total, name) + by for name, by in more.items()}
         )
 
     def _take(self, shot: Shot, cameras: Sequence[CameraDevice]) -> None:
@@ -140,7 +134,7 @@ class Run:
         result = self._try(shot, cameras) if cameras else ShotTaken((), (), 0.0)
         kept = {each.camera for each in result.taken}
         findings = [*result.findings, *self._look(shot, result)]
-        self._warnings += sum(each.severity == "warn" for each in findings)
+        self._count(warnings=sum(each.severity == "warn" for each in findings))
         bad = [each for each in findings if each.severity in ("retake", "refuse")]
         again = self._again(pattern, bad)
         missing = {camera.id for camera in cameras} - kept
@@ -181,7 +175,12 @@ class Run:
         if result.light_lost:
             self._writer.note("note", said="the lights were lost; they are greeted again, dark")
             self._lights.recover()
-        self._tries.append(result)
+        self._count(
+            frames=len(result.taken), shots=1, lit_s=result.lit_s, exposed_s=result.exposed_s
+        )
+        self._total = dataclasses.replace(
+            self._total, max_skew_s=max(self._total.max_skew_s, result.skew_s)
+        )
         self._skew.add({each.camera: each.triggered_s for each in result.taken})
         return result
 
@@ -220,7 +219,7 @@ class Run:
         """A photograph that is there no longer counts; its file stays."""
         if self._writer.state.accepted(pattern, camera) is not None:
             self._writer.rejected(pattern, camera, why)
-            self._rejected += 1
+            self._count(frames=-1)
         self._checks.forget(pattern, camera)
 
     def _queue_first(self, pattern: str, ids: Collection[str]) -> None:
@@ -228,7 +227,7 @@ class Run:
         queued = [(name, also) for name, also in self._queue if name == pattern]
         for entry in queued:
             self._queue.remove(entry)
-        self._retakes += len(ids)
+        self._count(retakes=len(ids))
         self._queue.appendleft((pattern, frozenset(ids).union(*(also for _, also in queued))))
 
     def _heed(self, last: str) -> None:
@@ -254,7 +253,7 @@ class Run:
             if wish == "abort":
                 raise aborted()
             time.sleep(PAUSE_POLL_S)
-        self._paused_s += time.monotonic() - begun_s
+        self._count(paused_s=time.monotonic() - begun_s)
 
 
 def _unfinished(finding: Finding) -> LightstageError:
