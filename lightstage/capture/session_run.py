@@ -22,6 +22,7 @@ from lightstage.findings import Finding
 from lightstage.formats.config import as_dict
 from lightstage.operator import Operator, serve_events
 from lightstage.patterns import on_plane
+from lightstage.patterns.names import BINARY
 from lightstage.preflight import Plan, clear_privacy, drift, preflight, require
 from lightstage.rig import Rig, load_rig
 from lightstage.sequence import Shot
@@ -92,7 +93,7 @@ def capture_session(
     looked = preflight(
         stage.rig, stage.told, stage.file, stage.lights, order.root, plan, config.preflight
     )
-    findings = [*order.findings, *looked]
+    findings = [*order.findings, *looked, *_split_lights(stage.rig, order.shots)]
     require(findings)
     with _writer(stage, order, config, findings) as writer, contextlib.ExitStack() as followed:
         for line in read_journal(writer.journal.path):
@@ -123,6 +124,24 @@ def capture_session(
                 raise type(error)(f"{error}\n  Go on with: {again}") from None
             raise
     return report
+
+
+def _split_lights(rig: Rig, shots: Sequence[Shot]) -> list[Finding]:
+    """Lights on the splitting plane of a binary gradient that is about to be lit."""
+    axes = {shot.pattern[0] for shot in shots if shot.pattern.partition("@")[0] in BINARY}
+    return [
+        Finding(
+            "note",
+            "on-plane",
+            f"patterns {axis}+ and {axis}-",
+            f"{len(ids)} lights on the splitting plane (ids {', '.join(map(str, ids[:8]))}"
+            f"{', ..' if len(ids) > 8 else ''})",
+            "none, or half in each",
+            "They are lit by half in both.",
+        )
+        for axis, ids in on_plane(rig).items()
+        if axis in axes
+    ]
 
 
 def unfinished(root: Path) -> tuple[Rig, Order]:

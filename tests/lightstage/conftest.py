@@ -33,6 +33,7 @@ UNTOLD = [
 """What libgphoto2's virtual camera cannot tell."""
 
 CRC = Calculator(Crc16.IBM_3740, optimized=True)
+BALL_PX = 13.0
 CORNERS = [(x, y, z) for x in (-700.0, 700.0) for y in (-700.0, 700.0) for z in (-700.0, 700.0)]
 
 
@@ -56,9 +57,9 @@ def make_rig(cameras: int = 3) -> Rig:
     )  # fmt: skip
 
 
-def make_dng(value: int, width: int = 32, height: int = 48, seed: int = 0) -> bytes:
-    """A DNG that LibRaw reads: all counts near `value`, black 512, white 16383."""
-    counts = np.full((height, width), value, np.uint16)
+def make_dng(value: int | np.ndarray, width: int = 32, height: int = 48, seed: int = 0) -> bytes:
+    """A DNG that LibRaw reads: counts near `value` (or (height, width)), black 512, white 16383."""
+    counts = np.broadcast_to(value, (height, width)).astype(np.uint16)
     counts += np.random.default_rng(seed).integers(0, 8, counts.shape).astype(np.uint16)
     matrix = [1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1]
     tags = [
@@ -164,9 +165,20 @@ class Stage:
     seeds: list[Path]
 
     def shown(self, levels: np.ndarray, camera: int) -> bytes:
-        """What a camera must see under these levels."""
+        """What a camera must see under these levels: a white matte ball with freckles."""
         noise = int.from_bytes(hashlib.sha256(levels.tobytes()).digest()[:4], "little") + camera
-        return make_dng(512 + int(1000 * levels.mean()), seed=noise)
+        one = self.rig.cameras[camera]
+        x, y = np.meshgrid(np.arange(one.width_px) + 0.5, np.arange(one.height_px) + 0.5)
+        u, v = (x - one.width_px / 2) / BALL_PX, (one.height_px / 2 - y) / BALL_PX
+        depth = np.sqrt(np.clip(1.0 - u**2 - v**2, 0.0, None))
+        inside = u**2 + v**2 < 1.0
+        # The camera looks at the origin; its rows are x right, y down, z forward.
+        right, down, ahead = one.cam_from_world[:, :3]
+        normals = u[..., None] * right - v[..., None] * down - depth[..., None] * ahead
+        places = self.rig.positions_mm
+        lit = np.clip(normals @ (places / np.linalg.norm(places, axis=1)[:, None]).T, 0.0, None)
+        skin = 0.4 + 0.6 * np.random.default_rng(7).random(lit.shape[:2])
+        return make_dng(512 + 1500 * inside * skin * (lit @ levels), seed=noise)
 
     def show(self, levels: np.ndarray) -> None:
         """Put the photographs that these levels give into the cameras' folders."""

@@ -1,5 +1,6 @@
 """`lightstage capture` as a user runs it: a device on a pty, real virtual cameras, real signals."""
 
+import dataclasses
 import json
 import os
 import shutil
@@ -13,7 +14,7 @@ import pytest
 
 from lightstage.formats.files import sha256_file, write_json
 from lightstage.formats.session import load_session
-from lightstage.rig import rig_to_json, save_rig
+from lightstage.rig import Rig, rig_to_json, save_rig
 
 
 def arguments(stage, out, *more):
@@ -104,6 +105,22 @@ def test_a_camera_whose_picture_is_gone_is_named_and_the_others_are_kept(stage, 
     assert stage.device.dark
     assert len(list(out.glob("frames/*/*.dng"))) == 5
     assert not (out / "session.json").exists()
+
+
+def test_lights_on_a_splitting_plane_are_told_and_lit_by_half(stage, tmp_path):
+    rig = stage.rig
+    moved = dataclasses.replace(rig.lights[3], position_mm=(0.0, 700.0, 700.0))
+    rig = Rig((*rig.lights[:3], moved, *rig.lights[4:]), rig.cameras)
+    stage.rig = rig
+    save_rig(rig, stage.rig_path)
+    out = tmp_path / "S"
+    done = run(stage, out, "--sequence", "full,x+,x-", "--drive", "on-off")
+    assert done.returncode == 0, done.stderr
+    assert "1 lights on the splitting plane (ids 3)" in done.stderr
+    session = load_session(out)
+    halves = [session.levels(pattern)[3] for pattern in ("x+", "x-")]
+    assert sum(halves) == 1.0
+    assert np.allclose(halves, 0.5, atol=1e-4)
 
 
 def test_a_device_that_falls_silent_ends_the_capture(stage, tmp_path):
