@@ -219,9 +219,9 @@ def _run(
     checks: Checks | None,
 ) -> CaptureReport:
     checks = checks or ShotChecks(stage.rig, order.shots, config.checks)
-    for line in writer.state.frames():
+    for kept in writer.state.frames():
         # Photographs of before: later patterns are compared with them.
-        checks.photograph(line["pattern"], line["camera"], order.root / line["path"])
+        checks.photograph(kept.pattern, kept.camera, order.root / kept.path)
     cards = {camera.id: camera.card() for camera in stage.cameras}
     photographer = Photographer(stage.rig, stage.lights, writer, checks, config, stage.told, cards)
     run = Run(

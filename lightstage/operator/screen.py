@@ -211,7 +211,7 @@ class Screen:
     def _marks(self, camera: str, shown: Sequence[str], wide: int, unicode: bool) -> Text:
         line = Text()
         for pattern in shown:
-            mark = self.view.marks.get((pattern, camera), "to come")
+            mark = self.view.mark(pattern, camera)
             sign, plain, style = MARKS[mark]
             take = self.view.takes.get((pattern, camera), 1)
             if mark == "kept" and take > 1:

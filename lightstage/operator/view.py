@@ -8,6 +8,7 @@ from __future__ import annotations
 import collections
 import dataclasses
 import statistics
+import sys
 import threading
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -50,8 +51,8 @@ class View:
         lock: held while it changes; hold it to read several things that belong together.
         patterns: names in order.
         cameras: by their names, in order.
-        marks: of (pattern, camera); what is missing is ``to come``.
-        takes: number of the latest photograph of (pattern, camera).
+        marks: by pattern, then camera; what is missing is ``to come`` (`mark`).
+        takes: number of the latest photograph by (pattern, camera), where it was taken again.
         done: patterns with all their photographs.
         pattern: what is lit; None in the dark.
         lights: what the LED device told, as one line.
@@ -65,7 +66,7 @@ class View:
         self.who = ""
         self.patterns: list[str] = []
         self.cameras: dict[str, CameraView] = {}
-        self.marks: dict[tuple[str, str], Mark] = {}
+        self.marks: dict[str, dict[str, Mark]] = {}
         self.takes: dict[tuple[str, str], int] = {}
         self.done: set[str] = set()
         self.pattern: str | None = None
@@ -85,7 +86,13 @@ class View:
     @property
     def kept(self) -> int:
         """Photographs that count."""
-        return sum(mark == "kept" for mark in self.marks.values())
+        return sum(
+            mark == "kept" for marks in list(self.marks.values()) for mark in list(marks.values())
+        )
+
+    def mark(self, pattern: str, camera: str) -> Mark:
+        """What one photograph is."""
+        return self.marks.get(pattern, {}).get(camera, "to come")
 
     @property
     def wanted(self) -> int:
@@ -128,7 +135,7 @@ class View:
         if camera in self.cameras:
             self.cameras[camera].state = state
             if pattern in self.patterns:
-                self.marks[pattern, camera] = mark
+                self.marks.setdefault(pattern, {})[sys.intern(camera)] = mark
 
     def _begin(self, line: Mapping[str, Any]) -> None:
         self.who = ", ".join(filter(None, (text_of(line, "subject"), text_of(line, "expression"))))
@@ -142,9 +149,8 @@ class View:
         self.pattern = self._since_s = None
         for camera in self.cameras.values():
             camera.state = "idle"
-        for place, mark in self.marks.items():
-            if mark == "now":
-                self.marks[place] = "again"
+        for marks in self.marks.values():
+            marks.update({camera: "again" for camera in marks if marks[camera] == "now"})
         self._devices(line)
 
     def _devices(self, line: Mapping[str, Any]) -> None:
@@ -193,13 +199,17 @@ class View:
 
     def _frame(self, line: Mapping[str, Any]) -> None:
         self._mark(line, "kept", "kept")
-        self.takes[self._place(line)] = int(number_of(line, "take") or 1)
+        take = int(number_of(line, "take") or 1)
+        if take > 1:
+            self.takes[self._place(line)] = take
+        else:
+            self.takes.pop(self._place(line), None)
         camera, size = self._camera(line), number_of(line, "size")
         if camera is not None and camera.card_free_bytes is not None and size is not None:
             camera.card_free_bytes = max(0.0, camera.card_free_bytes - size)
 
     def _failed(self, line: Mapping[str, Any]) -> None:
-        if self.marks.get(self._place(line)) != "kept":
+        if self.mark(*self._place(line)) != "kept":
             self._mark(line, "failed", "failed")
 
     def _finding(self, line: Mapping[str, Any]) -> None:
@@ -207,13 +217,14 @@ class View:
         if text_of(line, "severity") not in ("retake", "refuse") or pattern not in self.patterns:
             return
         for name in [camera] if camera else list(self.cameras):
-            if self.marks.get((pattern, name)) != "kept":
+            if self.mark(pattern, name) != "kept":
                 self._mark({"pattern": pattern, "camera": name}, "failed", "failed")
 
     def _rejected(self, line: Mapping[str, Any]) -> None:
-        if self._place(line) in self.marks:
-            self.marks[self._place(line)] = "again"
-        self.done.discard(text_of(line, "pattern"))
+        pattern, camera = self._place(line)
+        if camera in self.marks.get(pattern, {}):
+            self.marks[pattern][camera] = "again"
+        self.done.discard(pattern)
 
     def _shot(self, line: Mapping[str, Any]) -> None:
         pattern = text_of(line, "pattern")

@@ -3,6 +3,7 @@
 from lightstage.session.colour import COLOUR_PATH, COLOUR_SCHEMA, read_colour
 from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
+from lightstage.session.kept import Kept
 from lightstage.session.opening import require_new, rig_hash
 from lightstage.session.plan import SessionPlan
 from lightstage.session.pseudonym import check_consent, check_pseudonym
@@ -17,6 +18,7 @@ __all__ = [
     "COLOUR_SCHEMA",
     "Exposed",
     "Journal",
+    "Kept",
     "Reconciled",
     "SessionPlan",
     "SessionState",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.formats.session import Calibration, Driven, Frame, SessionFile
+from lightstage.session.kept import key_of
 from lightstage.session.reading import Line, read_journal
 from lightstage.session.state import SessionState
 
@@ -20,10 +22,11 @@ def session_from_journal(path: Path) -> SessionFile:
     Raises:
         FormatError: a shot of the sequence that was not finished, or a photograph that is missing.
     """
-    state = SessionState(read_journal(path))
-    missing = [pattern for pattern in state.patterns if state.shot(pattern) is None]
-    lines = [state.accepted(p, c) for p in state.patterns for c in state.cameras]
-    if missing or (lacking := lines.count(None)):
+    lines = read_journal(path)
+    state = SessionState(lines)
+    missing = [pattern for pattern in state.patterns if not state.is_shot(pattern)]
+    counted = [state.accepted(p, c) for p in state.patterns for c in state.cameras]
+    if missing or (lacking := counted.count(None)):
         said = f"no finished shot of {', '.join(missing)}" if missing else f"{lacking} photographs"
         raise FormatError(
             path,
@@ -31,7 +34,8 @@ def session_from_journal(path: Path) -> SessionFile:
             expected="all shots of the sequence",
             hint="Go on with it: lightstage capture --resume.",
         )
-    driven = {pattern: _levels(state, pattern) for pattern in state.patterns}
+    frames = {key_of(line): line for line in lines if line["event"] == "frame"}
+    driven = _levels(lines)
     extra: dict[str, Any] = {}
     if state.begin.get("consent") is not None:
         extra["consent"] = state.begin["consent"]
@@ -41,8 +45,8 @@ def session_from_journal(path: Path) -> SessionFile:
         subject=state.begin["subject"],
         expression=state.begin["expression"],
         sequence=list(state.patterns),
-        frames=[_frame(line) for line in lines if line is not None],
-        patterns={p: Driven(levels=levels) for p, levels in driven.items() if levels is not None},
+        frames=[_frame(frames[each.key]) for each in counted if each is not None],
+        patterns={p: Driven(levels=driven[p]) for p in state.patterns if p in driven},
         calibration=Calibration(**state.calibration()),
         **extra,
     )
@@ -53,9 +57,10 @@ def _frame(line: Line) -> Frame:
     return Frame.model_validate({name: line[name] for name in names if name in line})
 
 
-def _levels(state: SessionState, pattern: str) -> list[float] | None:
-    """What was driven: as last lit, or as an older journal's ``shot`` says."""
-    for line in (state.shot(pattern), state.lit(pattern)):
-        if line is not None and "levels" in line:
-            return list(line["levels"])
-    return None
+def _levels(lines: Sequence[Line]) -> dict[str, list[float]]:
+    """What was driven for each pattern: as an older journal's ``shot`` says, or as last lit."""
+    told: dict[str, dict[str, list[float]]] = {"lit": {}, "shot": {}}
+    for line in lines:
+        if line["event"] in told and "levels" in line:
+            told[line["event"]][line["pattern"]] = list(line["levels"])
+    return told["lit"] | told["shot"]

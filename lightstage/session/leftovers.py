@@ -10,8 +10,8 @@ from lightstage.formats.files import fsync_path
 from lightstage.session.aside import FOLDER, asides
 from lightstage.session.disk import disk_errors
 from lightstage.session.keep import sha256_on_disk
-from lightstage.session.reading import Line
-from lightstage.session.state import Exposed, Key
+from lightstage.session.kept import Kept, Key
+from lightstage.session.state import Exposed
 from lightstage.session.writer import SessionWriter
 
 _PARTIAL = re.compile(r"\.(?P<camera>.+)\.take(?P<take>\d+)\.partial")
@@ -37,14 +37,14 @@ class Leftovers:
         self.rejected: list[Key] = []
         self.findings: list[Finding] = []
 
-    def damaged(self) -> list[Line]:
-        """``frame`` lines whose file is missing or no longer has its bytes."""
+    def damaged(self) -> list[Kept]:
+        """Photographs whose file is missing or no longer has its bytes."""
         damaged = []
-        for line in self.state.frames():
-            path = self.root / line["path"]
+        for kept in self.state.frames():
+            path = self.root / kept.path
             with disk_errors(path):
-                if not path.is_file() or sha256_on_disk(path) != line["sha256"]:
-                    damaged.append(line)
+                if not path.is_file() or sha256_on_disk(path) != kept.sha256:
+                    damaged.append(kept)
         return damaged
 
     def tidy(self) -> None:
@@ -53,9 +53,9 @@ class Leftovers:
             parts = _PARTIAL.fullmatch(path.name)
             if parts is not None and parts["camera"] in self.state.cameras:
                 self._tidy_partial(path, (path.parent.name, parts["camera"], int(parts["take"])))
-        lines = {line["path"] for line in self.state.all_frames()}
+        known = {kept.path for kept in self.state.all_frames()}
         for path in sorted((self.root / "frames").glob("*/[!.]*")):
-            if path.relative_to(self.root).as_posix() not in lines:
+            if path.relative_to(self.root).as_posix() not in known:
                 self.say(
                     Finding(
                         "warn",

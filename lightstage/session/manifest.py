@@ -77,9 +77,7 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
         "cameras": _cameras(said.get("told") or {}),
         "not_verifiable": said.get("not_verifiable") or {},
         "unacknowledged": [
-            pattern
-            for pattern in state.patterns
-            if (lit := state.lit(pattern)) is not None and lit.get("acknowledged") is False
+            pattern for pattern in state.patterns if state.acknowledged(pattern) is False
         ],
         "configuration": said.get("config") or {},
         "calibration": {
@@ -189,15 +187,11 @@ def _light_figures(lines: list[Line]) -> dict[str, Any]:
 
 def _files(root: Path, state: SessionState) -> Iterator[tuple[str, str]]:
     """Path in the session and hash of everything that stays as it is."""
-    for line in (*state.all_frames(), *state.recovered().values()):
-        yield _entry(line)
+    for file in (*state.all_frames(), *state.recovered().values()):
+        yield file.path, file.sha256
     for path in (root / "session.json", root / "rig.json", *sorted(root.glob("calibration/**/*"))):
         if path.is_file():
             yield path.relative_to(root).as_posix(), sha256_file(path)
-
-
-def _entry(line: Line) -> tuple[str, str]:
-    return line["path"], line["sha256"]
 
 
 def _photographs_on_disk(root: Path) -> Iterator[str]:

@@ -15,9 +15,9 @@ from lightstage.formats.files import fsync_path
 from lightstage.photograph import identify_file
 from lightstage.session.disk import disk_errors
 from lightstage.session.keep import Arrival, is_whole, settle, sha256_on_disk
+from lightstage.session.kept import Kept, Key, told
 from lightstage.session.leftovers import Leftovers
-from lightstage.session.reading import Line
-from lightstage.session.state import Exposed, Key, key_of, told
+from lightstage.session.state import Exposed
 from lightstage.session.writer import SessionWriter
 from lightstage.steps import step
 
@@ -64,18 +64,18 @@ class Reconciler(Leftovers):
         self.restored: list[Key] = []
 
     def look_at(
-        self, cameras: Sequence[CameraDevice], damaged: Sequence[Line]
+        self, cameras: Sequence[CameraDevice], damaged: Sequence[Kept]
     ) -> list[LightstageError]:
         """One camera after another; returns what failed, when the others are done.
 
         Args:
             cameras: opened.
-            damaged: ``frame`` lines whose file is to be brought again.
+            damaged: photographs whose file is to be brought again.
         """
         problems: list[LightstageError] = []
         for camera in cameras:
             try:
-                self._camera(camera, [line for line in damaged if line["camera"] == camera.id])
+                self._camera(camera, [each for each in damaged if each.camera == camera.id])
             except DeviceError as error:
                 problems.append(error)
         return problems
@@ -93,12 +93,12 @@ class Reconciler(Leftovers):
 
     # -- one camera
 
-    def _camera(self, camera: CameraDevice, damaged: Sequence[Line]) -> None:
+    def _camera(self, camera: CameraDevice, damaged: Sequence[Kept]) -> None:
         self._require_same(camera)
         now = set(camera.card())
         changed = self.state.on_card(camera.id) - now
-        for line in damaged:
-            self._restore(camera, line, now)
+        for each in damaged:
+            self._restore(camera, each, now)
         for exposed in self.state.unsettled(camera.id):
             if exposed.file in now and not changed:
                 self._from_card(camera, exposed)
@@ -134,10 +134,10 @@ class Reconciler(Leftovers):
                     # Downloaded before the crash and on the card still: it is certainly this one.
                     incoming.unlink()
                     incoming = named
-        twin = self.state.kept_hashes().get(sha256)
+        twin = self.state.whose(sha256)
         why = "" if incoming == named else _other_time(incoming, exposed)
         if twin is not None:
-            why = f"the bytes of {twin}"
+            why = f"the bytes of {told(twin)}"
         elif size != exposed.file.size:
             why = f"{size} bytes came of {exposed.file.size}"
         if why:
@@ -180,7 +180,7 @@ class Reconciler(Leftovers):
         if whole:
             with disk_errors(whole[0]):
                 sha256 = sha256_on_disk(whole[0])
-            if sha256 not in self.state.kept_hashes():
+            if self.state.whose(sha256) is None:
                 self._adopt_unsure(exposed, whole[0], sha256)
                 return
         for path in (named, partial):
@@ -251,24 +251,20 @@ class Reconciler(Leftovers):
 
     def _finish_deleting(self, camera: CameraDevice, now: Collection[CardFile]) -> None:
         """Delete what is kept and was to be deleted, if it is the same to the byte."""
-        kept = {
-            CardFile(line["file"], line["size"]): line
-            for line in self.state.frames()
-            if line["camera"] == camera.id
-        }
+        here = {each.file: each for each in self.state.frames() if each.camera == camera.id}
         begun = self.state.deleting(camera.id)
         for file, pattern in begun.items():
             if file not in now:
                 self.writer.deleted(pattern, camera.id, file)
-        for file, line in kept.items():
+        for file, kept in here.items():
             if file not in now or not (self.delete or file in begun):
                 continue
-            pattern = line["pattern"]
-            incoming = self.writer.incoming(*key_of(line))
+            pattern = kept.pattern
+            incoming = self.writer.incoming(*kept.key)
             got = camera.download(file.name, incoming, pattern)
             with disk_errors(incoming):
                 incoming.unlink()
-            if got.sha256 != line["sha256"]:
+            if got.sha256 != kept.sha256:
                 continue  # another picture under its name: nobody else has that one
             if file not in begun:
                 self.writer.deleting(pattern, camera.id, file)
@@ -277,22 +273,21 @@ class Reconciler(Leftovers):
             self.writer.deleted(pattern, camera.id, file)
             step("deleted", pattern, camera.id)
 
-    def _restore(self, camera: CameraDevice, line: Line, now: Collection[CardFile]) -> None:
+    def _restore(self, camera: CameraDevice, kept: Kept, now: Collection[CardFile]) -> None:
         """Bring a photograph that was kept from the card again, if it is the same to the byte."""
-        key, path = key_of(line), self.root / line["path"]
+        key, file, path = kept.key, kept.file, self.root / kept.path
         if path.exists():
-            self.set_aside_file(path, camera.id, line["pattern"], "changed on the disk")
-        file = CardFile(line["file"], line["size"])
+            self.set_aside_file(path, camera.id, kept.pattern, "changed on the disk")
         if file in now:
             incoming = self.writer.incoming(*key)
-            got = camera.download(file.name, incoming, line["pattern"])
-            if got.sha256 == line["sha256"]:
+            got = camera.download(file.name, incoming, kept.pattern)
+            if got.sha256 == kept.sha256:
                 settle(
                     Arrival(
                         incoming, path.stem, file.size, got.sha256, told(key), key[0], camera.id
                     )
                 )
-                self.writer.note("note", about="restored", path=line["path"], camera=camera.id)
+                self.writer.note("note", about="restored", path=kept.path, camera=camera.id)
                 self.restored.append(key)
                 return
             with disk_errors(incoming):
@@ -306,7 +301,7 @@ class Reconciler(Leftovers):
                 found="a file that is missing or damaged, and that the card does not have either",
                 expected="the photograph that was kept",
                 hint="It is taken again. Look at the disk.",
-                pattern=line["pattern"],
+                pattern=kept.pattern,
                 camera=camera.id,
             )
         )

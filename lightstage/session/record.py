@@ -128,12 +128,12 @@ class Record:
             CaptureError: no take counts.
         """
         if take is None:
-            line = self.state.accepted(pattern, camera)
-            if line is None:
+            kept = self.state.accepted(pattern, camera)
+            if kept is None:
                 raise CaptureError(
                     f"{pattern} by {camera}", found="no photograph", expected="one to reject"
                 )
-            take = line["take"]
+            take = kept.take
         return self.journal.write("rejected", pattern=pattern, camera=camera, take=take, why=why)
 
     def deleting(self, pattern: str, camera: str, file: CardFile) -> Line:

@@ -1,20 +1,26 @@
-"""What a session's journal says so far: kept, outstanding, still wanted. Built line by line."""
+"""What a session's journal says so far: kept, outstanding, still wanted. Built line by line.
+
+No line is held: of each photograph only what recovery asks for, so that a session of very many
+shots stays small in memory. The rest is in the journal on the disk.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import sys
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from lightstage.cameras.camera import CardFile
+from lightstage.session.kept import Kept, Key, Recovered, key_of, packed, told
 from lightstage.session.reading import Line
 
-Key = tuple[str, str, int]
-"""Pattern, camera, take."""
+NOT_HELD = ("levels", "cards")
+"""What is long in a journal's first line, and is asked of nobody here."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class Exposed:
     """A photograph that was taken under a light that lasted.
 
@@ -49,7 +55,7 @@ class SessionState:
         lines: from ``begin`` on.
 
     Attributes:
-        begin: the first line.
+        begin: the first line, without the levels and what lay on the cards.
         patterns: of the sequence, in order.
         cameras: ids, in the rig's order.
         serials: of the cameras, as they told them at the beginning; None where one cannot.
@@ -58,26 +64,28 @@ class SessionState:
 
     def __init__(self, lines: Iterable[Line]) -> None:
         iterator = iter(lines)
-        self.begin: Line = next(iterator)
+        begin = next(iterator)
+        self.begin: Line = {name: begin[name] for name in begin if name not in NOT_HELD}
         self.patterns: tuple[str, ...] = tuple(self.begin["sequence"])
         self.cameras: tuple[str, ...] = tuple(self.begin["cameras"])
         self.serials: Mapping[str, str | None] = self.begin.get("serials") or {}
         self.ended = False
         self._lock = threading.RLock()
         self._baseline: dict[str, set[CardFile]] = {c: set() for c in self.cameras}
-        self._since: dict[str, set[CardFile]] = {c: set() for c in self.cameras}
+        self._since: dict[str, list[CardFile]] = {c: [] for c in self.cameras}
         self._gone: dict[str, set[CardFile]] = {c: set() for c in self.cameras}
-        self._lit: dict[str, Line] = {}
+        self._lit: dict[str, bool | None] = {}
         self._outstanding: dict[str, tuple[str, int]] = {}
-        self._takes: dict[tuple[str, str], int] = {}
+        self._takes: dict[str, dict[str, int]] = {}
         self._exposed: dict[Key, Exposed] = {}
-        self._frames: dict[Key, Line] = {}
-        self._rejected: dict[Key, str] = {}
-        self._recovered: dict[str, Line] = {}
+        self._frames: dict[Key, Kept] = {}
+        self._by_hash: dict[bytes, Kept] = {}
+        self._rejected: set[Key] = set()
+        self._recovered: dict[str, Recovered] = {}
         self._deleting: dict[str, dict[CardFile, str]] = {c: {} for c in self.cameras}
-        self._shots: dict[str, Line] = {}
+        self._shots: set[str] = set()
         self._calibration: dict[str, Any] = {}
-        self._snapshot(self.begin)
+        self._snapshot(begin)
         self._on_calibration(self.begin.get("calibration") or {})
         for line in iterator:
             self.apply(line)
@@ -91,10 +99,10 @@ class SessionState:
 
     # -- what may be asked
 
-    def accepted(self, pattern: str, camera: str) -> Line | None:
-        """The ``frame`` line of the take that counts: the last that was not rejected."""
+    def accepted(self, pattern: str, camera: str) -> Kept | None:
+        """The photograph that counts: of the last take that was not rejected."""
         with self._lock:
-            for take in range(self._takes.get((pattern, camera), 0), 0, -1):
+            for take in range(self.next_take(pattern, camera) - 1, 0, -1):
                 key = (pattern, camera, take)
                 if key in self._frames and key not in self._rejected:
                     return self._frames[key]
@@ -119,15 +127,15 @@ class SessionState:
     def next_take(self, pattern: str, camera: str) -> int:
         """Number of the next take; one that was once intended is never used again."""
         with self._lock:
-            return self._takes.get((pattern, camera), 0) + 1
+            return self._takes.get(pattern, {}).get(camera, 0) + 1
 
-    def frames(self) -> list[Line]:
-        """``frame`` lines of all takes that were not rejected, in the order of keeping."""
+    def frames(self) -> list[Kept]:
+        """Photographs of all takes that were not rejected, in the order of keeping."""
         with self._lock:
-            return [line for key, line in self._frames.items() if key not in self._rejected]
+            return [kept for key, kept in self._frames.items() if key not in self._rejected]
 
-    def all_frames(self) -> list[Line]:
-        """``frame`` lines of all takes, rejected ones too."""
+    def all_frames(self) -> list[Kept]:
+        """Photographs of all takes, rejected ones too."""
         with self._lock:
             return list(self._frames.values())
 
@@ -136,15 +144,21 @@ class SessionState:
         with self._lock:
             return key in self._frames
 
-    def recovered(self) -> dict[str, Line]:
-        """``recovered`` lines by the path that each tells."""
+    def recovered(self) -> dict[str, Recovered]:
+        """Files of uncertain light or label, by their path in the session."""
         with self._lock:
             return dict(self._recovered)
+
+    def whose(self, sha256: str) -> Key | None:
+        """The take whose photograph has these bytes, a rejected one's too; None for nobody's."""
+        with self._lock:
+            kept = self._by_hash.get(packed(sha256))
+            return None if kept is None else kept.key
 
     def kept_hashes(self) -> dict[str, str]:
         """SHA-256 of every photograph kept, rejected ones too, with whose it is."""
         with self._lock:
-            return {line["sha256"]: told(key) for key, line in self._frames.items()}
+            return {kept.sha256: told(key) for key, kept in self._frames.items()}
 
     def outstanding(self, camera: str) -> tuple[str, int] | None:
         """Pattern and take that a camera was to take and of which no exposure is known."""
@@ -161,35 +175,34 @@ class SessionState:
             ]
 
     def exposure(self, key: Key) -> Exposed | None:
-        """What was exposed for a take."""
+        """What was exposed for a take of which no photograph is kept yet."""
         with self._lock:
             return self._exposed.get(key)
 
     def on_card(self, camera: str) -> set[CardFile]:
         """Files that must be on a camera's card if nobody touched it."""
         with self._lock:
-            there = self._baseline[camera] | self._since[camera]
-            return there - self._gone[camera] - set(self._deleting[camera])
+            return self.known(camera) - set(self._deleting[camera])
 
     def known(self, camera: str) -> set[CardFile]:
         """Files of a camera's card of which the journal knows what they are."""
         with self._lock:
-            return (self._baseline[camera] | self._since[camera]) - self._gone[camera]
+            return self._baseline[camera].union(self._since[camera]) - self._gone[camera]
 
     def deleting(self, camera: str) -> dict[CardFile, str]:
         """Files whose deletion was begun and of which no end is known, with their pattern."""
         with self._lock:
             return dict(self._deleting[camera])
 
-    def lit(self, pattern: str) -> Line | None:
-        """The last ``lit`` line of a pattern."""
+    def acknowledged(self, pattern: str) -> bool | None:
+        """Whether the lights told that a pattern was lit when it last was; None: not known."""
         with self._lock:
             return self._lit.get(pattern)
 
-    def shot(self, pattern: str) -> Line | None:
-        """The ``shot`` line of a pattern, None where a photograph was rejected after it."""
+    def is_shot(self, pattern: str) -> bool:
+        """Whether a pattern's shot was finished, and no photograph rejected after it."""
         with self._lock:
-            return self._shots.get(pattern)
+            return pattern in self._shots
 
     def calibration(self) -> dict[str, Any]:
         """Calibration files of the session, by kind."""
@@ -202,11 +215,11 @@ class SessionState:
         for camera, files in (line.get("cards") or {}).items():
             if camera in self._baseline:
                 self._baseline[camera] = card_files(files)
-                self._since[camera], self._gone[camera] = set(), set()
+                self._since[camera], self._gone[camera] = [], set()
                 self._deleting[camera] = {}
 
     def _on_lit(self, line: Line) -> None:
-        self._lit[line["pattern"]] = line
+        self._lit[sys.intern(line["pattern"])] = line.get("acknowledged")
 
     def _on_trigger(self, line: Line) -> None:
         for camera, take in line["takes"].items():
@@ -214,39 +227,40 @@ class SessionState:
             self._note_take(line["pattern"], camera, take)
 
     def _on_exposed(self, line: Line) -> None:
-        lit = self._lit.get(line["pattern"], {})
         exposed = Exposed(
-            line["pattern"],
-            line["camera"],
-            line["take"],
+            *key_of(line),
             CardFile(*line["file"]),
             tuple(CardFile(*each) for each in line.get("beside", ())),
-            lit.get("acknowledged"),
+            self._lit.get(line["pattern"]),
             line["time_utc"],
         )
         self._exposed[exposed.key] = exposed
         self._outstanding.pop(exposed.camera, None)
         self._note_take(*exposed.key)
-        self._add_files(exposed.camera, {exposed.file, *exposed.beside})
+        self._add_files(exposed.camera, (exposed.file, *exposed.beside))
 
     def _on_frame(self, line: Line) -> None:
         key = key_of(line)
-        self._frames[key] = line
+        exposed = self._exposed.pop(key, None)
+        kept = Kept.of(line, None if exposed is None else exposed.file)
+        self._frames[key] = kept
+        self._by_hash.setdefault(kept.digest, kept)
         self._note_take(*key)
 
     def _on_rejected(self, line: Line) -> None:
         key = key_of(line)
         counted = self.accepted(key[0], key[1])
-        self._rejected[key] = line["why"]
-        if counted is not None and key_of(counted) == key:
-            self._shots.pop(key[0], None)
+        self._rejected.add(key)
+        if counted is not None and counted.key == key:
+            self._shots.discard(key[0])
         if self._outstanding.get(key[1]) == (key[0], key[2]):
             del self._outstanding[key[1]]
 
     def _on_recovered(self, line: Line) -> None:
-        self._recovered[line["path"]] = line
-        if line.get("file") is not None:
-            self._add_files(line["camera"], {CardFile(*line["file"])})
+        file = None if line.get("file") is None else CardFile(*line["file"])
+        self._recovered[line["path"]] = Recovered(line["path"], line["sha256"], file)
+        if file is not None:
+            self._add_files(line["camera"], (file,))
 
     def _on_deleting(self, line: Line) -> None:
         self._deleting[line["camera"]][CardFile(*line["file"])] = line["pattern"]
@@ -257,7 +271,7 @@ class SessionState:
         self._gone[line["camera"]].add(file)
 
     def _on_shot(self, line: Line) -> None:
-        self._shots[line["pattern"]] = line
+        self._shots.add(sys.intern(line["pattern"]))
 
     def _on_calibration(self, line: Line) -> None:
         kinds = ("colour", "cameras", "lights")
@@ -271,27 +285,17 @@ class SessionState:
         self.ended = True
 
     def _note_take(self, pattern: str, camera: str, take: int) -> None:
-        self._takes[pattern, camera] = max(take, self._takes.get((pattern, camera), 0))
+        takes = self._takes.setdefault(sys.intern(pattern), {})
+        takes[sys.intern(camera)] = max(take, takes.get(camera, 0))
 
-    def _add_files(self, camera: str, files: set[CardFile]) -> None:
-        self._since[camera] |= files
-        self._gone[camera] -= files  # a name comes again after a card was emptied
+    def _add_files(self, camera: str, files: Sequence[CardFile]) -> None:
+        self._since[camera] += files
+        self._gone[camera] -= set(files)  # a name comes again after a card was emptied
 
 
 def state_of(journal: Sequence[Line]) -> SessionState:
     """What is kept, outstanding and still wanted, from the lines of a journal."""
     return SessionState(journal)
-
-
-def key_of(line: Line) -> Key:
-    """Pattern, camera and take of a line."""
-    return (line["pattern"], line["camera"], line["take"])
-
-
-def told(key: Key) -> str:
-    """A take in words."""
-    pattern, camera, take = key
-    return f"{pattern} by {camera}" if take == 1 else f"{pattern} by {camera}, take {take}"
 
 
 def card_files(files: Iterable[Sequence[Any]]) -> set[CardFile]:

@@ -19,11 +19,12 @@ from lightstage.session.disk import disk_errors, make_folder
 from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
 from lightstage.session.keep import Arrival, settle, sha256_on_disk
+from lightstage.session.kept import stem_of, told
 from lightstage.session.opening import JOURNAL, RIG, require_new, rig_hash, save_beside
 from lightstage.session.plan import SessionPlan
 from lightstage.session.reading import Line
 from lightstage.session.record import Record, as_json
-from lightstage.session.state import SessionState, told
+from lightstage.session.state import SessionState
 from lightstage.steps import step
 
 
@@ -140,7 +141,7 @@ class SessionWriter(Record):
     @staticmethod
     def stem(camera: str, take: int) -> str:
         """Name of a take's file, without suffix."""
-        return camera if take == 1 else f"{camera}.take{take}"
+        return stem_of(camera, take)
 
     def partial(self, pattern: str, camera: str, take: int) -> Path:
         """Where a photograph lies while it is being downloaded."""
@@ -266,7 +267,7 @@ class SessionWriter(Record):
         """Journal a file that lies under ``recovered/`` (`recover` and `aside` do both)."""
         relative = path.relative_to(self.root).as_posix()
         told_before = self.state.recovered().get(relative)
-        if told_before is not None and (file is None or told_before["file"] is not None):
+        if told_before is not None and (file is None or told_before.file is not None):
             return
         with disk_errors(path):
             facts = {"sha256": sha256_on_disk(path), "size": path.stat().st_size}

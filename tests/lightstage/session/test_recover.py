@@ -59,7 +59,7 @@ def test_an_exposure_whose_light_lasted_is_brought_from_the_card_and_keeps_what_
     assert found.adopted == (("full", "cam0", 1), ("full", "cam1", 1))
     assert found.wanted == {"full": (), "x+": ("cam0", "cam1")}
     assert (found.recovered, found.rejected, found.findings) == ((), (), ())
-    assert writer.state.accepted("full", "cam0")["acknowledged"] is False
+    assert [line["acknowledged"] for line in lines_of(writer, "frame")] == [False, False]
     again = reconcile(writer, cameras)
     assert (again.adopted, again.wanted) == ((), found.wanted)
     writer.close()
@@ -92,7 +92,7 @@ def test_of_an_emptied_card_a_whole_download_is_kept_and_said_to_be_less_certain
     writer = resumed(desk, cameras)
     found = reconcile(writer, cameras)
     assert found.adopted == (("full", "cam0", 1),)
-    assert writer.state.accepted("full", "cam0")["verified"] == "size and header"
+    assert [line["verified"] for line in lines_of(writer, "frame")] == ["size and header"]
     assert found.rejected == (("full", "cam1", 1),)
     assert [path.read_bytes() for path in found.recovered] == [cameras[1].body.exposed[0][:50]]
     codes = sorted(finding.code for finding in found.findings)
@@ -202,7 +202,7 @@ def test_before_a_session_ends_first_takes_that_never_came_are_brought_home(desk
     cameras[1].body.unreachable = True
     found = bring_home(writer, cameras)
     assert found.adopted == (("full", "cam0", 1),)
-    assert writer.state.accepted("full", "cam0")["take"] == 2
+    assert writer.state.accepted("full", "cam0").take == 2
     assert [(each.code, each.severity) for each in found.findings] == [("card-unread", "warn")]
     assert found.wanted["full"] == ()
     writer.close()
@@ -242,13 +242,13 @@ def test_a_name_that_comes_again_after_a_card_was_formatted_is_another_file(desk
     body.number = 1  # the next file is called as the one that was kept
     writer.trigger("x+", {"cam0": 1})
     file = cameras[0].trigger("x+")
-    assert file.name == writer.state.accepted("full", "cam0")["file"]
+    assert file.name == writer.state.accepted("full", "cam0").file.name
     writer.exposed("x+", 1, "cam0", file)
     found = reconcile(writer, cameras)
     # Since when the card is another nobody knows: its file is kept, without a label.
     assert [label(path.read_bytes()) for path in found.recovered] == [("x+", "cam0")]
     assert writer.state.accepted("x+", "cam0") is None
-    path = desk.root / writer.state.accepted("full", "cam0")["path"]
+    path = desk.root / writer.state.accepted("full", "cam0").path
     assert label(path.read_bytes()) == ("full", "cam0")
     writer.close()
 
@@ -273,11 +273,11 @@ def test_a_photograph_lost_here_comes_from_the_card_only_if_it_is_the_same_to_th
 ):
     writer, cameras = begun
     reconcile(writer, cameras)
-    line = writer.state.accepted("full", "cam1")
-    path = desk.root / line["path"]
+    kept = writer.state.accepted("full", "cam1")
+    path = desk.root / kept.path
     path.write_bytes(path.read_bytes()[:-5] + b"wrong")
     if not same:
-        cameras[1].body.card[line["file"]] = picture("elsewhere", "nobody", 3)
+        cameras[1].body.card[kept.file.name] = picture("elsewhere", "nobody", 3)
     found = reconcile(writer, cameras)
     key = ("full", "cam1", 1)
     assert (found.restored, found.rejected) == (((key,), ()) if same else ((), (key,)))
@@ -292,11 +292,11 @@ def test_a_photograph_lost_here_comes_from_the_card_only_if_it_is_the_same_to_th
 def test_what_is_deleted_on_a_card_is_the_photograph_that_is_kept_and_no_other(desk, begun):
     writer, cameras = begun
     reconcile(writer, cameras)
-    name = writer.state.accepted("full", "cam0")["file"]
+    name = writer.state.accepted("full", "cam0").file.name
     cameras[0].body.card[name] = picture("elsewhere", "nobody", 7)
     reconcile(writer, cameras, delete=True)
     assert name in cameras[0].body.card
-    assert writer.state.accepted("full", "cam1")["file"] not in cameras[1].body.card
+    assert writer.state.accepted("full", "cam1").file.name not in cameras[1].body.card
     assert len(lines_of(writer, "deleted")) == 1
     writer.close()
 
