@@ -18,6 +18,8 @@ from lightstage.findings import Finding
 UNLIKE, UNLIKE_RATIO = 0.2, 1.5
 """A photograph shows another pattern when it is this far from its own and this many times nearer
 to the other."""
+LIKE_SIGNAL = 0.4
+"""A photograph of less than this share of another's light says nothing about that one's focus."""
 EXCESS_CELLS = 0.1
 """Share of lit cells that may be brighter than under `full` before it is told."""
 
@@ -152,7 +154,10 @@ def sharpness_findings(
     references: Mapping[str, tuple[str, Photo]],
     config: ChecksConfig,
 ) -> list[Finding]:
-    """Photographs less sharp than another of the same camera, whichever of both it is."""
+    """Photographs less sharp than another of the same camera, whichever of both it is.
+
+    The blurred one must not be the brighter one by far: a dim photograph is no reference.
+    """
     out = []
     for camera, photo in photos.items():
         if camera not in references:
@@ -162,6 +167,9 @@ def sharpness_findings(
         if ratio is None or ratio <= 0:
             continue
         blurred, than = (pattern, name) if ratio < 1 else (name, pattern)
+        soft, sharp = (photo, reference) if ratio < 1 else (reference, photo)
+        if sharp.signal < LIKE_SIGNAL * soft.signal:
+            continue
         worse = min(ratio, 1 / ratio)
         if worse >= config.warn_sharpness:
             continue

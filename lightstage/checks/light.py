@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from lightstage.checks.config import ChecksConfig
-from lightstage.checks.motion import Shift
+from lightstage.checks.motion import MIN_EXPLAINED, Shift
 from lightstage.checks.sums import Sum, SumFit
 from lightstage.findings import Finding
 
@@ -154,9 +154,17 @@ def _percent(off: float) -> str:
     return f"{size} {'brighter' if off > 0 else 'darker'}"
 
 
+def _believed(evidence: Evidence, camera: str, config: ChecksConfig) -> bool:
+    """Whether a camera can tell motion of the size that matters, and its shift explains the sum."""
+    shift, scale = evidence.shifts[camera], evidence.mm_per_px[camera]
+    if SURE * shift.error_px * scale > max(config.max_motion_mm, shift.largest_px * scale):
+        return False
+    return shift.largest_px * scale <= config.warn_motion_mm or shift.explained > MIN_EXPLAINED
+
+
 def _motion(evidence: Evidence, cameras: list[str], config: ChecksConfig) -> list[Finding]:
     """The subject's motion, seen by most cameras, or one camera's own."""
-    known = [camera for camera in cameras if camera in evidence.shifts]
+    known = [c for c in cameras if c in evidence.shifts and _believed(evidence, c, config)]
     if not known:
         return []
     first, second, whole = evidence.sum.patterns

@@ -2,6 +2,10 @@
 
 The idea of aligning complements together is Wilson's [Wilson2010]; here both parts' shifts against
 the whole are solved at once, from the small pictures, to a fraction of a cell.
+
+Pictures without structure have no place: their edges must stand above what noise makes of an even
+surface, and no shift can be known better than the bound of Cramer and Rao for edges of such energy
+under such noise allows.
 """
 
 from __future__ import annotations
@@ -11,7 +15,7 @@ import dataclasses
 import cv2
 import numpy as np
 
-from lightstage.checks.photo import LIT_SHARE, Photo
+from lightstage.checks.photo import LIT_SHARE, Photo, pool_size
 
 SCALES = ((6.0, 4, 2), (3.0, 2, 2), (1.5, 2, 1))
 """Blur under which shifts are solved, one after the other: its standard deviation and the step
@@ -20,6 +24,11 @@ MARGIN = 8
 """Cells around the lit part that are looked at."""
 FARTHEST = 12.0
 """Shifts beyond this many cells are not believed."""
+MIN_EDGES = 4.0
+"""Energy of the differences between cells, in the direction that has least of it, must be this many
+times what noise makes."""
+MIN_EXPLAINED = 0.25
+"""Share of what the sum leaves over that a shift must take away to be believed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,11 +39,13 @@ class Shift:
         first_px: (2,) right and down, pixels of the photograph.
         second_px: (2,) the same of the second part.
         error_px: standard error of a component.
+        explained: share of what the sum leaves over (squared) that the shifts take away.
     """
 
     first_px: np.ndarray
     second_px: np.ndarray
     error_px: float
+    explained: float = 1.0
 
     @property
     def largest_px(self) -> float:
@@ -57,7 +68,7 @@ def sum_shift(
         gains: (2,) factors of the parts.
 
     Returns:
-        None where sizes differ, or the pictures have nothing to align by.
+        None where sizes differ, or the pictures have nothing above their noise to align by.
     """
     shape = whole.light.shape
     if first.light.shape != shape or second.light.shape != shape or min(shape[:2]) < 16:
@@ -70,6 +81,9 @@ def sum_shift(
     if min(w.shape) < MARGIN:
         return None
     free = cv2.dilate(full, np.ones((5, 5), np.uint8)) == 0
+    bound = _bound(a, b, free, [_cell_noise(photo) for photo in (first, second, whole)])
+    if bound is None:
+        return None
     shifts, error = np.zeros(4), np.inf
     for sigma, step, rounds in SCALES:
         smooth = [cv2.GaussianBlur(picture, (0, 0), sigma) for picture in (a, b, w)]
@@ -87,7 +101,44 @@ def sum_shift(
                 np.clip(shifts + solved[0], -FARTHEST, FARTHEST),
                 solved[1] * sigma / step,
             )
-    return Shift(shifts[:2] * whole.cell_px, shifts[2:] * whole.cell_px, error * whole.cell_px)
+    before = float(((smooth[2] - smooth[0] - smooth[1])[free] ** 2).sum())
+    still = smooth[2] - moved(smooth[0], -shifts[:2]) - moved(smooth[1], -shifts[2:])
+    after = float((still[free] ** 2).sum())
+    cell = whole.cell_px
+    return Shift(
+        shifts[:2] * cell,
+        shifts[2:] * cell,
+        max(error, bound) * cell,
+        1.0 - after / before if before > 0 else 0.0,
+    )
+
+
+def _cell_noise(photo: Photo) -> float:
+    """Variance of a cell of the small picture by noise, at its lit part's middle."""
+    lit = photo.coarse[..., 1] > LIT_SHARE * photo.signal
+    spread = photo.spread[lit] if lit.any() else photo.spread
+    pool = pool_size(photo.light.shape[:2])
+    return float(np.median(spread)) ** 2 * pool**2
+
+
+def _bound(
+    first: np.ndarray, second: np.ndarray, free: np.ndarray, noise: list[float]
+) -> float | None:
+    """Least standard error, in cells, of a part's shift; None without edges above the noise."""
+    if not free.any():
+        return None
+    sigma = SCALES[-1][0]
+    worst = 0.0
+    for picture, own in zip((first, second), noise[:2], strict=True):
+        right, down = _slopes(cv2.GaussianBlur(picture, (0, 0), sigma))
+        edges = np.stack([right[free], down[free]]).astype(float)
+        # Variance of the slope of white noise that a Gaussian has smoothed.
+        made = own / (8 * np.pi * sigma**4) * edges.shape[1]
+        energy = float(np.linalg.eigvalsh(edges @ edges.T)[0]) - made
+        if energy <= max(MIN_EDGES * made, 1e-30):
+            return None
+        worst = max(worst, np.sqrt(sum(noise) / energy))
+    return worst
 
 
 def _lit_box(picture: np.ndarray) -> tuple[slice, slice]:

@@ -9,6 +9,8 @@ import numpy as np
 LINE_SLACK = 1.15
 """A cell is held to be without detail up to this many times the noise's line."""
 BIN_CELLS = 20
+MIN_PAIRS = 16
+"""A variance from fewer pairs says nothing alone: cells of like level are taken together."""
 
 
 def fit_noise(level: np.ndarray, variance: np.ndarray, pairs: int = 10_000) -> np.ndarray:
@@ -30,7 +32,11 @@ def fit_noise(level: np.ndarray, variance: np.ndarray, pairs: int = 10_000) -> n
     x, y = x[good], y[good]
     if not len(x) or not y.any():
         return np.zeros(2)
-    keep = _lower(x, y)
+    if pairs < MIN_PAIRS:
+        x, y, pairs = _together(x, y, pairs)
+        keep = np.ones(len(x), bool)
+    else:
+        keep = _lower(x, y)
     slack = max(LINE_SLACK, 1.0 + 2.5 * math.sqrt(2.0 / pairs))
     line = np.zeros(2)
     for _ in range(12):
@@ -41,6 +47,16 @@ def fit_noise(level: np.ndarray, variance: np.ndarray, pairs: int = 10_000) -> n
             break
         keep = inside
     return line
+
+
+def _together(x: np.ndarray, y: np.ndarray, pairs: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Level and variance of cells of like level; their middle is little moved by detail."""
+    size = -(-4 * MIN_PAIRS // pairs)
+    parts = np.array_split(np.argsort(x, kind="stable"), max(len(x) // size, 1))
+    # The median of a mean of squared normal values against its mean, by Wilson and Hilferty.
+    middle = (1 - 2 / (9 * pairs)) ** 3
+    levels = np.array([np.median(x[part]) for part in parts])
+    return levels, np.array([np.median(y[part]) / middle for part in parts]), pairs * size
 
 
 def _lower(x: np.ndarray, y: np.ndarray) -> np.ndarray:
