@@ -58,7 +58,7 @@ VERIFIABLE = tuple(field.name for field in dataclasses.fields(Summary))
 """What a camera is asked to tell about itself. What one cannot tell must be allowed by name."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, slots=True)  # a capture remembers very many
 class CardFile:
     """A file on a camera's card.
 

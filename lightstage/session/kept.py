@@ -19,13 +19,17 @@ class Kept:
     """A photograph that has its name and its ``frame`` line.
 
     Attributes:
-        key: pattern, camera, take.
+        pattern: what was lit.
+        camera: whose photograph.
+        take: 1, or more where it was taken again.
         file: on the camera's card.
         digest: SHA-256 of its bytes, `packed`.
         place: suffix of its path where that is the usual one, else the whole path.
     """
 
-    key: Key
+    pattern: str
+    camera: str
+    take: int
     file: CardFile
     digest: bytes
     place: str
@@ -43,22 +47,12 @@ class Kept:
             file = CardFile(line.get("file", ""), line.get("size", 0))  # not told by version 1
         suffix = sys.intern(PurePosixPath(line["path"]).suffix)
         usual = bool(suffix) and line["path"] == usual_path(key, suffix)
-        return Kept(key, file, packed(line["sha256"]), suffix if usual else line["path"])
+        return Kept(*key, file, packed(line["sha256"]), suffix if usual else line["path"])
 
     @property
-    def pattern(self) -> str:
-        """What was lit."""
-        return self.key[0]
-
-    @property
-    def camera(self) -> str:
-        """Whose photograph."""
-        return self.key[1]
-
-    @property
-    def take(self) -> int:
-        """1, or more where it was taken again."""
-        return self.key[2]
+    def key(self) -> Key:
+        """Pattern, camera, take."""
+        return (self.pattern, self.camera, self.take)
 
     @property
     def sha256(self) -> str:

@@ -187,8 +187,10 @@ def _light_figures(lines: list[Line]) -> dict[str, Any]:
 
 def _files(root: Path, state: SessionState) -> Iterator[tuple[str, str]]:
     """Path in the session and hash of everything that stays as it is."""
-    for file in (*state.all_frames(), *state.recovered().values()):
-        yield file.path, file.sha256
+    for kept in state.all_frames():
+        yield kept.path, kept.sha256
+    for aside in state.recovered().values():
+        yield aside.path, aside.sha256
     for path in (root / "session.json", root / "rig.json", *sorted(root.glob("calibration/**/*"))):
         if path.is_file():
             yield path.relative_to(root).as_posix(), sha256_file(path)

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from lightstage.cameras.camera import CardFile
-from lightstage.session.kept import Kept, Key, Recovered, key_of, packed, told
+from lightstage.session.kept import Kept, Key, Recovered, key_of, packed, stem_of, told
 from lightstage.session.reading import Line
 
 NOT_HELD = ("levels", "cards")
@@ -76,9 +76,10 @@ class SessionState:
         self._gone: dict[str, set[CardFile]] = {c: set() for c in self.cameras}
         self._lit: dict[str, bool | None] = {}
         self._outstanding: dict[str, tuple[str, int]] = {}
-        self._takes: dict[str, dict[str, int]] = {}
+        self._takes: dict[tuple[str, str], int] = {}  # intended, and not kept yet
         self._exposed: dict[Key, Exposed] = {}
-        self._frames: dict[Key, Kept] = {}
+        self._frames: list[Kept] = []
+        self._named: dict[str, dict[str, Kept]] = {}  # by pattern, then stem: shared by patterns
         self._by_hash: dict[bytes, Kept] = {}
         self._rejected: set[Key] = set()
         self._recovered: dict[str, Recovered] = {}
@@ -104,8 +105,9 @@ class SessionState:
         with self._lock:
             for take in range(self.next_take(pattern, camera) - 1, 0, -1):
                 key = (pattern, camera, take)
-                if key in self._frames and key not in self._rejected:
-                    return self._frames[key]
+                kept = self._kept(key)
+                if kept is not None and key not in self._rejected:
+                    return kept
         return None
 
     def missing(self, pattern: str) -> tuple[str, ...]:
@@ -127,22 +129,24 @@ class SessionState:
     def next_take(self, pattern: str, camera: str) -> int:
         """Number of the next take; one that was once intended is never used again."""
         with self._lock:
-            return self._takes.get(pattern, {}).get(camera, 0) + 1
+            named = self._named.get(pattern, {}).values()
+            intended = self._takes.get((pattern, camera), 0)
+            return max([intended, *(each.take for each in named if each.camera == camera)]) + 1
 
     def frames(self) -> list[Kept]:
         """Photographs of all takes that were not rejected, in the order of keeping."""
         with self._lock:
-            return [kept for key, kept in self._frames.items() if key not in self._rejected]
+            return [kept for kept in self._frames if kept.key not in self._rejected]
 
     def all_frames(self) -> list[Kept]:
         """Photographs of all takes, rejected ones too."""
         with self._lock:
-            return list(self._frames.values())
+            return list(self._frames)
 
     def is_kept(self, key: Key) -> bool:
         """Whether a take's photograph is kept, counting or not."""
         with self._lock:
-            return key in self._frames
+            return self._kept(key) is not None
 
     def recovered(self) -> dict[str, Recovered]:
         """Files of uncertain light or label, by their path in the session."""
@@ -158,7 +162,7 @@ class SessionState:
     def kept_hashes(self) -> dict[str, str]:
         """SHA-256 of every photograph kept, rejected ones too, with whose it is."""
         with self._lock:
-            return {kept.sha256: told(key) for key, kept in self._frames.items()}
+            return {kept.sha256: told(kept.key) for kept in self._frames}
 
     def outstanding(self, camera: str) -> tuple[str, int] | None:
         """Pattern and take that a camera was to take and of which no exposure is known."""
@@ -171,7 +175,7 @@ class SessionState:
             return [
                 each
                 for key, each in self._exposed.items()
-                if each.camera == camera and key not in self._frames and key not in self._rejected
+                if each.camera == camera and key not in self._rejected and not self.is_kept(key)
             ]
 
     def exposure(self, key: Key) -> Exposed | None:
@@ -243,9 +247,13 @@ class SessionState:
         key = key_of(line)
         exposed = self._exposed.pop(key, None)
         kept = Kept.of(line, None if exposed is None else exposed.file)
-        self._frames[key] = kept
+        if (before := self._kept(key)) is not None:
+            self._frames.remove(before)
+        self._frames.append(kept)
+        self._named.setdefault(kept.pattern, {})[sys.intern(stem_of(*key[1:]))] = kept
         self._by_hash.setdefault(kept.digest, kept)
-        self._note_take(*key)
+        if self._takes.get(key[:2], 0) <= kept.take:
+            self._takes.pop(key[:2], None)
 
     def _on_rejected(self, line: Line) -> None:
         key = key_of(line)
@@ -285,8 +293,10 @@ class SessionState:
         self.ended = True
 
     def _note_take(self, pattern: str, camera: str, take: int) -> None:
-        takes = self._takes.setdefault(sys.intern(pattern), {})
-        takes[sys.intern(camera)] = max(take, takes.get(camera, 0))
+        self._takes[pattern, camera] = max(take, self._takes.get((pattern, camera), 0))
+
+    def _kept(self, key: Key) -> Kept | None:
+        return self._named.get(key[0], {}).get(stem_of(*key[1:]))
 
     def _add_files(self, camera: str, files: Sequence[CardFile]) -> None:
         self._since[camera] += files
