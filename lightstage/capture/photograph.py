@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import threading
 import time
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -99,8 +98,6 @@ class Photographer:
         self._known = {camera_id: set(files) for camera_id, files in cards.items()}
         # Cameras of which a trigger gave no picture: it may come to the card at any later time.
         self._doubtful: set[str] = set()
-        self._kept = writer.state.kept_hashes()
-        self._lock = threading.Lock()
 
     def take(
         self,
@@ -252,13 +249,11 @@ class Photographer:
     def _fetch_once(self, pattern: str, take: int, camera: CameraDevice, file: CardFile) -> Path:
         incoming = self._writer.incoming(pattern, camera.id, take)
         got = camera.download(file.name, incoming, pattern)
-        own = f"{pattern} by {camera.id}, take {take}"
-        with self._lock:
-            first = self._kept.setdefault(got.sha256, own)
-        if first != own:
+        first = self._writer.claim(got.sha256, (pattern, camera.id, take))
+        if first is not None:
             incoming.unlink(missing_ok=True)
             raise OldPictureError(
-                own,
+                f"{pattern} by {camera.id}, take {take}",
                 found=f"the bytes of {first}",
                 expected="a new photograph: a sensor's noise never repeats",
                 hint="The camera gave an old picture; switch it off and on.",

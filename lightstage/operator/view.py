@@ -128,7 +128,8 @@ class View:
         return self.cameras.get(text_of(line, "camera"))
 
     def _place(self, line: Mapping[str, Any]) -> tuple[str, str]:
-        return text_of(line, "pattern"), text_of(line, "camera")
+        # Many lines name the same ones: one text of each is held.
+        return sys.intern(text_of(line, "pattern")), sys.intern(text_of(line, "camera"))
 
     def _mark(self, line: Mapping[str, Any], mark: Mark, state: State) -> None:
         pattern, camera = self._place(line)
@@ -139,7 +140,7 @@ class View:
 
     def _begin(self, line: Mapping[str, Any]) -> None:
         self.who = ", ".join(filter(None, (text_of(line, "subject"), text_of(line, "expression"))))
-        self.patterns = names_of(line, "sequence")
+        self.patterns = [sys.intern(name) for name in names_of(line, "sequence")]
         self.cameras = {name: CameraView() for name in names_of(line, "cameras")}
         self.phase = "running"
         self._devices(line)
@@ -189,7 +190,7 @@ class View:
             camera.state = "idle"
 
     def _trigger(self, line: Mapping[str, Any]) -> None:
-        pattern = text_of(line, "pattern")
+        pattern, _ = self._place(line)
         names = names_of(line, "takes") or names_of(line, "cameras")
         for name in names or [text_of(line, "camera")]:
             self._mark({"pattern": pattern, "camera": name}, "now", "triggering")
@@ -227,7 +228,7 @@ class View:
         self.done.discard(pattern)
 
     def _shot(self, line: Mapping[str, Any]) -> None:
-        pattern = text_of(line, "pattern")
+        pattern, _ = self._place(line)
         self.done.add(pattern)
         left = [item for item in self._news if not pattern or item[1] != pattern]
         self._news = collections.deque(left, NEWS_KEPT)

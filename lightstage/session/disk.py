@@ -22,6 +22,18 @@ _WORDS = {
         "Was the folder removed, renamed or unplugged? The photographs are still on the cameras.",
     ),
     errno.ENODEV: ("the disk is gone", "Was it unplugged? Connect it again, then resume."),
+    errno.ENAMETOOLONG: (
+        "File name too long",
+        "Give a shorter name: most disks take up to 255 bytes for each folder of a path.",
+    ),
+    errno.ENOTDIR: ("a file where a folder must be", "Give another folder."),
+    errno.ELOOP: ("links that lead back to themselves", "Give another folder."),
+    errno.EFBIG: (
+        "a file larger than this disk can hold",
+        "Copy the folder to a disk that can hold it, then resume there.",
+    ),
+    errno.ESTALE: ("a network disk that is gone", "Connect it again, then resume."),
+    errno.ENOTCONN: ("a network disk that is gone", "Connect it again, then resume."),
     errno.EIO: ("an error of the disk", "Copy what is there to another disk, then resume on it."),
     errno.EMFILE: ("too many open files", "Raise the limit of open files (ulimit -n)."),
 }
@@ -33,7 +45,7 @@ def disk_errors(where: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        said = (str(error.strerror or error), "Mend the disk, then resume.")
+        said = (str(error.strerror or error), "Look at the disk and its mount, then resume.")
         found, hint = _WORDS.get(error.errno or 0, said)
         raise CaptureError(
             where, found=found, expected="a disk that can be written", hint=hint

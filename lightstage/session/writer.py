@@ -5,6 +5,7 @@ The journal (journal.jsonl) is the record; session.json is made from it when all
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from lightstage.session.disk import disk_errors, make_folder
 from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
 from lightstage.session.keep import Arrival, settle, sha256_on_disk
-from lightstage.session.kept import stem_of, told
+from lightstage.session.kept import Key, stem_of, told
 from lightstage.session.opening import JOURNAL, RIG, require_new, rig_hash, save_beside
 from lightstage.session.plan import SessionPlan
 from lightstage.session.reading import Line
@@ -40,6 +41,8 @@ class SessionWriter(Record):
     def __init__(self, root: Path, journal: Journal, state: SessionState) -> None:
         super().__init__(journal, state)
         self.root = root
+        self._claimed: dict[str, Key] = {}  # bytes on their way to a name, by their hash
+        self._claiming = threading.Lock()
 
     @staticmethod
     def new(
@@ -193,6 +196,12 @@ class SessionWriter(Record):
         self.frame(pattern, camera, take, path, file, sha256, kind.encoding, **facts)
         return path
 
+    def claim(self, sha256: str, key: Key) -> str | None:
+        """Whose bytes these are already, in words; None: nobody's, and from now on this take's."""
+        with self._claiming:
+            first = self.state.whose(sha256) or self._claimed.setdefault(sha256, key)
+        return None if first == key else told(first)
+
     def frame(
         self,
         pattern: str,
@@ -220,6 +229,8 @@ class SessionWriter(Record):
             file=file.name,
             **facts,
         )
+        with self._claiming:
+            self._claimed.pop(sha256, None)  # the state knows it now
         step("journaled", pattern, camera)
         return line
 
