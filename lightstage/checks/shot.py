@@ -19,6 +19,7 @@ from lightstage.checks.compare import (
     unlike_findings,
 )
 from lightstage.checks.config import ChecksConfig
+from lightstage.checks.few import FewLamps
 from lightstage.checks.light import Evidence, judge_sum
 from lightstage.checks.motion import Shift, sum_shift
 from lightstage.checks.photo import Photo, measure_photo
@@ -66,6 +67,7 @@ class ShotChecks:
         self._totals = {name: float(level.sum()) for name, level in self._levels.items()}
         self.sums = find_sums(self._levels)
         self._model = BallModel(rig, self._levels)
+        self._few = FewLamps(rig, self._levels)
         self._whole = {kind_of(name): self._brightest(kind_of(name)) for name in self._levels}
         needed = {name for s in self.sums for name in s.patterns} | set(self._whole.values())
         needed |= {name for name in self._levels if self._totals[name] == 0 or "@" in name}
@@ -124,6 +126,7 @@ class ShotChecks:
             self._photos.pop(key, None)
             self._figures.pop(key, None)
             self._failed -= {key, (pattern, None)}
+            self._few.forget(pattern)
             self._shares.get(pattern, {}).pop(camera_id, None)
             self._digests = {d: k for d, k in self._digests.items() if k != key}
             for kept in (self._fits, self._shifts):
@@ -150,6 +153,8 @@ class ShotChecks:
                 found += expected_findings(
                     pattern, whole, photos, wholes, self._model, self._lit_names(), self.config
                 )
+                if not any(finding.camera is None for finding in found):
+                    found += self._of_few(pattern, whole, photos, wholes)
             found += sharpness_findings(pattern, photos, self._references(pattern), self.config)
             found += self._summed(pattern, found)
             found += highlight_findings(pattern, self._photos, self._levels, self.config)
@@ -159,6 +164,19 @@ class ShotChecks:
                 (f.pattern, f.camera) for f in found if f.severity == "retake" and f.pattern
             }
             return found
+
+    def _of_few(
+        self,
+        pattern: str,
+        whole: str,
+        photos: Mapping[str, Photo],
+        wholes: Mapping[str, Photo],
+    ) -> list[Finding]:
+        """Patterns of few lamps, by photographs without a fault of their own."""
+        sound = {c: photo for c, photo in photos.items() if (pattern, c) not in self._failed}
+        sound = sound if len(sound) > len(photos) / 2 else dict(photos)
+        known = {camera: dark for camera in sound if (dark := self._dark(camera)) is not None}
+        return self._few.findings(pattern, whole, sound, wholes, known, self._model, self.config)
 
     def facts(self) -> dict[str, Any]:
         """Figures for a report, and for `baseline` of a later session; JSON-ready."""
