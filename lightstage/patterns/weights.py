@@ -9,6 +9,8 @@ from scipy.spatial import QhullError, SphericalVoronoi, cKDTree
 
 from lightstage.rig import Rig
 
+TINY = 1e-15
+"""A direction's part below the rounding of the others."""
 SAME_DIRECTION = 1e-5
 """Lights whose directions differ by less, in radians, share one solid angle."""
 FLAT = 1e-7
@@ -106,6 +108,7 @@ def _areas(positions: bytes) -> np.ndarray:
 def _shared(positions: bytes) -> tuple[np.ndarray, np.ndarray]:
     place = np.frombuffer(positions).reshape(-1, 3)
     toward = place / np.linalg.norm(place, axis=1, keepdims=True)
+    toward = np.where(np.abs(toward) < TINY, 0.0, toward)  # 1e-308 would be divided by later
     # Equal ones first: thousands in one direction are millions of near pairs.
     _, some, owner = np.unique(np.round(toward, 9), axis=0, return_index=True, return_inverse=True)
     alone, cell = np.unique(_joined(toward[some]), return_inverse=True)
