@@ -37,8 +37,12 @@ LEAST_DEG = 8.0
 """Between the direction that light comes from and where it should, at least, to be told."""
 SURE = 4.0
 """Robust deviations of what the other patterns show."""
+BEYOND = 1.5
+"""Times the angle within which nine of ten other patterns lie."""
 ONE_WAY = 0.95
 """Length of the mean of the lamps' directions above which a pattern has one direction."""
+LIT, ROUNDS = 0.3, 4
+"""Surfaces that face a lamp by more than this cosine tell its direction; rounds that find them."""
 TIE = 2.0
 """How strongly a head's directions are held to be a ball's, in patterns."""
 
@@ -52,7 +56,8 @@ class FewLight:
         seen: mean over cameras, share of full.
         expected: the same of the ball.
         floor: what is not told from none, by bounced light and room.
-        sure: by how much noise and room light may be wrong in `seen`.
+        noise: of `seen`, `SURE` times its deviation.
+        room: light of the room that may be in `seen`, as nobody has measured it.
         came_from: (3,) unit direction of the light as a ball would show it, or None.
     """
 
@@ -60,7 +65,8 @@ class FewLight:
     seen: float
     expected: float
     floor: float
-    sure: float
+    noise: float
+    room: float
     came_from: np.ndarray | None
 
     @property
@@ -116,7 +122,7 @@ class FewLamps:
         """
         self.forget(pattern)
         own, all_of = self._levels[pattern], self._levels[whole]
-        if not 0 < own.sum() <= FEW_SHARE * all_of.sum() or (own > all_of + 1e-3).any():
+        if not 0 < own.sum() <= FEW_SHARE * all_of.sum():
             return []
         few = self._measure(pattern, whole, photos, wholes, darks, model, config)
         if few is None:
@@ -137,6 +143,7 @@ class FewLamps:
         config: ChecksConfig,
     ) -> FewLight | None:
         seen, lamps, weights, noise = [], [], [], []
+        totals, normals = [], []
         known = True
         for camera, photo in photos.items():
             if camera not in wholes or photo.coarse.shape != wholes[camera].coarse.shape:
@@ -154,6 +161,8 @@ class FewLamps:
             full = bright.coarse[..., 1][lit][good].astype(float)
             single = model.single(directions[good])
             total = self._levels[whole] @ single
+            totals.append(total)
+            normals.append(directions[good])
             seen.append(base[lit][good] / full)
             lamps.append(single / np.maximum(total, 1e-9 + 1e-3 * total.max()))
             weights.append(full / full.sum())
@@ -172,36 +181,20 @@ class FewLamps:
             float(y @ w),
             float(own @ light @ w),
             BOUNCE * even,
-            room + SURE * float(np.sqrt(np.mean(np.square(noise)) / len(noise))),
-            self._origin(y, light, w),
+            SURE * float(np.sqrt(np.mean(np.square(noise)) / len(noise))),
+            room,
+            _origin(y * np.concatenate(totals), np.concatenate(normals), w),
         )
-
-    def _origin(self, y: np.ndarray, light: np.ndarray, w: np.ndarray) -> np.ndarray | None:
-        """(3,) mean direction of the lamps that explain (m,) shares best."""
-        root = np.sqrt(w)
-        columns = light * root
-        length = np.linalg.norm(columns, axis=1)
-        target = float(np.linalg.norm(y * root))
-        alike = columns @ (y * root) / np.maximum(length * target, 1e-12)
-        alike[length < 0.1 * length.max()] = 0.0
-        best = float(alike.max())
-        if best <= 0.5:
-            return None
-        # The misfit of a lamp grows with the square of its angle: half the best one's more.
-        reach = max(1.5 * (1 - best), 0.03)
-        share = np.maximum(1 - (best - alike) / reach, 0.0)
-        mean = share @ self._directions
-        return np.asarray(mean / np.linalg.norm(mean))
 
     def _amount(self, pattern: str, few: FewLight, config: ChecksConfig) -> list[Finding]:
         """Too much or too little light."""
         log, limit = few.ratio_log, float(np.log(config.max_expected_ratio))
-        sure = few.sure
+        sure = few.noise + few.room
         near = self._near(few)
         if near is not None:
             middle, spread = near
             limit = min(max(float(np.log(STEP)), SURE * spread), limit)
-            log, sure = log - middle, 0.0 if few.expected > few.sure else few.sure
+            log, sure = log - middle, few.noise  # the neighbours have the same room
         wanted = (few.expected + few.floor) * float(np.exp(few.ratio_log - log)) - few.floor
         if log > limit and few.seen - wanted > sure:
             factor = few.seen / max(wanted, few.floor)
@@ -243,13 +236,13 @@ class FewLamps:
         if len(known) < KNOWN:
             return []
         true, shown = (np.stack(column) for column in zip(*known, strict=True))
-        near = np.exp(-_degrees(true, few.toward) ** 2 / (2 * NEAR_DEG**2))[:, None]
+        near = np.exp(-(_degrees(true, few.toward) ** 2) / (2 * NEAR_DEG**2))[:, None]
         # A smooth map from the ball's directions to this head's, near this lamp.
         normal = (true * near).T @ true + TIE * np.eye(3)
         head = np.linalg.solve(normal, (true * near).T @ shown + TIE * np.eye(3))
         others = np.array([float(_degrees(t @ head, s)[0]) for t, s in known])
         off = float(_degrees(few.toward @ head, few.came_from)[0])
-        if off <= max(LEAST_DEG, SURE * 1.48 * float(np.median(others))):
+        if off <= max(LEAST_DEG, BEYOND * float(np.quantile(others, 0.9))):
             return []
         lamps = _degrees(self._directions @ head, few.came_from)
         best = int(lamps.argmin())
@@ -269,6 +262,29 @@ def _told(code: str, pattern: str, found: str, hint: str) -> Finding:
     place = f"all cameras, pattern {pattern}"
     expected = "its share of the light of all lamps"
     return Finding("retake", code, place, found, expected, hint, pattern, None)
+
+
+def _origin(light: np.ndarray, normals: np.ndarray, weight: np.ndarray) -> np.ndarray | None:
+    """(3,) direction that (m,) light on surfaces that face (m, 3) directions comes from.
+
+    A matte surface that a far lamp reaches shows the cosine of its angle: least
+    squares over what faces the lamp as found so far.
+    """
+    facing = light > LIT * float(np.quantile(light, 0.95))
+    toward: np.ndarray = np.zeros(3)
+    for _ in range(ROUNDS):
+        if facing.sum() < MIN_CELLS:
+            return None
+        some = normals[facing]
+        normal = (some * weight[facing, None]).T @ some
+        normal += 1e-3 * np.trace(normal) * np.eye(3)
+        toward = np.linalg.solve(normal, some.T @ (weight[facing] * light[facing]))
+        length = float(np.linalg.norm(toward))
+        if not length > 0:
+            return None
+        toward = toward / length
+        facing = normals @ toward > LIT
+    return toward
 
 
 def _neighbours(
