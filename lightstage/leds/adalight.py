@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
 from typing import Protocol
 
 import numpy as np
 
+from lightstage.closing import Closing
 from lightstage.errors import DeviceError
 from lightstage.leds.address import AdalightOptions
 from lightstage.leds.controller import Hello, LightLostError, level_steps
@@ -63,7 +63,7 @@ class Tint:
         return values.astype(np.uint8).tobytes()
 
 
-class AdalightLeds:
+class AdalightLeds(Closing):
     """LEDs behind an Adalight board (LedController): not acknowledged.
 
     Args:
@@ -151,17 +151,6 @@ class AdalightLeds:
     def close(self) -> None:
         """Close the port; lights stay as they are."""
         self._line.close()
-
-    def __enter__(self) -> AdalightLeds:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _open(self) -> SerialLine:
         """Open the line and give a board that starts then the time to say so."""

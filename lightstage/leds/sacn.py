@@ -6,10 +6,10 @@ import socket
 import threading
 import time
 import uuid
-from types import TracebackType
 
 import numpy as np
 
+from lightstage.closing import Closing
 from lightstage.errors import ConfigError, DeviceError
 from lightstage.leds import e131
 from lightstage.leds.address import MULTICAST, SacnOptions
@@ -24,7 +24,7 @@ SPREAD = (0, 64, 128, 192)
 """A receiver drops a packet whose number is up to 19 behind the last: of these it drops one."""
 
 
-class SacnLeds:
+class SacnLeds(Closing):
     """Lights behind E1.31 receivers (LedController): not acknowledged.
 
     Args:
@@ -142,17 +142,6 @@ class SacnLeds:
             if hasattr(self, "_socket"):
                 self._socket.close()
             self._lock.close()
-
-    def __enter__(self) -> SacnLeds:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _send(self, times: int, options: int = 0) -> None:
         try:

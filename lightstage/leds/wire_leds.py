@@ -6,10 +6,10 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
 
 import numpy as np
 
+from lightstage.closing import Closing
 from lightstage.errors import DeviceError
 from lightstage.leds import wire
 from lightstage.leds.controller import Hello, LightLostError
@@ -26,7 +26,7 @@ RECOVER_S = 10.0
 """A cable that was pulled, or a board that starts again, is waited for so long."""
 
 
-class WireLeds:
+class WireLeds(Closing):
     """An LED device that acknowledges (LedController), on a line that `connect` opens.
 
     Args:
@@ -155,17 +155,6 @@ class WireLeds:
     def close(self) -> None:
         """Close the line; lights stay as they are."""
         self._line.close()
-
-    def __enter__(self) -> WireLeds:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _open(self) -> Line:
         try:

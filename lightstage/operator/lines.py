@@ -6,16 +6,16 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
+from lightstage.closing import Closing
 from lightstage.errors import FormatError
 
 PIECE_BYTES = 1 << 16
 """Read at once; a line may be longer."""
 
 
-class JournalTail:
+class JournalTail(Closing):
     """Reads what a journal has gained since the last look, in a bounded piece of memory.
 
     Only lines that end are given: the last one may still be in the middle of being written, or was
@@ -62,17 +62,6 @@ class JournalTail:
         if self._file >= 0:
             os.close(self._file)
         self._file = -1
-
-    def __enter__(self) -> JournalTail:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _parsed(self, raw: bytes) -> dict[str, Any] | None:
         try:

@@ -27,9 +27,9 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
+from lightstage.closing import Closing
 from lightstage.operator.lines import JournalTail
 from lightstage.operator.runtime import new_socket_path
 
@@ -62,7 +62,7 @@ class _Client:
         self.after: int | None = None  # the last id it has; None before it asked for lines
 
 
-class EventServer:
+class EventServer(Closing):
     """Serves a journal's lines and passes on what clients ask for.
 
     `told` must be one of the journal's listeners, from before another thread writes to it.
@@ -140,17 +140,6 @@ class EventServer:
         self._woken.close()
         self._waker.close()
         os.close(self._file)
-
-    def __enter__(self) -> EventServer:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _wake(self) -> None:
         with contextlib.suppress(OSError):  # full: it is awake already

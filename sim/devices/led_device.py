@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import os
 import select
@@ -32,7 +33,7 @@ class LitState:
     counts: np.ndarray
 
 
-class EndDevice:
+class EndDevice(abc.ABC):
     """A device at one end of a line. Use as a context manager; a new device is dark.
 
     What `show` raises is kept in `failure`, and the device falls silent: a lamp that did not settle
@@ -90,21 +91,21 @@ class EndDevice:
         for handle in (self._stop_read, self._stop_write):
             os.close(handle)
 
+    @abc.abstractmethod
     def _opened(self) -> Iterable[Step]:
         """A host has opened the line."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def _feed(self, data: bytes) -> Iterable[Step]:
         """Bytes have come."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def _deadline_s(self) -> float | None:
         """When the device does something by itself (monotonic)."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def _expire(self) -> None:
         """Do it."""
-        raise NotImplementedError
 
     def _settle(self, levels: np.ndarray) -> None:
         self._show(levels)
