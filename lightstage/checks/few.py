@@ -16,7 +16,7 @@ import numpy as np
 from lightstage.checks.ball import BallModel
 from lightstage.checks.config import ChecksConfig
 from lightstage.checks.photo import Photo
-from lightstage.checks.sums import MIN_CELLS, lit_cells
+from lightstage.checks.sums import MIN_CELLS
 from lightstage.findings import Finding
 from lightstage.rig import Rig
 
@@ -37,7 +37,7 @@ LEAST_DEG = 8.0
 """Between the direction that light comes from and where it should, at least, to be told."""
 SURE = 4.0
 """Robust deviations of what the other patterns show."""
-BEYOND = 1.5
+BEYOND = 1.3
 """Times the angle within which nine of ten other patterns lie."""
 ONE_WAY = 0.95
 """Length of the mean of the lamps' directions above which a pattern has one direction."""
@@ -206,7 +206,7 @@ class FewLamps:
         return []
 
     def _near(self, few: FewLight) -> tuple[float, float] | None:
-        """Middle of the neighbours' `ratio_log`, and how far patterns lie from their neighbours'."""
+        """Middle of the neighbours' `ratio_log`, and how far patterns lie from theirs."""
         if few.toward is None:
             return None
         known = [each for each in self._known.values() if each.toward is not None]
@@ -240,7 +240,11 @@ class FewLamps:
         # A smooth map from the ball's directions to this head's, near this lamp.
         normal = (true * near).T @ true + TIE * np.eye(3)
         head = np.linalg.solve(normal, (true * near).T @ shown + TIE * np.eye(3))
-        others = np.array([float(_degrees(t @ head, s)[0]) for t, s in known])
+        # The map holds around this lamp, and so does what it leaves.
+        others = [float(_degrees(t @ head, s)[0]) for t, s in zip(true, shown, strict=True)]
+        others = [each for each, share in zip(others, near[:, 0], strict=True) if share > 0.5]
+        if len(others) < NEIGHBOURS:
+            return []
         off = float(_degrees(few.toward @ head, few.came_from)[0])
         if off <= max(LEAST_DEG, BEYOND * float(np.quantile(others, 0.9))):
             return []

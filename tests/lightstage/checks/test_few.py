@@ -61,6 +61,14 @@ def test_lamps_stuck_on_under_a_single_light_are_found(coded):
     assert {(f.code, f.pattern, f.camera) for f in found} == {("wrong-light", BAD, None)}
 
 
+def test_a_neighbour_that_shines_instead_is_found(coded):
+    """Banks swapped: the lamp beside it, 12.9 degrees away, shines."""
+    levels = coded[1]
+    found = findings(coded, "olat-040", levels["olat-041"])
+    assert {(f.code, f.pattern, f.camera) for f in found} == {("wrong-light", "olat-040", None)}
+    assert "light 41" in found[0].found
+
+
 def test_a_dead_light_is_found_under_its_own_pattern(coded):
     found = findings(coded, BAD, np.zeros(len(coded[0].lights)))
     assert {f.pattern for f in found} == {BAD}
