@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
-from lightstage.closing import Closing
 from lightstage.errors import DeviceError
 from lightstage.leds.address import AdalightOptions
 from lightstage.leds.controller import Hello, LightLostError, level_steps
 from lightstage.leds.guard import LastWill
 from lightstage.leds.line import Line
+from lightstage.leds.unanswered import UnansweredLeds
 
 BOOT_WORD = b"Ada\n"
 """What a board says when it has come up (and now and then while it hears nothing)."""
@@ -63,7 +62,7 @@ class Tint:
         return values.astype(np.uint8).tobytes()
 
 
-class AdalightLeds(Closing):
+class AdalightLeds(UnansweredLeds):
     """LEDs behind an Adalight board (LedController): not acknowledged.
 
     Args:
@@ -76,8 +75,6 @@ class AdalightLeds(Closing):
         DeviceError: the line cannot be opened, or takes no bytes.
     """
 
-    acknowledged = False
-
     def __init__(
         self,
         where: str,
@@ -85,52 +82,18 @@ class AdalightLeds(Closing):
         light_count: int,
         options: AdalightOptions,
     ) -> None:
-        self._where = where
+        super().__init__(where, light_count, "Adalight", options)
         self._connect = connect
-        self._options = options
+        self._timeout_s = options.timeout_s
         self._tint = Tint(options.colour, options.order, options.gamma)
-        self._turn = threading.RLock()
-        self._steps = np.zeros(light_count, np.int64)
         self._cut = self._broken = False
         self._line = self._open()
-        self._hello = Hello(0, light_count, "Adalight (does not answer)")
 
-    @property
-    def hello(self) -> Hello:
-        """What the address says."""
-        return self._hello
+    def _to_steps(self, levels: np.ndarray) -> np.ndarray:
+        return self._tint.steps(levels)
 
-    @property
-    def pulse_hz(self) -> float | None:
-        """As the address says."""
-        return self._options.pulse_hz
-
-    def light(self, levels: np.ndarray) -> np.ndarray:
-        """Send all levels; returns when they are out and had time to settle."""
-        steps = self._tint.steps(levels)
-        if len(steps) != self._hello.light_count:
-            raise DeviceError(
-                self._where,
-                field="levels",
-                found=str(len(steps)),
-                expected=str(self._hello.light_count),
-            )
-        with self._turn:
-            self._steps = steps
-            self._send(self._options.attempts)
-            time.sleep(self._options.settle_s)
+    def _to_levels(self, steps: np.ndarray) -> np.ndarray:
         return self._tint.driven(steps)
-
-    def confirm(self) -> None:
-        """Send the state once more; LightLostError when the line does not take it."""
-        with self._turn:
-            self._send(1)
-
-    def dark(self) -> None:
-        """Send black."""
-        with self._turn:
-            self._steps = np.zeros_like(self._steps)
-            self._send(self._options.attempts)
 
     def recover(self) -> Hello:
         """Open the port again if it broke, black."""
@@ -165,7 +128,7 @@ class AdalightLeds(Closing):
             ) from None
         try:
             heard = b""
-            until = time.monotonic() + self._options.timeout_s
+            until = time.monotonic() + self._timeout_s
             while BOOT_WORD not in heard and (left_s := until - time.monotonic()) > 0:
                 heard += line.read(left_s)
         except OSError as error:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import socket
-import threading
-import time
 import uuid
 
 import numpy as np
 
-from lightstage.closing import Closing
 from lightstage.errors import ConfigError, DeviceError
 from lightstage.leds import e131
 from lightstage.leds.address import MULTICAST, SacnOptions
 from lightstage.leds.controller import Hello, LightLostError, level_steps
 from lightstage.leds.guard import LastWill
 from lightstage.leds.line import lock_address
+from lightstage.leds.unanswered import UnansweredLeds
 
 NAME = "lightstage"
 END_PACKETS = 3
@@ -24,7 +22,7 @@ SPREAD = (0, 64, 128, 192)
 """A receiver drops a packet whose number is up to 19 behind the last: of these it drops one."""
 
 
-class SacnLeds(Closing):
+class SacnLeds(UnansweredLeds):
     """Lights behind E1.31 receivers (LedController): not acknowledged.
 
     Args:
@@ -38,10 +36,9 @@ class SacnLeds(Closing):
         DeviceError: no such host, or in use by another program of this machine.
     """
 
-    acknowledged = False
-
     def __init__(self, host: str, port: int, light_count: int, options: SacnOptions) -> None:
-        self._where = f"E1.31 to {host}:{port}"
+        where = f"E1.31 to {host}:{port}"
+        super().__init__(where, light_count, where, options)
         self._options = options
         self._full = 255 if options.bits == 8 else 65535
         per_universe = e131.SLOTS // (options.channels * options.bits // 8)
@@ -57,10 +54,7 @@ class SacnLeds(Closing):
             )
         # The same machine and the same address make the same sender.
         self._cid = uuid.uuid5(uuid.NAMESPACE_URL, f"sacn://{uuid.getnode():x}/{host}:{port}").bytes
-        self._turn = threading.RLock()
         self._sequences = [0] * len(self._universes)
-        self._steps = np.zeros(light_count, np.int64)
-        self._hello = Hello(0, light_count, f"E1.31 to {host}:{port} (does not answer)")
         self._lock = lock_address(f"udp {host}:{port}")
         try:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -76,43 +70,12 @@ class SacnLeds(Closing):
             ) from None
         self._places = [(found or e131.multicast_host(u), port) for u in self._universes]
 
-    @property
-    def hello(self) -> Hello:
-        """What the address says."""
-        return self._hello
-
-    @property
-    def pulse_hz(self) -> float | None:
-        """As the address says."""
-        return self._options.pulse_hz
-
-    def light(self, levels: np.ndarray) -> np.ndarray:
-        """Send all levels; returns when they are out and had time to settle."""
+    def _to_steps(self, levels: np.ndarray) -> np.ndarray:
         level_steps(levels, 1)  # a level out of range must not come back into it by the root
-        steps = level_steps(np.asarray(levels, float) ** (1 / self._options.gamma), self._full)
-        if len(steps) != self._hello.light_count:
-            raise DeviceError(
-                self._where,
-                field="levels",
-                found=str(len(steps)),
-                expected=str(self._hello.light_count),
-            )
-        with self._turn:
-            self._steps = steps
-            self._send(self._options.attempts)
-            time.sleep(self._options.settle_s)
+        return level_steps(np.asarray(levels, float) ** (1 / self._options.gamma), self._full)
+
+    def _to_levels(self, steps: np.ndarray) -> np.ndarray:
         return np.asarray((steps / self._full) ** self._options.gamma)
-
-    def confirm(self) -> None:
-        """Send the state once more; LightLostError when the network does not take it."""
-        with self._turn:
-            self._send(1)
-
-    def dark(self) -> None:
-        """Send zeros."""
-        with self._turn:
-            self._steps = np.zeros_like(self._steps)
-            self._send(self._options.attempts)
 
     def recover(self) -> Hello:
         """Nothing to greet: zeros."""
