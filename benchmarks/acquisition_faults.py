@@ -239,6 +239,7 @@ def row(name: str, trial: Trial) -> list[object]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--shots", type=int, default=1000, help="of nine photographs each")
+    parser.add_argument("--cli-shots", type=int, default=100, help="of the gphoto2 command line")
     parser.add_argument("--seed", type=int, default=1, help="of what goes wrong")
     parser.add_argument("--keep", type=Path, help="folder to keep everything in")
     given = parser.parse_args()
@@ -251,7 +252,7 @@ def main() -> None:
         happened = told(desk / "faults" / "sim" / "faults.jsonl")
         calm_shots = min(given.shots, len(sequences(rig, 10_000)[0]))
         calm = run_trial(desk / "calm", calm_shots, None, given.seed)
-        peers = cli_rows(desk / "cli", rig, given.shots, given.seed)
+        peers = cli_rows(desk / "cli", rig, given.cli_shots, given.seed)
     for each in dataclasses.fields(Labels)[1:]:
         for said in getattr(faulty.labels, each.name)[:10]:
             print(f"{each.name}: {said}", file=sys.stderr)
