@@ -37,6 +37,8 @@ LEAST_DEG = 8.0
 """Between the direction that light comes from and where it should, at least, to be told."""
 SURE = 4.0
 """Robust deviations of what the other patterns show."""
+AMID_DEG = 8.0
+"""The known patterns near a lamp must lie around it: their middle is no farther away."""
 BEYOND = 1.3
 """Times the angle within which nine of ten other patterns lie."""
 ONE_WAY = 0.95
@@ -80,7 +82,8 @@ class FewLamps:
 
     What it cannot see: a lamp behind the head whose light reaches no camera's view of it, light
     that leaves the expected by less than `STEP` (one lamp of two that shine), a neighbour nearer
-    than `LEAST_DEG`, and the first patterns of a session beyond `ChecksConfig.max_expected_ratio`.
+    than `LEAST_DEG` or one shown before the patterns around it, and the first patterns of a
+    session beyond `ChecksConfig.max_expected_ratio`.
     `full` must have been photographed before.
 
     Args:
@@ -237,6 +240,9 @@ class FewLamps:
             return []
         true, shown = (np.stack(column) for column in zip(*known, strict=True))
         near = np.exp(-(_degrees(true, few.toward) ** 2) / (2 * NEAR_DEG**2))[:, None]
+        around = true[_degrees(true, few.toward) < NEAR_DEG].sum(axis=0)
+        if not around.any() or float(_degrees(around, few.toward)[0]) > AMID_DEG:
+            return []  # a map that holds on one side says nothing about the other
         # A smooth map from the ball's directions to this head's, near this lamp.
         normal = (true * near).T @ true + TIE * np.eye(3)
         head = np.linalg.solve(normal, (true * near).T @ shown + TIE * np.eye(3))

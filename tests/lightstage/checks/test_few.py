@@ -38,11 +38,11 @@ def coded(tmp_path_factory):
     return rig, levels, clean, see
 
 
-def findings(coded, name=None, shone=None):
+def findings(coded, name=None, shone=None, last=None):
     rig, levels, clean, see = coded
     checks = ShotChecks(rig, [Shot(n, level) for n, level in levels.items()])
     out = []
-    for pattern in levels:
+    for pattern in sorted(levels, key=lambda each: each == last):
         for camera in rig.cameras:
             bad = see(camera, shone) if pattern == name else clean[pattern, camera.id]
             out += checks.add(pattern, camera.id, bad)
@@ -64,7 +64,7 @@ def test_lamps_stuck_on_under_a_single_light_are_found(coded):
 def test_a_neighbour_that_shines_instead_is_found(coded):
     """Banks swapped: the lamp beside it, 12.9 degrees away, shines."""
     levels = coded[1]
-    found = findings(coded, "olat-040", levels["olat-041"])
+    found = findings(coded, "olat-040", levels["olat-041"], last="olat-040")
     assert {(f.code, f.pattern, f.camera) for f in found} == {("wrong-light", "olat-040", None)}
     assert "light 41" in found[0].found
 
