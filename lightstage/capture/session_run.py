@@ -167,6 +167,17 @@ def _writer(
     stage: Stage, order: Order, config: CaptureConfig, findings: Sequence[Finding]
 ) -> Iterator[SessionWriter]:
     """The session on the disk, begun or gone on with; what was found before is in its journal."""
+    writer = _opened(stage, order, config)
+    try:
+        for finding in findings:
+            writer.finding(finding)
+        yield writer
+    finally:
+        writer.close()
+
+
+def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
+    """A new session's writer, or an unfinished one's that is told to go on."""
     cards = {camera.id: camera.card() for camera in stage.cameras}
     serials = {camera_id: told.serial for camera_id, told in stage.told.items()}
     facts = {
@@ -182,21 +193,18 @@ def _writer(
         "config": as_dict(config),
         **order.facts,
     }
-    if order.resume:
-        writer = SessionWriter.resumed(order.root, stage.rig)
-    else:
+    if not order.resume:
         levels = {shot.pattern: shot.levels.tolist() for shot in order.shots}
         plan = SessionPlan(tuple(levels), order.subject, order.expression, levels, order.consent)
-        writer = SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts, order.colour)
+        return SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts, order.colour)
+    writer = SessionWriter.resumed(order.root, stage.rig)
     try:
-        if order.resume:
-            require(_changed(writer, stage))
-            writer.resume(cards, serials, **facts)
-        for finding in findings:
-            writer.finding(finding)
-        yield writer
-    finally:
+        require(_changed(writer, stage))
+        writer.resume(cards, serials, **facts)
+    except BaseException:
         writer.close()
+        raise
+    return writer
 
 
 def _changed(writer: SessionWriter, stage: Stage) -> list[Finding]:

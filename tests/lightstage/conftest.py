@@ -165,7 +165,7 @@ class Stage:
     seeds: list[Path]
 
     def shown(self, levels: np.ndarray, camera: int) -> bytes:
-        """What a camera must see under these levels: a white matte ball with freckles."""
+        """What a camera must see under these levels: a soft white ball with freckles."""
         noise = int.from_bytes(hashlib.sha256(levels.tobytes()).digest()[:4], "little") + camera
         one = self.rig.cameras[camera]
         x, y = np.meshgrid(np.arange(one.width_px) + 0.5, np.arange(one.height_px) + 0.5)
@@ -176,8 +176,11 @@ class Stage:
         right, down, ahead = one.cam_from_world[:, :3]
         normals = u[..., None] * right - v[..., None] * down - depth[..., None] * ahead
         places = self.rig.positions_mm
-        lit = np.clip(normals @ (places / np.linalg.norm(places, axis=1)[:, None]).T, 0.0, None)
-        skin = 0.4 + 0.6 * np.random.default_rng(7).random(lit.shape[:2])
+        cosines = normals @ (places / np.linalg.norm(places, axis=1)[:, None]).T
+        lit = np.clip(cosines + 0.4, 0.0, None) / 1.4  # light wraps a little round a soft thing
+        # Freckles larger than a pixel: finer ones would pass for noise.
+        freckles = np.random.default_rng(7).random((lit.shape[0] // 4 + 1, lit.shape[1] // 4 + 1))
+        skin = 0.6 + 0.4 * np.kron(freckles, np.ones((4, 4)))[: lit.shape[0], : lit.shape[1]]
         return make_dng(512 + 1500 * inside * skin * (lit @ levels), seed=noise)
 
     def show(self, levels: np.ndarray) -> None:

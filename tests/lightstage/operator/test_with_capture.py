@@ -10,14 +10,6 @@ import pytest
 from lightstage.formats.session import load_session
 from lightstage.operator.client import ask, follow
 
-NOISE = """[checks]
-max_motion_mm = 1e9
-warn_motion_mm = 1e9
-min_sharpness = 0.0
-min_snr = 0.0
-warn_sharpness = 0.0
-"""
-"""The small stage shows a ball whose freckles are a pixel each: they look like noise."""
 PATTERNS = ["full", "x+", "x-", "y+"]
 SEQUENCE = ("--sequence", ",".join(PATTERNS))
 
@@ -26,15 +18,12 @@ SEQUENCE = ("--sequence", ",".join(PATTERNS))
 def capture(stage, tmp_path, terminals, runtime):
     """Starts a capture of the small stage at a terminal."""
     out = tmp_path / "S"
-    config = tmp_path / "noise.toml"
-    config.write_text(NOISE)
 
     def start(*more):
         what = ["--resume"] if "--resume" in more else ["--rig", str(stage.rig_path)]
         more = [each for each in more if each != "--resume"]
         where = ["--out", out, "--leds", stage.device.url, "--cameras", stage.cameras_path]
-        settings = ["--config", config]
-        arguments = [*what, *map(str, [*where, *settings]), *more]
+        arguments = [*what, *map(str, where), *more]
         terminal = terminals("-m", "lightstage", "capture", *arguments)
         return terminal, out
 
@@ -136,14 +125,12 @@ def test_others_follow_every_line_and_may_stop_it(stage, capture):
 
 
 def test_a_log_of_a_capture_has_plain_lines(stage, tmp_path, runtime):
-    out, config = tmp_path / "S", tmp_path / "noise.toml"
-    config.write_text(NOISE)
+    out = tmp_path / "S"
     done = subprocess.run(
         [
             *(sys.executable, "-m", "lightstage", "capture", "--rig", str(stage.rig_path)),
             *("--out", str(out), "--leds", stage.device.url),
             *("--cameras", str(stage.cameras_path), "--sequence", "full,x+,x-"),
-            *("--config", str(config)),
         ],
         capture_output=True,
         text=True,
