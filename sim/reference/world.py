@@ -11,7 +11,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.rig import Camera, Rig
 from sim.light.lamps import Lamps, lamps_of
 from sim.light.scene import Scene, Surface
-from sim.light.world import brightest
+from sim.light.world import brightest, some_skin
 from sim.people.subject import Subject
 from sim.reference.basis import combine, independent
 from sim.reference.bounces import bounced_light, exits
@@ -132,13 +132,13 @@ class ReferenceWorld:
         return self.light_at(points, np.asarray(weights, float))
 
     def skin_peak(self, quantile: float = 0.999, levels: np.ndarray | None = None) -> np.ndarray:
-        """(3,) what the brightest skin reads under `full`, of every 16th pixel of all cameras.
+        """(3,) what the brightest skin reads under `full`, of all cameras.
 
         `full` is driven at these (m,) levels, or with every lamp at level 1.
         """
         full = self.lamps.weights if levels is None else self.lamps.weights * levels[:, None]
         light = [
-            self.pixels(camera_id, full[None], np.flatnonzero(surface.skin)[::16])[0]
+            self.pixels(camera_id, full[None], some_skin(surface))[0]
             for camera_id, surface in self.surfaces.items()
         ]
         return brightest(light, self.subject.name, quantile)

@@ -27,7 +27,7 @@ from lightstage.patterns import SEQUENCES, Drive, drive_levels
 from lightstage.rig import default_rig, save_rig
 from processing.decode import DecodeConfig, decode
 from processing.refine import RefineConfig, refine
-from sim.devices.capture import Photographer
+from sim.devices.photographer import Photographer
 from sim.light.world import World
 from sim.people.subjects import load_subject
 from tests.sim.conftest import ball_subject

@@ -20,7 +20,8 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import changed_frames, load_session, missing_frames
 from lightstage.patterns import drive_levels, pattern_levels, sequence_patterns
 from sim.devices.camera_device import CameraFolders
-from sim.devices.capture import Photographer, capture_session
+from sim.devices.capture import capture_session
+from sim.devices.photographer import Photographer
 from sim.errors import SimError
 from sim.light.scene import Scene
 from sim.light.world import World

@@ -13,7 +13,7 @@ from lightstage.formats.exr import read_exr
 from lightstage.patterns import drive_levels, pattern_levels
 from sim.camera.flaws import PRESETS, CaptureFlaws, LensConfig, PulseConfig, RoomConfig, SwayConfig
 from sim.camera.shooting import Shooting, depth_picture
-from sim.devices.capture import Photographer
+from sim.devices.photographer import Photographer
 from sim.light.world import World
 from sim.session import SessionConfig, flaws_path, write_direct
 

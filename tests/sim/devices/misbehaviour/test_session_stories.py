@@ -13,8 +13,9 @@ from lightstage.cameras.process import CameraProcess, Deadlines
 from lightstage.errors import DeviceError
 from lightstage.formats.session import load_session
 from sim.devices.camera_device import PORT, CameraFolders
-from sim.devices.capture import Photographer, capture_session
+from sim.devices.capture import capture_session
 from sim.devices.faults import Fault, FaultLog, Story, read_fault_log
+from sim.devices.photographer import Photographer
 from sim.errors import SimError
 from sim.light.world import World
 from sim.session import faults_path

@@ -1,0 +1,60 @@
+"""The command `stage`: devices that stand ready, for `lightstage capture` by hand."""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+import time
+from pathlib import Path
+
+import typer
+
+from lightstage.commands import progress_bar
+from sim.errors import SimError
+
+POLL_S = 0.2
+
+
+def add_stage_command(app: typer.Typer) -> None:
+    """Add the command to an application."""
+    app.command("stage")(stage)
+
+
+def stage(
+    subject: str = typer.Option("P1", help="As in `session`."),
+    sequence: str = typer.Option("binary", help="What will be shot; others may be shot too."),
+    seed: int = typer.Option(0, help="Of the person and the noise."),
+    scale: float = typer.Option(0.06, min=0.005, max=1.0, help="Share of the rig's pixels a side."),
+    rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
+    faults: Path | None = typer.Option(None, help="What goes wrong (TOML, docs/faults.md)."),
+) -> None:
+    """Let a simulated stage stand ready until Ctrl-C, and say how to capture it."""
+    from lightstage.patterns import sequence_patterns
+    from lightstage.rig import default_rig, load_rig
+    from sim.devices.faults import FaultLog, Story
+    from sim.devices.standing_stage import standing_stage
+    from sim.light.world import World
+    from sim.people.subjects import check_subject, load_subject
+    from sim.session import SessionConfig
+
+    check_subject(subject)
+    story = Story() if faults is None else Story.read(faults)
+    where = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
+    patterns = sequence_patterns(sequence, where)
+    story.check_cameras([camera.id for camera in where.cameras], "--faults")
+    person = load_subject(subject, seed, None, SessionConfig().texture_rows)
+    with progress_bar("shadow rays, cameras") as progress:
+        world = World(person, where, progress)
+    with tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name:
+        desk = Path(name)
+        log = FaultLog(desk / "faults.jsonl")
+        with standing_stage(world, desk, seed, patterns, None, story, log) as standing:
+            command = ["lightstage", *standing.command(Path("SESSION")), "--sequence", sequence]
+            print(f"Ready; Ctrl-C ends it. In another terminal:\n\n  {shlex.join(command)}\n")
+            print("What goes wrong is told in", log.path, flush=True)
+            try:
+                while standing.device.failure is None:
+                    time.sleep(POLL_S)
+            except KeyboardInterrupt:
+                return
+            raise SimError("LED device", found=str(standing.device.failure)) from None

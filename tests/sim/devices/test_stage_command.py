@@ -1,0 +1,35 @@
+"""`lightstage-sim stage`: a stage that stands ready, captured by hand as the command says."""
+
+import shlex
+import signal
+import subprocess
+import sys
+
+from lightstage.formats.session import load_session
+from lightstage.rig import save_rig
+
+
+def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig):
+    rig = save_rig(tiny_rig, tmp_path / "rig.json")
+    options = ["--rig", str(rig), "--scale", "1", "--sequence", "full,x+"]
+    stage = subprocess.Popen(
+        [sys.executable, "-m", "sim", "stage", *options],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    )
+    try:
+        lines = iter(stage.stdout.readline, "")
+        command = next(line for line in lines if "lightstage capture" in line)
+        arguments = shlex.split(command)[1:]
+        done = subprocess.run(
+            [sys.executable, "-m", "lightstage", *arguments],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+        )
+        assert done.returncode == 0, done.stderr
+        assert len(load_session(tmp_path / "SESSION").file.frames) == 2 * len(tiny_rig.cameras)
+    finally:
+        stage.send_signal(signal.SIGINT)
+        assert stage.wait(30) == 0
