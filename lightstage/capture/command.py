@@ -11,7 +11,12 @@ import typer
 from lightstage.calibrations.stale import use_calibrations
 from lightstage.cameras.binding import CamerasFile, read_cameras_file
 from lightstage.capture.config import CaptureConfig
-from lightstage.capture.session_run import Order, capture_session, unfinished
+from lightstage.capture.session_run import (
+    Order,
+    capture_session,
+    config_of,
+    unfinished,
+)
 from lightstage.capture.stage import Stage, open_stage
 from lightstage.commands import JsonFlag, finish
 from lightstage.errors import ConfigError, LightstageError, one_error
@@ -34,9 +39,11 @@ def register(app: typer.Typer) -> None:
     app.command("capture")(capture_command)
 
 
-def read_config(path: Path | None, **given: Any) -> CaptureConfig:
-    """The configuration of a file, where there is one, and what the command line sets in it."""
-    config = CaptureConfig()
+def read_config(
+    path: Path | None, config: CaptureConfig | None = None, **given: Any
+) -> CaptureConfig:
+    """The configuration of a file, else `config`, and what the command line sets in it."""
+    config = config or CaptureConfig()
     if path is not None:
         config = make_config(CaptureConfig, read_toml(path), path)
     return dataclasses.replace(config, **{k: v for k, v in given.items() if v is not None})
@@ -70,11 +77,15 @@ def capture_command(
         False, "--delete-from-cameras", help="Delete each photograph there once it is kept here."
     ),
     unattended: bool = typer.Option(False, "--unattended", help="Ask nobody; decide by rule."),
-    config: Path | None = typer.Option(None, help="TOML with values that differ from defaults."),
+    config: Path | None = typer.Option(
+        None,
+        help="TOML with other values than the defaults.",
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Light, photograph and verify every pattern; lights end dark whatever happens."""
-    settings = read_config(config, drive=_drive(drive), delete_from_cameras=delete or None)
+    own = config_of(out) if resume and config is None else None
+    settings = read_config(config, own, drive=_drive(drive), delete_from_cameras=delete or None)
     if clear:
         preflight = dataclasses.replace(settings.preflight, clear=True)
         settings = dataclasses.replace(settings, preflight=preflight)
@@ -103,7 +114,7 @@ def capture_command(
             order = _with_calibration(order, stage, calibration, allow_stale, settings)
         report = capture_session(stage, order, settings, operator)
     finish(
-        f"{out}: {report.frames} frames in {report.seconds:.1f} s, "
+        f"{out}: {report.frames} frames, {report.taken} taken now in {report.seconds:.1f} s, "
         f"overhead {report.overhead_s:.2f} s, {report.retakes} taken again, "
         f"{report.warnings} warnings, largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
         {"session": str(out), **dataclasses.asdict(report)},

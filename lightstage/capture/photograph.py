@@ -10,12 +10,13 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
 from lightstage.cameras.camera import CameraDevice, CardFile, Exposure, Summary
 from lightstage.capture.config import CaptureConfig
+from lightstage.capture.pattern_light import PatternLight
 from lightstage.errors import (
     CaptureError,
     CutPhotographError,
@@ -24,7 +25,7 @@ from lightstage.errors import (
     LightstageError,
 )
 from lightstage.findings import Finding
-from lightstage.leds.controller import LedController, LightLostError
+from lightstage.leds.controller import LightLostError
 from lightstage.preflight import drift, photograph_findings
 from lightstage.preflight.privacy import EMPTY
 from lightstage.rig import Rig
@@ -71,7 +72,6 @@ class Photographer:
 
     Args:
         rig: the cameras wanted.
-        lights: asked whether the light lasted.
         writer: the session.
         checks: looks at each photograph.
         config: how often a file is asked for, and whether it is deleted on the camera.
@@ -82,7 +82,6 @@ class Photographer:
     def __init__(
         self,
         rig: Rig,
-        lights: LedController,
         writer: SessionWriter,
         checks: Checks,
         config: CaptureConfig,
@@ -90,7 +89,6 @@ class Photographer:
         cards: Mapping[str, Collection[CardFile]],
     ) -> None:
         self._rig = rig
-        self._lights = lights
         self._writer = writer
         self._checks = checks
         self._config = config
@@ -105,7 +103,7 @@ class Photographer:
         take: int,
         camera: CameraDevice,
         at_s: float,
-        exposed: Callable[[], None],
+        light: PatternLight,
     ) -> Taken:
         """Take and keep one photograph.
 
@@ -114,7 +112,7 @@ class Photographer:
             take: 1, or more where it is taken again.
             camera: whose.
             at_s: time.monotonic() at which all trigger.
-            exposed: called, once, when this camera needs the light no more.
+            light: that it is taken under.
 
         Raises:
             LightLostError: the light may have changed; the picture is kept as recovered.
@@ -125,15 +123,14 @@ class Photographer:
         """
         try:
             self._clear_doubts(camera)
-            exposure, failure = self._trigger(pattern, camera, at_s)
-            light = self._light_lost()
+            exposure = self._trigger(pattern, camera, at_s)
         finally:
-            exposed()
-        if exposure is None:
-            exposure = self._search(pattern, camera, at_s, failure)
-        if light is not None:
-            self._bring_home(camera, exposure.files, pattern, f"light not certain: {light}")
-            raise LightLostError(str(light))
+            lost = light.over()
+        if isinstance(exposure, DeviceError):
+            exposure = self._search(pattern, camera, at_s, exposure)
+        if lost is not None:
+            self._bring_home(camera, exposure.files, pattern, f"light not certain: {lost}")
+            raise LightLostError(str(lost))
         file = exposure.files[0]
         self._writer.exposed(
             pattern,
@@ -152,6 +149,17 @@ class Photographer:
             self._delete(pattern, camera, file)
         return Taken(camera.id, exposure.triggered_s, exposure.exposed_s, tuple(findings))
 
+    def look_again(self, pattern: str, camera_id: str, path: Path) -> list[Finding]:
+        """What a photograph of before a crash shows, for later ones to be compared with it."""
+        wanted = self._rig.camera(camera_id)
+        return _late(
+            pattern,
+            [
+                *photograph_findings(path, wanted, self._told[camera_id]),
+                *self._checks.photograph(pattern, camera_id, path),
+            ],
+        )
+
     def set_back(self, camera: CameraDevice) -> None:
         """Give a camera the settings that it began with, where they drifted."""
         before = self._told[camera.id]
@@ -165,18 +173,16 @@ class Photographer:
         except LightstageError as error:
             self._writer.note("note", camera=camera.id, said=f"not set back: {error}")
 
-    def _trigger(
-        self, pattern: str, camera: CameraDevice, at_s: float
-    ) -> tuple[Exposure | None, DeviceError]:
+    def _trigger(self, pattern: str, camera: CameraDevice, at_s: float) -> Exposure | DeviceError:
         """Trigger; the exposure, or why there is none."""
         try:
             exposure = camera.trigger(at_s, pattern)
         except DeviceError as error:
-            return None, error
+            return error
         self._known[camera.id] |= set(exposure.files)
         if not exposure.files:
-            return None, DeviceError(f"camera {camera.id}", found="no picture after its trigger")
-        return exposure, DeviceError("")
+            return DeviceError(f"camera {camera.id}", found="no picture after its trigger")
+        return exposure
 
     def _clear_doubts(self, camera: CameraDevice) -> None:
         """Bring home what came to the card of a camera whose earlier trigger gave no picture."""
@@ -187,14 +193,6 @@ class Photographer:
             late = arrived(self._known[camera.id], camera.card())
             self._known[camera.id] |= set(late)
             self._bring_home(camera, late, None, "it came late, after its trigger had failed")
-
-    def _light_lost(self) -> DeviceError | None:
-        """What speaks against the light having lasted until now."""
-        try:
-            self._lights.confirm()
-        except DeviceError as error:
-            return error
-        return None
 
     def _search(
         self, pattern: str, camera: CameraDevice, at_s: float, failure: DeviceError
@@ -264,23 +262,11 @@ class Photographer:
 
     def _look(self, pattern: str, camera: CameraDevice, path: Path) -> list[Finding]:
         """What the photograph shows and tells, and whether the camera is set as before."""
-        told = self._told[camera.id]
-        findings = [
-            *photograph_findings(path, self._rig.camera(camera.id), told),
-            *self._checks.photograph(pattern, camera.id, path),
-        ]
+        findings = self.look_again(pattern, camera.id, path)
         # A camera that dies now is noticed at its next trigger; this photograph is safe.
         with contextlib.suppress(DeviceError):
-            findings += drift(told, camera.summary(), camera.id)
-        # Lights are on already: what would have been refused before is taken again now.
-        findings = [
-            dataclasses.replace(
-                each,
-                pattern=pattern,
-                severity="retake" if each.severity == "refuse" else each.severity,
-            )
-            for each in findings
-        ]
+            told = self._told[camera.id]
+            findings += _late(pattern, drift(told, camera.summary(), camera.id))
         for finding in findings:
             self._writer.finding(finding)
         return findings
@@ -306,3 +292,15 @@ class Photographer:
             return
         self._writer.deleted(pattern, camera.id, file)
         step("deleted", pattern, camera.id)
+
+
+def _late(pattern: str, findings: Sequence[Finding]) -> list[Finding]:
+    """Findings now that lights are on: what would have been refused before is taken again."""
+    return [
+        dataclasses.replace(
+            each,
+            pattern=pattern,
+            severity="retake" if each.severity == "refuse" else each.severity,
+        )
+        for each in findings
+    ]

@@ -14,9 +14,9 @@ from lightstage.capture.shot import ShotTaken, aborted, take_shot
 from lightstage.capture.wishes import Wishes
 from lightstage.errors import CaptureError, LightstageError, one_error
 from lightstage.findings import Finding
-from lightstage.leds.controller import LedController
 from lightstage.operator import Operator
 from lightstage.preflight import SkewReport, skew_findings
+from lightstage.safety import SafeLights
 from lightstage.sequence import Shot
 from lightstage.session import SessionWriter
 from lightstage.steps import step
@@ -29,7 +29,8 @@ class CaptureReport:
     """What a capture did.
 
     Attributes:
-        frames: photographs kept that count.
+        frames: photographs of the session that count.
+        taken: photographs that were kept now, also those that no longer count.
         shots: patterns taken, retakes among them.
         retakes: photographs that were taken again.
         warnings: findings that the operator should know.
@@ -43,6 +44,7 @@ class CaptureReport:
     """
 
     frames: int = 0
+    taken: int = 0
     shots: int = 0
     retakes: int = 0
     warnings: int = 0
@@ -69,6 +71,7 @@ class Run:
         checks: knows the photographs so far.
         operator: decides.
         config: deadlines.
+        before: what photographs of patterns that are not finished showed before a crash.
     """
 
     def __init__(
@@ -76,13 +79,15 @@ class Run:
         shots: Sequence[Shot],
         wanted: Mapping[str, Collection[str]],
         cameras: Sequence[CameraDevice],
-        lights: LedController,
+        lights: SafeLights,
         photographer: Photographer,
         writer: SessionWriter,
         checks: Checks,
         operator: Operator,
         config: CaptureConfig,
+        before: Mapping[str, list[Finding]] | None = None,
     ) -> None:
+        self._before = dict(before or {})
         self._shots = {shot.pattern: shot for shot in shots}
         self._all = {camera.id for camera in cameras}
         self._queue = collections.deque(
@@ -118,8 +123,13 @@ class Run:
         seconds = time.monotonic() - started_s
         total = self._total
         spent_s = total.lit_s + total.exposed_s + total.paused_s
+        state = self._writer.state
         return dataclasses.replace(
-            total, seconds=seconds, overhead_s=seconds - spent_s, skew=self._skew.facts()
+            total,
+            frames=sum(len(self._all) - len(state.missing(pattern)) for pattern in self._shots),
+            seconds=seconds,
+            overhead_s=seconds - spent_s,
+            skew=self._skew.facts(),
         )
 
     def _count(self, **more: float) -> None:
@@ -133,7 +143,8 @@ class Run:
         pattern = shot.pattern
         result = self._try(shot, cameras) if cameras else ShotTaken((), (), 0.0)
         kept = {each.camera for each in result.taken}
-        findings = [*result.findings, *self._look(shot, result)]
+        before = self._before.pop(pattern, [])
+        findings = [*before, *result.findings, *self._look(shot, result)]
         self._count(warnings=sum(each.severity == "warn" for each in findings))
         bad = [each for each in findings if each.severity in ("retake", "refuse")]
         again = self._again(pattern, bad)
@@ -176,7 +187,7 @@ class Run:
             self._writer.note("note", said="the lights were lost; they are greeted again, dark")
             self._lights.recover()
         self._count(
-            frames=len(result.taken), shots=1, lit_s=result.lit_s, exposed_s=result.exposed_s
+            taken=len(result.taken), shots=1, lit_s=result.lit_s, exposed_s=result.exposed_s
         )
         self._total = dataclasses.replace(
             self._total, max_skew_s=max(self._total.max_skew_s, result.skew_s)
@@ -219,7 +230,6 @@ class Run:
         """A photograph that is there no longer counts; its file stays."""
         if self._writer.state.accepted(pattern, camera) is not None:
             self._writer.rejected(pattern, camera, why)
-            self._count(frames=-1)
         self._checks.forget(pattern, camera)
 
     def _queue_first(self, pattern: str, ids: Collection[str]) -> None:

@@ -19,7 +19,7 @@ from lightstage.capture.stage import Stage
 from lightstage.checks import ShotChecks
 from lightstage.errors import LightstageError
 from lightstage.findings import Finding
-from lightstage.formats.config import as_dict
+from lightstage.formats.config import as_dict, make_config
 from lightstage.operator import Operator, serve_events
 from lightstage.patterns import on_plane
 from lightstage.patterns.names import BINARY
@@ -30,6 +30,7 @@ from lightstage.session import SessionPlan, SessionWriter, bring_home, read_jour
 from lightstage.session.manifest import write_manifest
 from lightstage.steps import step
 
+AS_BEFORE = "(--leds and --cameras as before)"
 SPARE = 1.5
 """Photographs that cards and disk must have room for, against those that are planned."""
 
@@ -107,6 +108,8 @@ def capture_session(
                 delete = config.delete_from_cameras
                 wanted = reconcile(writer, stage.cameras, delete=delete).wanted
             report = _run(stage, order, config, operator, writer, wanted, checks)
+            warned = sum(finding.severity == "warn" for finding in findings)
+            report = dataclasses.replace(report, warnings=report.warnings + warned)
             stage.lights.dark()
             bring_home(writer, stage.cameras, delete=config.delete_from_cameras)
             writer.finish()
@@ -121,7 +124,7 @@ def capture_session(
                 writer.note("aborted", said=str(error) or type(error).__name__)
             if isinstance(error, LightstageError):
                 again = f"lightstage capture --resume --out {order.root}"
-                raise type(error)(f"{error}\n  Go on with: {again}") from None
+                raise type(error)(f"{error}\n  Go on with: {again} {AS_BEFORE}") from None
             raise
     return report
 
@@ -159,7 +162,18 @@ def unfinished(root: Path) -> tuple[Rig, Order]:
         subject=begin["subject"],
         expression=begin["expression"],
         consent=begin["consent"],
+        facts=begin["facts"],
     )
+
+
+def config_of(root: Path) -> CaptureConfig:
+    """The configuration with which an unfinished session began.
+
+    Raises:
+        FormatError, ConfigError: no session, or one of another version.
+    """
+    path = root / "journal.jsonl"
+    return make_config(CaptureConfig, read_journal(path)[0]["config"], path)
 
 
 @contextlib.contextmanager
@@ -191,7 +205,7 @@ def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
         "not_verifiable": {name: told.untold() for name, told in stage.told.items()},
         "on_plane": on_plane(stage.rig),
         "config": as_dict(config),
-        **order.facts,
+        "facts": dict(order.facts),
     }
     if not order.resume:
         levels = {shot.pattern: shot.levels.tolist() for shot in order.shots}
@@ -227,11 +241,13 @@ def _run(
     checks: Checks | None,
 ) -> CaptureReport:
     checks = checks or ShotChecks(stage.rig, order.shots, config.checks)
-    for kept in writer.state.frames():
-        # Photographs of before: later patterns are compared with them.
-        checks.photograph(kept.pattern, kept.camera, order.root / kept.path)
     cards = {camera.id: camera.card() for camera in stage.cameras}
-    photographer = Photographer(stage.rig, stage.lights, writer, checks, config, stage.told, cards)
+    photographer = Photographer(stage.rig, writer, checks, config, stage.told, cards)
+    before: dict[str, list[Finding]] = {}
+    for kept in writer.state.frames():
+        found = photographer.look_again(kept.pattern, kept.camera, order.root / kept.path)
+        if kept.pattern in wanted:  # of a finished one it was decided
+            before.setdefault(kept.pattern, []).extend(found)
     run = Run(
         order.shots,
         wanted,
@@ -242,5 +258,6 @@ def _run(
         checks,
         operator,
         config,
+        before,
     )
     return run.take_all()

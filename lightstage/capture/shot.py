@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-import threading
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 from lightstage.cameras.camera import CameraDevice
 from lightstage.capture.config import CaptureConfig
+from lightstage.capture.pattern_light import PatternLight
 from lightstage.capture.photograph import OldPictureError, Photographer, Taken
 from lightstage.capture.wishes import Wishes
 from lightstage.errors import (
@@ -21,7 +20,8 @@ from lightstage.errors import (
     LightstageError,
 )
 from lightstage.findings import Finding
-from lightstage.leds.controller import LedController, LightLostError
+from lightstage.leds.controller import LightLostError
+from lightstage.safety import SafeLights
 from lightstage.sequence import Shot
 from lightstage.session import SessionWriter
 from lightstage.steps import step
@@ -65,41 +65,11 @@ class ShotTaken:
         return last - min(each.triggered_s for each in self.taken)
 
 
-class _Lamp:
-    """Turns a pattern off when all cameras have exposed and their downloads take long.
-
-    Args:
-        cameras: how many need the light.
-        lights: the stage's.
-        after_s: how long it stays lit after the last exposure.
-    """
-
-    def __init__(self, cameras: int, lights: LedController, after_s: float) -> None:
-        self._needed = cameras
-        self._lights = lights
-        self._after_s = after_s
-        self._due_s = math.inf
-        self._lock = threading.Lock()
-
-    def exposed(self) -> None:
-        """One camera needs the light no more."""
-        with self._lock:
-            self._needed -= 1
-            if self._needed == 0:
-                self._due_s = time.monotonic() + self._after_s
-
-    def dark_when_due(self) -> None:
-        """All lights off, once, when it is time."""
-        if time.monotonic() >= self._due_s:
-            self._due_s = math.inf
-            self._lights.dark()
-
-
 def take_shot(
     shot: Shot,
     takes: Mapping[str, int],
     cameras: Sequence[CameraDevice],
-    lights: LedController,
+    lights: SafeLights,
     photographer: Photographer,
     writer: SessionWriter,
     wishes: Wishes,
@@ -124,18 +94,16 @@ def take_shot(
         CaptureError: this computer's disk failed.
         DeviceError: the lights failed.
     """
-    begun_s = time.monotonic()
     try:
-        driven = lights.light(shot.levels)
+        light = PatternLight(lights, shot.levels, len(cameras), config.dark_after_s)
     except LightLostError as error:
-        findings = [not_taken(shot.pattern, camera.id, error) for camera in cameras]
-        return ShotTaken((), tuple(findings), time.monotonic() - begun_s, light_lost=True)
-    lit_s = time.monotonic() - begun_s
+        missed = _missed(shot.pattern, cameras, {camera.id: error for camera in cameras}, writer)
+        return ShotTaken((), tuple(missed), 0.0, light_lost=True)
     writer.lit(
         shot.pattern,
-        driven.tolist(),
+        light.driven.tolist(),
         acknowledged=lights.acknowledged,
-        acknowledged_after_s=round(lit_s, 6),
+        acknowledged_after_s=round(light.lit_s, 6),
     )
     step("lit", shot.pattern)
     writer.trigger(shot.pattern, takes)
@@ -145,15 +113,14 @@ def take_shot(
     failed: dict[str, LightstageError] = {}
     disk: CaptureError | None = None
     try:
-        lamp = _Lamp(len(cameras), lights, config.dark_after_s)
         at_s = time.monotonic() + config.trigger_lead_s
         pending: dict[Future[Taken], str] = {
-            pool.submit(photographer.take, shot.pattern, takes[c.id], c, at_s, lamp.exposed): c.id
+            pool.submit(photographer.take, shot.pattern, takes[c.id], c, at_s, light): c.id
             for c in cameras
         }
         while pending:
             ready, _ = wait(pending, timeout=POLL_S, return_when="FIRST_COMPLETED")
-            lamp.dark_when_due()
+            light.dark_when_due()
             if wishes.aborted():
                 lights.dark()
                 # What is exposed still comes home.
@@ -173,12 +140,9 @@ def take_shot(
     if disk is not None:
         raise disk
     findings = [finding for each in taken for finding in each.findings]
-    missed = [not_taken(shot.pattern, c.id, failed[c.id]) for c in cameras if c.id in failed]
-    for finding in missed:
-        writer.finding(finding)
-    findings += missed
+    findings += _missed(shot.pattern, cameras, failed, writer)
     lost = any(isinstance(error, LightLostError) for error in failed.values())
-    return ShotTaken(tuple(taken), tuple(findings), lit_s, lost)
+    return ShotTaken(tuple(taken), tuple(findings), light.lit_s, lost)
 
 
 def aborted() -> AbortedError:
@@ -186,14 +150,26 @@ def aborted() -> AbortedError:
     return AbortedError("capture", found="the operator's wish to end it")
 
 
-def not_taken(pattern: str, camera: str, error: LightstageError) -> Finding:
-    """A photograph that did not come, as a finding."""
-    return Finding(
-        "retake",
-        "not-taken",
-        f"{pattern} by {camera}",
-        found=str(error),
-        expected="a photograph",
-        pattern=pattern,
-        camera=camera,
-    )
+def _missed(
+    pattern: str,
+    cameras: Sequence[CameraDevice],
+    failed: Mapping[str, LightstageError],
+    writer: SessionWriter,
+) -> list[Finding]:
+    """Photographs that did not come, as findings in the journal too."""
+    findings = [
+        Finding(
+            "retake",
+            "not-taken",
+            f"{pattern} by {camera.id}",
+            found=str(failed[camera.id]),
+            expected="a photograph",
+            pattern=pattern,
+            camera=camera.id,
+        )
+        for camera in cameras
+        if camera.id in failed
+    ]
+    for finding in findings:
+        writer.finding(finding)
+    return findings

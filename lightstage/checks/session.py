@@ -140,7 +140,8 @@ def _load(root: Path) -> Session:
             root / "session.json",
             found="only a journal",
             expected="a finished session",
-            hint=f"The capture was interrupted. lightstage capture --resume --out {root}",
+            hint=f"While it is captured: lightstage watch {root}. If the capture was interrupted: "
+            f"lightstage capture --resume --out {root} (--leds and --cameras as before).",
         )
     return load_session(root)
 

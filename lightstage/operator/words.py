@@ -41,7 +41,10 @@ FINDING: dict[str, tuple[Tone, str, str]] = {
 MISSING = "The others are kept. If it fails again, look at its cable, battery and card."
 """Said where a photograph did not come."""
 FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
-RESUME = "Nothing that was kept is lost. Go on with: lightstage capture --resume --out {session}"
+RESUME = (
+    "Nothing that was kept is lost. Go on with: lightstage capture --resume --out {session} "
+    "(--leds and --cameras as before)"
+)
 
 
 @dataclasses.dataclass(frozen=True)

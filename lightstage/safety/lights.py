@@ -83,6 +83,11 @@ class SafeLights:
         return self._lights.pulse_hz
 
     @property
+    def state(self) -> int:
+        """Number of what was asked for last: another with every light and every dark."""
+        return self._number
+
+    @property
     def guardian_pid(self) -> int | None:
         """The process that makes the lights dark if this one is killed; None where none can."""
         return None if self._guardian is None else self._guardian.pid

@@ -43,7 +43,7 @@ def require_new(root: Path) -> None:
             root,
             found="something there already",
             expected="a new folder",
-            hint="Sessions are never overwritten; give another --out.",
+            hint="Sessions are never overwritten: another --out, or --resume an unfinished one.",
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -31,6 +32,7 @@ def stage(
     """Let a simulated stage stand ready until Ctrl-C, and say how to capture it."""
     from lightstage.patterns import sequence_patterns
     from lightstage.rig import default_rig, load_rig
+    from lightstage.sequence import plan_shots
     from sim.devices.faults import FaultLog, Story
     from sim.devices.standing_stage import standing_stage
     from sim.light.world import World
@@ -41,17 +43,20 @@ def stage(
     story = Story() if faults is None else Story.read(faults)
     where = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
     patterns = sequence_patterns(sequence, where)
+    plan_shots(patterns, where)  # an unknown pattern is told before a person is made
     story.check_cameras([camera.id for camera in where.cameras], "--faults")
     person = load_subject(subject, seed, None, SessionConfig().texture_rows)
     with progress_bar("shadow rays, cameras") as progress:
         world = World(person, where, progress)
     with tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name:
         desk = Path(name)
-        log = FaultLog(desk / "faults.jsonl")
+        log = FaultLog(None if faults is None else faults.with_suffix(".jsonl").absolute())
         with standing_stage(world, desk, seed, patterns, None, story, log) as standing:
             command = ["lightstage", *standing.command(Path("SESSION")), "--sequence", sequence]
             print(f"Ready; Ctrl-C ends it. In another terminal:\n\n  {shlex.join(command)}\n")
-            print("What goes wrong is told in", log.path, flush=True)
+            if log.path is not None:
+                print("What goes wrong is told in", log.path)
+            sys.stdout.flush()
             try:
                 while standing.device.failure is None:
                     time.sleep(POLL_S)

@@ -83,7 +83,7 @@ def test_a_session_records_the_calibration_shots_that_it_may_use(taken):
     done = capture(stage, desk, desk / "S")
     assert done.returncode == 0, done.stderr
     begin = read_journal(desk / "S" / "journal.jsonl")[0]
-    fact = begin["calibration_shots"]["chart"]
+    fact = begin["facts"]["calibration_shots"]["chart"]
     shots = latest(desk / "lab", "chart")
     assert fact["id"] == shots.file.id
     assert fact["path"] == shots.root.name
@@ -111,7 +111,7 @@ def test_a_session_refuses_stale_shots_before_a_light_goes_on_unless_told(taken)
         allowed = capture(stage, desk, desk / "allowed", "--allow-stale", "chart")
         assert allowed.returncode == 0, allowed.stderr
         lines = read_journal(desk / "allowed" / "journal.jsonl")
-        assert "old" in lines[0]["calibration_shots"]["chart"]["stale"][0]
+        assert "old" in lines[0]["facts"]["calibration_shots"]["chart"]["stale"][0]
         warned = [line for line in lines if line["event"] == "finding"]
         assert [line["severity"] for line in warned if "chart" in line["where"]] == ["warn"]
     finally:

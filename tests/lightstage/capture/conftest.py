@@ -48,9 +48,7 @@ class Bench:
         """Take what is wanted."""
         cards = {camera.id: camera.card() for camera in self.cameras}
         told = {camera.id: camera.open() for camera in self.cameras}
-        photographer = Photographer(
-            self.rig, self.lights, self.writer, self.checks, self.config, told, cards
-        )
+        photographer = Photographer(self.rig, self.writer, self.checks, self.config, told, cards)
         run = Run(
             self.shots, self.writer.state.wanted(), self.cameras, self.lights, photographer,
             self.writer, self.checks, self.operator, self.config,

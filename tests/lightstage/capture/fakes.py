@@ -34,6 +34,7 @@ class Lights:
         self.pulse_hz = None
         self.fail: dict[str, tuple[int, int, Exception]] = {}
         self.levels = np.zeros(count)
+        self.state = 0
         self._counts: dict[str, int] = {}
         self._lock = threading.Lock()
 
@@ -59,6 +60,7 @@ class Lights:
     def _did(self, what: str) -> None:
         with self._lock:
             self.log.append(what)
+            self.state += what in ("light", "dark")
             count = self._counts[what] = self._counts.get(what, 0) + 1
         first, last, error = self.fail.get(what, (0, -1, Exception()))
         if first <= count <= last:

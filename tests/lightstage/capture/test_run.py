@@ -145,7 +145,7 @@ def test_what_was_taken_is_not_taken_again_when_a_capture_goes_on(bench):
     before = [camera.shots for camera in bench.cameras]
     report = bench.run()
     assert [camera.shots - b for camera, b in zip(bench.cameras, before, strict=True)] == [1, 2, 1]
-    assert report.frames == 4
+    assert (report.taken, report.frames) == (4, 9)
     assert len(finished(bench).file.frames) == 9
 
 
@@ -208,6 +208,22 @@ def test_an_abort_makes_the_stage_dark_first_and_what_was_exposed_still_comes_ho
         bench.run()
     assert bench.log.index("dark") < bench.log.index("download cam2")
     assert not bench.lights.levels.any()
+
+
+def test_a_picture_taken_after_the_lights_were_put_out_is_never_kept_as_the_patterns(bench):
+    camera = bench.cameras[1]
+    trigger = camera.trigger
+
+    def busy(*asked):
+        bench.lights.dark()  # somebody aborts, from another thread
+        return trigger(*asked)
+
+    camera.trigger = busy
+    bench.operator.answers = ["abort"]
+    with pytest.raises(CaptureError, match="put out meanwhile"):
+        bench.run()
+    assert "cam1.dng" not in bench.kept("full")
+    assert [line["camera"] for line in bench.events("recovered")] >= ["cam1"]
 
 
 def test_a_pause_is_dark_and_goes_on_where_it_was(bench):
