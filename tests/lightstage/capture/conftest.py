@@ -44,14 +44,14 @@ class Bench:
     operator: ScriptedOperator
     config: CaptureConfig = FAST
 
-    def run(self) -> CaptureReport:
+    def run(self, before=None) -> CaptureReport:
         """Take what is wanted."""
         cards = {camera.id: camera.card() for camera in self.cameras}
         told = {camera.id: camera.open() for camera in self.cameras}
         photographer = Photographer(self.rig, self.writer, self.checks, self.config, told, cards)
         run = Run(
             self.shots, self.writer.state.wanted(), self.cameras, self.lights, photographer,
-            self.writer, self.checks, self.operator, self.config,
+            self.writer, self.checks, self.operator, self.config, before,
         )  # fmt: skip
         return run.take_all()
 

@@ -149,6 +149,16 @@ def test_what_was_taken_is_not_taken_again_when_a_capture_goes_on(bench):
     assert len(finished(bench).file.frames) == 9
 
 
+def test_what_a_photograph_showed_before_a_crash_is_not_forgotten(bench):
+    bench.cameras[1].faults = dict.fromkeys(range(1, 9), "fail")
+    with pytest.raises(CaptureError):
+        bench.run()
+    bench.cameras[1].faults = {}
+    bench.run({"full": [bad("underexposed", "cam0", "full")]})
+    assert bench.kept("full")[:2] == ["cam0.dng", "cam0.take2.dng"]
+    assert finished(bench).frame("full", "cam0").path == "frames/full/cam0.take2.dng"
+
+
 def test_an_earlier_pattern_that_turns_out_wrong_is_taken_again_and_the_old_file_stays(bench):
     bench.checks.of_shots["x-"] = [[bad("sum", "cam1", "x+")]]
     bench.run()
