@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
-from sim.devices.stage_command import add_stage_command
+from sim.devices.stage_command import add_stage_commands
 from sim.errors import SimError
 from sim.scans.commands import add_import_commands
 
@@ -18,7 +18,7 @@ SUBJECT_HELP = (
 )
 app = make_app("A light stage without the hardware: people, light, sessions, targets, data sets.")
 add_import_commands(app)
-add_stage_command(app)
+add_stage_commands(app)
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""The command `stage`: devices that stand ready, for `lightstage capture` by hand."""
+"""Commands `stage` and `calibrate`: devices that stand ready, for `lightstage` by hand."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from sim.errors import SimError
 POLL_S = 0.2
 
 
-def add_stage_command(app: typer.Typer) -> None:
-    """Add the command to an application."""
+def add_stage_commands(app: typer.Typer) -> None:
+    """Add the commands to an application."""
     app.command("stage")(stage)
+    app.command("calibrate")(calibrate)
 
 
 def stage(
@@ -63,3 +64,33 @@ def stage(
             except KeyboardInterrupt:
                 return
             raise SimError("LED device", found=str(standing.device.failure)) from None
+
+
+def calibrate(
+    kind: str = typer.Argument(help="charuco, mirror, grey, chart, dark or flat."),
+    out: Path = typer.Option(..., help="The lab's folder of calibration shots."),
+    seed: int = typer.Option(0, help="Of poses, lenses and noise."),
+    scale: float = typer.Option(0.06, min=0.005, max=1.0, help="Share of the rig's pixels a side."),
+    rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
+) -> None:
+    """Let `lightstage calibrate` take a simulated target, held pose by pose as it asks."""
+    from lightstage.calibrations.config import require_kind
+    from lightstage.rig import default_rig, load_rig
+    from sim.devices.target_stage import TargetStage
+
+    require_kind(kind, "kind")
+    where = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
+    with (
+        tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name,
+        TargetStage(Path(name), where, kind, seed) as standing,
+    ):
+        done = standing.calibrate(out, kind)
+    print(done.stderr, file=sys.stderr, end="")
+    print(done.stdout, end="")
+    if done.returncode != 0:
+        raise SimError(
+            "lightstage calibrate",
+            found=f"exit code {done.returncode}",
+            expected="0",
+            hint="Its own message is above.",
+        )

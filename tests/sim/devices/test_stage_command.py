@@ -33,3 +33,18 @@ def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig
     finally:
         stage.send_signal(signal.SIGINT)
         assert stage.wait(30) == 0
+
+
+def test_a_simulated_target_becomes_calibration_shots_that_hold(tmp_path, tiny_rig):
+    rig = save_rig(tiny_rig, tmp_path / "rig.json")
+    options = ["dark", "--out", str(tmp_path / "LAB"), "--rig", str(rig), "--scale", "1"]
+    done = subprocess.run(
+        [sys.executable, "-m", "sim", "calibrate", *options], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    listed = subprocess.run(
+        [sys.executable, "-m", "lightstage", "calibrations", str(tmp_path / "LAB")],
+        capture_output=True,
+        text=True,
+    )
+    assert "1 of 6 kinds hold" in listed.stdout
