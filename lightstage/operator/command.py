@@ -47,6 +47,8 @@ def watch_command(
             raise CaptureError(session, field=do, found=why, expected="a capture that can do so")
         finish(f"{session}: {do} is accepted", {"session": str(session), "accepted": do}, as_json)
         return
+    if until is not None and picture is None:
+        raise ConfigError("--until", found=str(until), expected="--picture beside it")
     view = View(str(session))
     if picture is not None:
         if columns < 40:
@@ -55,6 +57,8 @@ def watch_command(
             for line in tail.read():
                 if until is None or line["id"] <= until:
                     view.told(line)
+        if until is not None and until > view.last_id:
+            raise ConfigError("--until", found=str(until), expected=f"at most {view.last_id}")
         keys = ("retake", "pause", "abort") if view.phase == "running" else ()
         write_text(picture, drawn(Screen(view, Ask(keys=keys)), columns))
     else:

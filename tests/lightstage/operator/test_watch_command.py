@@ -232,3 +232,18 @@ def test_a_watcher_at_a_terminal_sees_the_picture_and_leaves_by_q(
     assert terminal.mode() == terminal.before
     assert running.process.poll() is None
     assert os.path.exists(running.journal)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [(["--until", "3"], "--picture beside it"), (["--until", "999", "--picture"], "at most ")],
+)
+def test_a_moment_that_cannot_be_drawn_is_refused(tmp_path, replay, capturing, more, said):
+    running = capturing()
+    running.write(*bare(replay[:5]))
+    running.wait(lambda: running.journal.read_bytes().count(b"\n") >= 5)
+    picture = tmp_path / "p.svg"
+    done = watch(tmp_path, *more, *([str(picture)] if "--picture" in more else []))
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert not picture.exists()
