@@ -31,7 +31,7 @@ class Stage:
         rig: where they stand.
         lights: dark, and dark again at the end.
         cameras: opened, in the rig's order.
-        told: what each camera tells about itself, by its id; renewed when one is started again.
+        told: what each camera told about itself, by its id, and must go on telling.
         file: what the cameras file says of them.
     """
 

@@ -10,7 +10,6 @@ import collections
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -98,13 +97,8 @@ class CodedStage:
         self.device.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.device.__exit__(kind, error, trace)
+    def __exit__(self, *_: object) -> None:
+        self.device.__exit__()
 
     def _show(self, levels: np.ndarray) -> None:
         light = self._photographer.lit(levels)

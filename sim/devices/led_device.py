@@ -9,7 +9,6 @@ import select
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
@@ -79,12 +78,7 @@ class EndDevice(abc.ABC):
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         os.write(self._stop_write, b"x")
         self._thread.join()
         self._end.close()

@@ -8,7 +8,6 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -67,13 +66,8 @@ class TargetStage:
         self.device.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.device.__exit__(kind, error, trace)
+    def __exit__(self, *_: object) -> None:
+        self.device.__exit__()
 
     def hold(self, pose: int) -> None:
         """Hold the target as pose `pose` (from 0)."""
