@@ -6,6 +6,7 @@ import contextlib
 import json
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -19,6 +20,9 @@ ProgressCallback = Callable[[int, int], None]
 """`progress(done, total)`, called by long functions; they print nothing themselves."""
 
 JsonFlag = typer.Option(False, "--json", help="Print the facts as JSON on the last line.")
+
+
+_interrupted = threading.Event()
 
 
 def quiet(done: int, total: int) -> None:
@@ -36,14 +40,19 @@ def run_app(app: typer.Typer) -> None:
     """Run an application: 0 done, 2 on arguments or input that the user can mend.
 
     SIGTERM and SIGHUP (a closed terminal) are turned into KeyboardInterrupt, so that every
-    `finally` (lights dark, temporary files removed) runs for them as for Ctrl-C.
+    `finally` (lights dark, temporary files removed) runs for them as for Ctrl-C. An exception that
+    a signal raises inside a library's callback is lost there; the next `progress` call raises it
+    again.
     """
 
     def interrupt(*_: object) -> None:
+        _interrupted.set()
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, interrupt)
     signal.signal(signal.SIGHUP, interrupt)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored
+        signal.signal(signal.SIGINT, interrupt)
     try:
         app()
     except LightstageError as error:
@@ -66,6 +75,8 @@ def progress_bar(label: str) -> Iterator[ProgressCallback]:
         task = bar.add_task(label, total=None)
 
         def progress(done: int, total: int) -> None:
+            if _interrupted.is_set():
+                raise KeyboardInterrupt
             bar.update(task, completed=done, total=total)
 
         yield progress

@@ -116,3 +116,31 @@ def test_many_errors_fold_into_one_of_the_first_kind():
     folded = one_error([RigError("a", found="b"), DeviceError("c")])
     assert isinstance(folded, RigError)
     assert str(folded) == "2 problems:\n  a: found b\n  c"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_a_library_swallowed_still_ends_the_command(tmp_path, number):
+    script = f"""
+import os, time
+from lightstage.commands import make_app, progress_bar, run_app
+app = make_app("x")
+
+class Gone:
+    def __del__(self):  # Python drops whatever is raised in here
+        os.kill(os.getpid(), {int(number)})
+        time.sleep(0.01)
+
+@app.command()
+def f():
+    with progress_bar("f") as progress:
+        Gone()
+        progress(1, 2)
+        print("went on")
+
+run_app(app)
+"""
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20)
+    assert done.returncode not in (0, 2)
+    assert "went on" not in done.stdout
+    assert "Exception ignored" in done.stderr
