@@ -25,9 +25,12 @@ from lightstage.rig import default_rig, save_rig
 from processing.decode import DecodeConfig, decode
 from processing.frames import Frames, read_foreground, read_frames, write_frames
 from processing.lights import PatternLights, pattern_lights
+from processing.methods.colour import separate_pixels
+from processing.methods.config import SeparateConfig
 from processing.normals import ratio_normals
+from processing.pixels import PixelMaps
+from processing.readings import px_per_mm
 from processing.refine import RefineConfig, read_view, solve_albedo, solve_pixels
-from processing.separation import PixelMaps, SeparateConfig, px_per_mm, separate_pixels
 from processing.specular import add_view, no_sums, solve_gloss
 from processing.surface import lit_surface
 
@@ -67,7 +70,8 @@ def published(photos: Photographs, patterns: tuple[str, ...]) -> PixelMaps:
         deltas.append(g.max(axis=1) - chroma_g / np.maximum(saturation, 1e-3))
     specular = np.clip(np.median(deltas, axis=0), 0, 0.2)
     albedo = np.maximum(photos.rgb[:, index["full"]] - specular[:, None], 0)
-    return PixelMaps(normal, albedo, specular, np.ones(len(normal)))
+    one = np.ones(len(normal))
+    return PixelMaps(normal, normal, albedo, specular, one, one)
 
 
 def with_mesh(
@@ -136,7 +140,7 @@ def errors(maps: PixelMaps, mask: np.ndarray, truth: ProcessedFolder) -> tuple[f
         truth.read_view(CAMERAS[0], name)[mask][scored]
         for name in ("diffuse_normal", "diffuse_albedo", "specular_albedo")
     )
-    cosine = np.einsum("nk,nk->n", maps.normal[scored], normal)
+    cosine = np.einsum("nk,nk->n", maps.diffuse_normal[scored], normal)
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     rmse = np.sqrt(((maps.albedo[scored] - albedo) ** 2).mean())
     gloss = np.sqrt(((maps.specular[scored] - specular) ** 2).mean()) / specular.std()

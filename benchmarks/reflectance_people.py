@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightstage.commands import quiet
 from lightstage.formats.files import atomic_folder
 from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import Rig, default_rig
@@ -158,7 +159,7 @@ def _make(known: Known, light: str, sequence: str, scale: float, out: Path) -> N
         lit = ReferenceWorld(subject, rig)
         names = sequence_patterns(sequence, rig)
         lit.prepare(np.stack([pattern_levels(name, rig) for name in names]))
-    write_direct(lit, out, SessionConfig(sequence=sequence), known.seed, lambda done, total: None)
+    write_direct(lit, out, SessionConfig(sequence=sequence), known.seed, quiet)
     lamps = dataclasses.replace(lamps_of(others), weights=np.ones((NEW_LIGHTS, 3)))
     lone = (ReferenceWorld if light == "reference" else World)(subject, others, lamps=lamps)
     (truth / "new_lights").mkdir()

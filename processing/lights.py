@@ -78,11 +78,7 @@ def no_shadows(count: int, lights: PatternLights) -> Shadows:
 
 
 def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights:
-    """The lights of a session's patterns, from its rig and what was really driven.
-
-    Raises:
-        ProcessingError: patterns that do not determine a normal, or polarised ones.
-    """
+    """The lights of a session's patterns, from its rig and what was really driven."""
     rig = session.rig
     lit = rig.rgb_gains.max(axis=1) > 0
     rgb = stage_lights(rig, np.ones(len(rig.lights)), "all", full_levels(session)).rgb
@@ -96,7 +92,7 @@ def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights
     position = rig.positions_mm[lit][order]
     mean = rgb.mean(axis=1)
     colour = rgb.sum(axis=0) / mean.sum()
-    lights = PatternLights(
+    return PatternLights(
         patterns=patterns,
         position_mm=position,
         radius_mm=np.linalg.norm(position, axis=1),
@@ -106,6 +102,15 @@ def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights
         colour=colour,
         colour_spread=float(np.abs(rgb / mean[:, None] - colour).max()),
     )
+
+
+def require_unpolarised(lights: PatternLights) -> None:
+    """Refuse patterns from which no normal follows without a polariser.
+
+    Raises:
+        ProcessingError: fewer than three independent directions of light, or polarised patterns.
+    """
+    patterns = lights.patterns
     vectors = lights.strength @ (lights.position_mm / lights.radius_mm[:, None])
     polarised = [name for name in patterns if "@" in name]
     if polarised or np.linalg.matrix_rank(vectors, tol=1e-3 * np.abs(vectors).max()) < 3:
@@ -116,7 +121,6 @@ def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights
             expected="unpolarised patterns from three directions, such as the sequence binary",
             hint="Capture with `--sequence binary`.",
         )
-    return lights
 
 
 def octahedral_normals(side: int = OCTAHEDRON) -> np.ndarray:

@@ -18,6 +18,7 @@ from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import AtlasConfig, atlas
 from processing.decode import DecodeConfig, decode
 from processing.errors import ProcessingError
+from processing.methods.config import SeparateConfig
 from processing.pages import write_processed_report
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
@@ -33,7 +34,7 @@ from processing.records import (
 )
 from processing.refine import RefineConfig, refine
 from processing.registration.stage import RegisterConfig, register
-from processing.separation import SeparateConfig, separate
+from processing.separation import separate
 
 STAGES = ("decode", "separate", "reconstruct", "refine", "register", "atlas")
 WITH_TEMPLATE = ("register", "atlas")

@@ -16,11 +16,13 @@ from processing.albedo import diffuse_albedo, diffuse_light
 from processing.errors import ProcessingError
 from processing.frames import read_foreground, read_frames
 from processing.interface import skin_interface
-from processing.lights import PatternLights, irradiance_vectors, pattern_lights
+from processing.lights import PatternLights, irradiance_vectors, pattern_lights, require_unpolarised
 from processing.lobe import SKIN_F0, transport
 from processing.masks import edge_distance_px
+from processing.methods.colour import fit
 from processing.normals import blurred, merged_detail, misfit, solve_normals
-from processing.separation import PixelMaps, fit, px_per_mm, read_pixels, write_maps
+from processing.pixels import PixelMaps, write_maps
+from processing.readings import px_per_mm, read_pixels
 from processing.specular import Gloss, add_view, no_sums, solve_gloss
 from processing.surface import LitSurface, Sight, depth_edges, lit_surface, see
 
@@ -109,6 +111,7 @@ def refine(
     mesh = read_ply(folder.base_mesh)
     cameras = session.camera_ids()
     lights = pattern_lights(session, read_frames(out, cameras[0]).patterns)
+    require_unpolarised(lights)
     steps = 2 * len(cameras) + 1
     surface = lit_surface(
         mesh,
@@ -317,7 +320,8 @@ def solve_albedo(
     lit[~solved], power[~solved] = 0, 0
     albedo = diffuse_albedo(lit, power, mask, view.px_per_mm, config.albedo_prior_power)
     albedo[~solved] = 0
-    return PixelMaps(normal, albedo, specular, normals.confidence)
+    roughness = np.where(solved, roughness, 0)
+    return PixelMaps(normal, normal, albedo, specular, roughness, normals.confidence)
 
 
 def _every(confidence: np.ndarray, most: int) -> np.ndarray:

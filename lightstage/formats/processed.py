@@ -25,6 +25,7 @@ MAPS: dict[str, MapSpec] = {
     "diffuse_albedo": MapSpec(3),
     "ambient_occlusion": MapSpec(1),
     "specular_albedo": MapSpec(1),
+    "roughness": MapSpec(1),
     "diffuse_normal": MapSpec(3),
     "specular_normal": MapSpec(3),
     "confidence": MapSpec(1),

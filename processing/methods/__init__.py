@@ -1,0 +1,1 @@
+"""Ways to separate a view's pixels into diffuse and specular maps, one a file."""

@@ -1,0 +1,46 @@
+"""Maps of one view's pixels, as every method of separation and `refine` returns them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from lightstage.formats.processed import ProcessedFolder
+
+
+@dataclasses.dataclass(frozen=True)
+class PixelMaps:
+    """Maps of the n pixels of a mask, in row order; 0 where unsolved.
+
+    Attributes:
+        diffuse_normal: (n, 3) unit, the direction that explains the diffuse shading.
+        specular_normal: (n, 3) unit, the surface's own with its finest relief.
+        albedo: (n, 3) diffuse.
+        specular: (n,) reflectance at normal incidence.
+        roughness: (n,) Beckmann's m that the specular albedo was found with.
+        confidence: (n,) 0..1.
+    """
+
+    diffuse_normal: np.ndarray
+    specular_normal: np.ndarray
+    albedo: np.ndarray
+    specular: np.ndarray
+    roughness: np.ndarray
+    confidence: np.ndarray
+
+
+def write_maps(folder: ProcessedFolder, camera_id: str, mask: np.ndarray, maps: PixelMaps) -> None:
+    """Write one view's maps, zero outside the (h, w) mask."""
+    named = {
+        "diffuse_normal": maps.diffuse_normal,
+        "specular_normal": maps.specular_normal,
+        "diffuse_albedo": maps.albedo,
+        "specular_albedo": maps.specular,
+        "roughness": maps.roughness,
+        "confidence": maps.confidence,
+    }
+    for name, values in named.items():
+        image = np.zeros((*mask.shape, *values.shape[1:]), np.float32)
+        image[mask] = values
+        folder.write_view(camera_id, name, image)
