@@ -26,6 +26,7 @@ from processing.lights import (
     octahedral_cell,
     octahedral_normals,
     pattern_lights,
+    require_unpolarised,
 )
 from processing.lobe import transport
 from processing.methods.colour import separate_pixels
