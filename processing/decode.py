@@ -136,6 +136,6 @@ def _colours(session: Session, cameras: list[str]) -> tuple[dict[str, np.ndarray
         said = "No colour calibration: white balance from AsShotNeutral, albedo scale unknown."
         return {}, [said]
     path = session.root / session.file.calibration.colour
-    matrices = read_colour(path, [camera for camera in cameras if camera in raw])
+    colours = read_colour(path, [camera for camera in cameras if camera in raw])
     scale = raw_scale(session)
-    return {camera: matrix * scale for camera, matrix in matrices.items()}, []
+    return {camera: colour.matrix * scale for camera, colour in colours.items()}, []
