@@ -7,12 +7,15 @@ import dataclasses
 import numpy as np
 from numba import njit, prange
 
-from lightstage.formats.environment import stage_lights
-from lightstage.formats.scale import full_levels
 from lightstage.formats.session import Session
 from processing.errors import ProcessingError
 from processing.interface import BARE, Interface, let_through, row_of
+from processing.lamps import Source, session_lamps
 
+DIFFUSE_SHARES = {"": 1.0, "parallel": 0.5, "cross": 0.5}
+MIRROR_SHARES = {"": 1.0, "parallel": 1.0, "cross": 0.0}
+"""What a lens's polariser passes of the light that scattered in the skin, which has lost its
+polarisation, and of what its surface mirrored, which has kept it [Ma2007]."""
 OCTAHEDRON = 96
 """Side of the octahedral grid that the far field is tabulated for (off by 2.5 deg at most)."""
 
@@ -31,8 +34,18 @@ class PatternLights:
             every pattern drives alike (eight octants under binary gradients), so that sums over
             lights are made once a group.
         group_end: (G,) int64, the lights are sorted by group; where each one ends.
+        rgb: (L, 3) the same in each colour channel.
         colour: (3,) the lights' common colour, mean 1; white is (1, 1, 1).
         colour_spread: largest departure of a light's own colour from that one.
+        diffuse_share: (P,) what the camera gets of the light that scattered in the skin: a half
+            through a polariser. Irradiance holds it: a white reads rho E.
+        mirror_share: (P,) the same of what the surface mirrored: all of it in a parallel shot, none
+            in a crossed one. The lobe holds it.
+        exponent: a light's intensity falls with the cosine to its axis, which points at the
+            origin, to this power.
+        stray_rgb: (3, P, 3, 4) light beside the lamps' in each channel: n . (A n + b) for a white
+            of normal n, [A | b] the last two axes.
+        source: whether the lights were measured or are the rig's nominal ones.
     """
 
     patterns: tuple[str, ...]
@@ -41,8 +54,53 @@ class PatternLights:
     weight: np.ndarray
     levels: np.ndarray
     group_end: np.ndarray
+    rgb: np.ndarray
     colour: np.ndarray
     colour_spread: float
+    diffuse_share: np.ndarray
+    mirror_share: np.ndarray
+    exponent: float
+    stray_rgb: np.ndarray
+    source: Source
+
+    @property
+    def polarised(self) -> bool:
+        """Whether some pattern was photographed through polarisers."""
+        return bool((self.diffuse_share < 1).any())
+
+    @property
+    def stray(self) -> np.ndarray:
+        """(P, 3, 4) mean of `stray_rgb` over the channels."""
+        return np.asarray(self.stray_rgb.mean(axis=0))
+
+    def channel(self, index: int) -> PatternLights:
+        """The lights as one colour channel sees them.
+
+        Where lights have colours of their own, as under `mux`, each channel sees patterns of its
+        own: far_field, irradiance_vectors and transport of these lights are that channel's.
+        """
+        rgb = np.repeat(self.rgb[:, index, None], 3, axis=1)
+        return dataclasses.replace(
+            self,
+            weight=self.rgb[:, index],
+            rgb=rgb,
+            colour=np.ones(3),
+            colour_spread=0.0,
+            stray_rgb=np.repeat(self.stray_rgb[index, None], 3, axis=0),
+        )
+
+    def of(self, patterns: tuple[str, ...]) -> PatternLights:
+        """The lights of some of the patterns, in this order; KeyError where one is not there."""
+        places = {name: k for k, name in enumerate(self.patterns)}
+        some = [places[name] for name in patterns]
+        return dataclasses.replace(
+            self,
+            patterns=patterns,
+            levels=self.levels[:, some],
+            diffuse_share=self.diffuse_share[some],
+            mirror_share=self.mirror_share[some],
+            stray_rgb=self.stray_rgb[:, some],
+        )
 
     @property
     def strength(self) -> np.ndarray:
@@ -78,20 +136,33 @@ def no_shadows(count: int, lights: PatternLights) -> Shadows:
 
 
 def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights:
-    """The lights of a session's patterns, from its rig and what was really driven."""
-    rig = session.rig
-    lit = rig.rgb_gains.max(axis=1) > 0
-    rgb = stage_lights(rig, np.ones(len(rig.lights)), "all", full_levels(session)).rgb
+    """The lights of a session's patterns: as measured where its calibration has them, else nominal.
+
+    Patterns are what was really driven. Through polarisers (`@parallel`, `@cross`) a bank shows its
+    shares of scattered and mirrored light; the other bank is dark in the pattern's levels.
+
+    Raises:
+        FormatError: a file of measured lights that does not fit the rig.
+        ProcessingError: patterns polarised in a way that is not known.
+    """
+    lamps = session_lamps(session)
+    lit = lamps.rgb.max(axis=1) > 0
+    rgb = lamps.rgb[lit]
     driven = np.stack([session.levels(name)[lit] for name in patterns], axis=1)
     # Lights of unlike strength that go on and off together are one group: what each has at most
     # goes into its weight.
     most = driven.max(axis=1)
     shares = driven / np.where(most > 0, most, 1.0)[:, None]
     levels, group = np.unique(shares, axis=0, return_inverse=True)
+    group = group.ravel()
     order = np.argsort(group, kind="stable")
-    position = rig.positions_mm[lit][order]
+    position = lamps.position_mm[lit][order]
     mean = rgb.mean(axis=1)
     colour = rgb.sum(axis=0) / mean.sum()
+    banks = [_bank(name) for name in patterns]
+    # A sphere's mean cosine over all directions, below the horizon too, is a quarter.
+    around = driven.T @ rgb / 4  # (P, 3)
+    stray = [lamps.stray.get(name, np.zeros((3, 3, 4))) for name in patterns]
     return PatternLights(
         patterns=patterns,
         position_mm=position,
@@ -99,9 +170,38 @@ def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights
         weight=(mean * most)[order],
         levels=levels,
         group_end=np.cumsum(np.bincount(group, minlength=len(levels))),
+        rgb=(rgb * most[:, None])[order],
         colour=colour,
         colour_spread=float(np.abs(rgb / mean[:, None] - colour).max()),
+        diffuse_share=np.array([DIFFUSE_SHARES[bank] for bank in banks]),
+        mirror_share=np.array([MIRROR_SHARES[bank] for bank in banks]),
+        exponent=lamps.exponent,
+        stray_rgb=np.einsum("pc,pcij->cpij", around, np.array(stray)),
+        source=lamps.source,
     )
+
+
+def _bank(pattern: str) -> str:
+    """How a pattern is polarised: empty, parallel or cross."""
+    bank = pattern.partition("@")[2]
+    if bank not in DIFFUSE_SHARES:
+        raise ProcessingError(
+            f"pattern {pattern}", found=f"@{bank}", expected="@parallel, @cross or neither"
+        )
+    return bank
+
+
+def rank(lights: PatternLights) -> int:
+    """How many independent directions of light the patterns have: three determine a normal.
+
+    Lights of unlike colours count channel by channel: two shots of `mux` may have three.
+    """
+    vectors = np.concatenate([_vectors(lights.channel(c)) for c in range(3)])
+    return int(np.linalg.matrix_rank(vectors, tol=1e-3 * np.abs(vectors).max(initial=1e-300)))
+
+
+def _vectors(lights: PatternLights) -> np.ndarray:
+    return np.asarray(lights.strength @ (lights.position_mm / lights.radius_mm[:, None]))
 
 
 def require_unpolarised(lights: PatternLights) -> None:
@@ -111,7 +211,7 @@ def require_unpolarised(lights: PatternLights) -> None:
         ProcessingError: fewer than three independent directions of light, or polarised patterns.
     """
     patterns = lights.patterns
-    vectors = lights.strength @ (lights.position_mm / lights.radius_mm[:, None])
+    vectors = _vectors(lights)
     polarised = [name for name in patterns if "@" in name]
     if polarised or np.linalg.matrix_rank(vectors, tol=1e-3 * np.abs(vectors).max()) < 3:
         raise ProcessingError(
@@ -166,7 +266,42 @@ def far_field(lights: PatternLights) -> np.ndarray:
     """
     directions = lights.position_mm / lights.radius_mm[:, None]
     above = (octahedral_normals() @ directions.T > 0).astype(float)  # (cells, L)
-    return np.einsum("cl,pl,lk->cpk", above, lights.strength, directions, optimize=True)
+    vectors = np.einsum("cl,pl,lk->cpk", above, lights.strength, directions, optimize=True)
+    return _as_seen(lights, octahedral_normals(), vectors)
+
+
+def _as_seen(lights: PatternLights, normals: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Irradiance vectors (n, P, 3) of the lamps made, in place, those of all that a camera gets."""
+    if lights.stray_rgb.any():
+        stray = lights.stray.astype(vectors.dtype)
+        vectors += np.einsum("pij,nj->npi", stray[:, :, :3], normals, optimize=True)
+        vectors += stray[:, :, 3]
+    if lights.polarised:
+        vectors *= lights.diffuse_share[:, None]
+    return vectors
+
+
+def as_seen(
+    lights: PatternLights, normals: np.ndarray, irradiance: np.ndarray, lobe: np.ndarray
+) -> None:
+    """Add stray light to (n, P) irradiance, and take from it and the lobe what polarisers take."""
+    if lights.stray_rgb.any():
+        stray = lights.stray
+        vectors = np.einsum("pij,nj->npi", stray[:, :, :3], normals, optimize=True)
+        irradiance += np.einsum("npi,ni->np", vectors + stray[:, :, 3], normals)
+    if lights.polarised:
+        irradiance *= lights.diffuse_share
+        lobe *= lights.mirror_share
+
+
+@njit(cache=True)
+def off_axis(exponent: float, cosine: float) -> float:
+    """Share of its intensity that a light sends off its axis; nothing backward of a spread one."""
+    if exponent == 0:
+        return 1.0
+    if cosine <= 0:
+        return 0.0
+    return cosine if exponent == 1 else cosine**exponent
 
 
 def irradiance_vectors(
@@ -179,8 +314,9 @@ def irradiance_vectors(
 ) -> np.ndarray:
     """Irradiance vectors at points near the origin, shadows and fall-off included.
 
-    g_k(p) = sum over visible lights above the horizon of strength_k l T(n . l) (d0 / d)^2, with l
-    the unit direction to the light, d its distance and d0 its distance from the origin.
+    g_k(p) = sum over visible lights above the horizon of strength_k l T(n . l) (d0 / d)^2 c^e, with
+    l the unit direction to the light, d its distance, d0 its distance from the origin and c the
+    cosine to the light's axis; beside it stray light, which comes from everywhere.
 
     Args:
         lights: of P patterns.
@@ -207,9 +343,10 @@ def irradiance_vectors(
         lights.group_end,
         interface.table,
         np.float32(roughness),
+        np.float32(lights.exponent),
         out,
     )
-    return out
+    return _as_seen(lights, normals, out)
 
 
 @njit(parallel=True, cache=True)
@@ -226,6 +363,7 @@ def _irradiance_vectors(
     group_end: np.ndarray,
     through: np.ndarray,
     roughness: float,
+    exponent: float,
     out: np.ndarray,
 ) -> None:
     row, part = row_of(roughness, len(through))
@@ -250,6 +388,8 @@ def _irradiance_vectors(
                 d = np.sqrt(d2)
                 fall = seen * weight[j] * radius[j] * radius[j] / (d2 * d)
                 fall *= let_through(through, row, part, facing / d)
+                aside = position[j, 0] * dx + position[j, 1] * dy + position[j, 2] * dz
+                fall *= off_axis(exponent, aside / (radius[j] * d))
                 x += fall * dx
                 y += fall * dy
                 z += fall * dz

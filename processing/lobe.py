@@ -15,7 +15,7 @@ from numba import njit, prange
 
 from processing.fresnel import fresnel
 from processing.interface import BARE, Interface, let_through, row_of
-from processing.lights import PatternLights, Shadows
+from processing.lights import PatternLights, Shadows, as_seen, off_axis
 
 SKIN_F0 = 0.028
 """Reflectance at normal incidence of skin, n = 1.4."""
@@ -75,13 +75,15 @@ def transport(
         fresnel_table().astype(np.float32),
         interface.table,
         interface.mean,
+        np.float32(lights.exponent),
         out,
     )
+    as_seen(lights, normals, out[0], out[1])
     return out[0], out[1]
 
 
 @njit(cache=True)
-def _shadowing(cosine: float, roughness: float) -> float:
+def shadowing(cosine: float, roughness: float) -> float:
     """Smith's G1 for Beckmann, the rational fit."""
     tangent = math.sqrt(max(0.0, 1 - cosine * cosine)) / cosine
     if roughness * tangent <= 0.625:  # a = 1 / (m tan) >= 1.6
@@ -107,6 +109,7 @@ def _transport(
     table: np.ndarray,
     through: np.ndarray,
     mean: np.ndarray,
+    exponent: float,
     out: np.ndarray,
 ) -> None:
     steps = len(table) - 1
@@ -116,7 +119,7 @@ def _transport(
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
         vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
         nv = max(nx * vx + ny * vy + nz * vz, np.float32(GRAZING))
-        shadow_v = _shadowing(nv, roughness)
+        shadow_v = shadowing(nv, roughness)
         row, part = row_of(roughness, len(through))
         leaving = let_through(through, row, part, nv)
         leaving /= mean[row] * (1 - part) + mean[row + 1] * part
@@ -141,6 +144,8 @@ def _transport(
                 distance = math.sqrt(lx * lx + ly * ly + lz * lz)
                 fall = radius[j] / distance
                 seen *= weight[j] * fall * fall
+                aside = position[j, 0] * lx + position[j, 1] * ly + position[j, 2] * lz
+                seen *= off_axis(exponent, aside / (radius[j] * distance))
                 nl /= distance
                 e += seen * nl * leaving * let_through(through, row, part, nl)
                 hx, hy, hz = lx / distance + vx, ly / distance + vy, lz / distance + vz
@@ -153,7 +158,7 @@ def _transport(
                     continue
                 # pi D / (4 nv), the cosine to the light cancelled against the BRDF's.
                 lobe = math.exp((nh2 - 1) / (nh2 * m2)) / (4 * m2 * nh2 * nh2 * nv)
-                lobe *= seen * shadow_v * _shadowing(nl, roughness)
+                lobe *= seen * shadow_v * shadowing(nl, roughness)
                 place = min(1.0, (vx * hx + vy * hy + vz * hz) / length) * steps
                 below = min(steps - 1, int(place))
                 rest = place - below
