@@ -36,6 +36,13 @@ def _git(*words: str) -> str:
     return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
 
 
+def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
+    return "\n".join(lines)
+
+
 def record(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], note: str) -> None:
     """Print a table and put it into RESULTS.md in place of the last one of the same title.
 
@@ -47,10 +54,7 @@ def record(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], 
     """
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     lines = [f"## {title}", "", f"{today}, {machine()}, commit {commit()}. {note}", ""]
-    lines.append("| " + " | ".join(header) + " |")
-    lines.append("|" + "---|" * len(header))
-    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
-    section = "\n".join(lines) + "\n"
+    section = "\n".join(lines) + "\n" + table(header, rows) + "\n"
     print(section)
     old = RESULTS.read_text() if RESULTS.exists() else "# Results\n"
     parts = old.split("\n## ")

@@ -1,0 +1,150 @@
+"""One person of the accuracy benchmark under our own stages: noisy frames, maps, errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.reflectance_people import NOISE, Known, noisy, session
+from benchmarks.reflectance_relight import relit
+from benchmarks.reflectance_scores import (
+    SURE,
+    Maps,
+    Samples,
+    deciles,
+    joined,
+    read_maps,
+    scores,
+    sure_share,
+    view_samples,
+)
+from lightstage.formats.config import make_config
+from lightstage.formats.exr import read_exr
+from lightstage.formats.mesh import read_ply
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import Session, load_session
+from processing.decode import DecodeConfig
+from processing.frames import Frames, write_foreground, write_frames
+from processing.masks import foreground
+from processing.methods.config import SeparateConfig
+from processing.reconstruction.stage import ReconstructConfig, reconstruct
+from processing.refine import RefineConfig, refine
+from processing.separation import separate
+from sim.session import truth_path
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """Errors of one method on one person.
+
+    Attributes:
+        every: `scores` of all visible skin, and `psnr_db` and `psnr_white_db` of re-rendering.
+        sure: `scores` where confidence is above SURE; empty where it nowhere is.
+        sure_share: how much of the skin that is.
+        deciles: of confidence.
+    """
+
+    every: dict[str, float]
+    sure: dict[str, float]
+    sure_share: float
+    deciles: list[tuple[float, float, float, float]]
+
+
+class Case:
+    """A person's session with noise, in a processed folder of its own."""
+
+    def __init__(self, known: Known, light: str, out: Path, *, sequence: str = "binary") -> None:
+        """Write the noisy frames.
+
+        Args:
+            known: who.
+            light: ``direct`` or ``reference``.
+            out: an empty folder.
+            sequence: of patterns.
+        """
+        self.known, self.light, self.out = known, light, out
+        path = session(known, light=light, sequence=sequence)
+        self.session: Session = load_session(path)
+        self.truth = ProcessedFolder(truth_path(path))
+        put_frames(self.session, out, np.random.default_rng(known.seed))
+
+    def separated(self, settings: Mapping[str, Any] | None = None) -> dict[str, Maps]:
+        """Maps of the coarse pass, with settings of SeparateConfig."""
+        config = make_config(SeparateConfig, settings or {}, "benchmark")
+        separate(self.session, self.out, config)
+        return self._maps()
+
+    def refined(self, settings: Mapping[str, Any] | None = None) -> dict[str, Maps]:
+        """Maps of `refine` with the true mesh, with settings of RefineConfig."""
+        shutil.copy(self.truth.base_mesh, ProcessedFolder(self.out).base_mesh)
+        config = make_config(RefineConfig, settings or {}, "benchmark")
+        refine(self.session, self.out, config)
+        return self._maps()
+
+    def refined_on_own_mesh(self) -> dict[str, Maps]:
+        """Maps of `refine` with the mesh of `reconstruct`, from these few views."""
+        self.separated()
+        reconstruct(self.session, self.out, ReconstructConfig())
+        refine(self.session, self.out, RefineConfig())
+        return self._maps()
+
+    def samples(self, maps: Mapping[str, Maps]) -> Samples:
+        """All views' maps held against truth."""
+        rig = self.session.rig
+        return joined(
+            [view_samples(view, self.truth, rig.camera(name)) for name, view in maps.items()]
+        )
+
+    def result(self, maps: Mapping[str, Maps], *, own_mesh: bool = False) -> Result:
+        """Errors of maps; they are re-rendered with the true mesh's shadows or our own mesh's."""
+        samples = self.samples(maps)
+        every = scores(samples)
+        folder = ProcessedFolder(self.out) if own_mesh else self.truth
+        pictures = relit(
+            maps,
+            read_ply(folder.base_mesh),
+            self.session.rig,
+            self.truth,
+            self.session.root,
+        )
+        every["psnr_db"] = pictures.psnr_db()
+        every["psnr_white_db"] = pictures.psnr_db(1.0)
+        sure = samples.of(samples.confidence > SURE)
+        return Result(
+            every,
+            scores(sure) if len(sure.confidence) else {},
+            sure_share(samples),
+            deciles(samples),
+        )
+
+    def _maps(self) -> dict[str, Maps]:
+        folder = ProcessedFolder(self.out)
+        return {name: read_maps(folder, name) for name in self.session.camera_ids()}
+
+
+def put_frames(
+    stage_session: Session, out: Path, rng: np.random.Generator, share: float = NOISE
+) -> None:
+    """Write a session's linear frames with noise into a processed folder, as `decode` would.
+
+    Args:
+        stage_session: of linear frames.
+        out: processed folder.
+        rng: of the noise.
+        share: of the noise, see `noisy`.
+    """
+    patterns = tuple(stage_session.file.sequence)
+    for camera_id in stage_session.camera_ids():
+        frames = [stage_session.frame(name, camera_id) for name in patterns]
+        images = np.stack([read_exr(stage_session.frame_path(frame)) for frame in frames])
+        mask = foreground(images.max(axis=(0, 3)), DecodeConfig().foreground_share)
+        images = noisy(images, rng, share)
+        valid = np.ones(mask.shape, bool)
+        write_frames(out, camera_id, Frames.of(patterns, images, valid))
+        write_foreground(out, camera_id, mask)
+        ProcessedFolder(out).write_mask(camera_id, mask)

@@ -1,0 +1,143 @@
+"""Pictures under single lights that no pattern used, rendered from maps and held against truth."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.reflectance_people import new_lights, new_rig
+from benchmarks.reflectance_scores import Maps, scored_skin
+from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.rig import Camera, Rig
+from processing.interface import skin_interface
+from processing.lamps import NO_STRAY, Lamps
+from processing.lights import PatternLights, Shadows, lights_of
+from processing.lobe import transport
+from processing.rays import MeshRays, interpolate
+
+PEAK_QUANTILE = 0.999
+SHADOW_OFFSET_MM = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class Relit:
+    """Squared errors of a person's pictures, summed.
+
+    Attributes:
+        squared: sum over views, lights, pixels and channels.
+        values: how many they are.
+        peak: PEAK_QUANTILE of the true pictures.
+    """
+
+    squared: float
+    values: int
+    peak: float
+
+    def psnr_db(self, peak: float | None = None) -> float:
+        """Peak signal-to-noise ratio; the peak is that of the true pictures unless told."""
+        mean = max(self.squared / max(self.values, 1), 1e-12)
+        return float(10 * np.log10((self.peak if peak is None else peak) ** 2 / mean))
+
+
+def single_lights(rig: Rig) -> PatternLights:
+    """The new lights, one a pattern: a white at the origin that faces a light reads 1."""
+    position = new_rig(rig).positions_mm
+    count = len(position)
+    lamps = Lamps(position, np.ones((count, 3)), 0.0, NO_STRAY, "nominal")
+    return lights_of(lamps, tuple(f"new{k:02d}" for k in range(count)), np.eye(count))
+
+
+class Relighter:
+    """A mesh that casts the shadows in the pictures of a person's maps."""
+
+    def __init__(self, mesh: Mesh, rig: Rig) -> None:
+        """Prepare for rays.
+
+        Args:
+            mesh: mm, world; the true one or a reconstruction.
+            rig: the stage.
+        """
+        self._triangles = mesh.triangles()
+        self._rays = MeshRays(mesh.vertices, self._triangles)
+        self._normals = vertex_normals(mesh.vertices, self._triangles)
+        self._lights = single_lights(rig)
+
+    def render(self, maps: Maps, camera: Camera, mask: np.ndarray) -> np.ndarray:
+        """(lights, n, 3) of the mask's pixels, black where the mesh is not seen.
+
+        Args:
+            maps: of the view; the diffuse part is shaded by the diffuse normal, the mirror lobe by
+                the specular normal and the map of roughness.
+            camera: the view.
+            mask: (h, w) bool, pixels to render.
+        """
+        hits = self._rays.cast_camera(camera, mask)
+        chosen = np.flatnonzero(mask.ravel())
+        found = hits.face[chosen] >= 0
+        hits = dataclasses.replace(
+            hits,
+            face=hits.face[chosen][found],
+            barycentric=hits.barycentric[chosen][found],
+            distance_mm=hits.distance_mm[chosen][found],
+        )
+        origin, rays = camera.pixel_rays()
+        toward = rays.reshape(-1, 3)[chosen][found]
+        points = origin + toward * hits.distance_mm[:, None]
+        normals = interpolate(self._normals, self._triangles, hits)
+        visible = self._rays.visible(
+            points, normals, self._lights.position_mm, offset_mm=SHADOW_OFFSET_MM
+        )
+        count = len(points)
+        shadows = Shadows(
+            np.repeat(np.arange(count, dtype=np.int32)[:, None], 3, axis=1),
+            np.tile(np.array([[1, 0, 0]], np.float32), (count, 1)),
+            visible.astype(np.uint8),
+        )
+        picked = {f.name: getattr(maps, f.name)[mask][found] for f in dataclasses.fields(Maps)}
+        bare = np.einsum("nk,nk->n", picked["diffuse_normal"], picked["diffuse_normal"]) < 0.25
+        e, lobe = (
+            transport(
+                self._lights, points, picked[name], -toward, picked["roughness"], shadows,
+                skin_interface(),
+            )[part]
+            for part, name in enumerate(("diffuse_normal", "specular_normal"))
+        )  # fmt: skip
+        light = e[:, :, None] * picked["diffuse_albedo"][:, None]
+        light += (lobe * picked["specular_albedo"][:, None])[:, :, None]
+        light[bare] = 0
+        out = np.zeros((len(self._lights.patterns), len(found), 3), np.float32)
+        out[:, found] = light.transpose(1, 0, 2)
+        return out
+
+
+def relit(
+    maps: dict[str, Maps],
+    mesh: Mesh,
+    rig: Rig,
+    truth: ProcessedFolder,
+    session_path: Path,
+) -> Relit:
+    """Render every view of a person under the new lights and hold it against truth.
+
+    Args:
+        maps: camera id to its maps.
+        mesh: that casts the shadows.
+        rig: the stage.
+        truth: the person's.
+        session_path: whose truth holds the pictures.
+    """
+    relighter = Relighter(mesh, rig)
+    squared, values = 0.0, 0
+    true = []
+    for camera_id, view in maps.items():
+        camera = rig.camera(camera_id)
+        skin = scored_skin(truth, camera)
+        pictures = new_lights(session_path, camera_id)[:, skin[truth.read_mask(camera_id)]]
+        found = relighter.render(view, camera, skin)
+        squared += float(((found - pictures).astype(float) ** 2).sum())
+        values += pictures.size
+        true.append(pictures[:, ::4].reshape(-1))
+    return Relit(squared, values, float(np.quantile(np.concatenate(true), PEAK_QUANTILE)))
