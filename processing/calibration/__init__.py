@@ -1,0 +1,1 @@
+"""Calibration: photographs of known things to colours, flats and lights that sessions carry."""

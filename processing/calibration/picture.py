@@ -1,0 +1,83 @@
+"""A calibration photograph as its RAW file holds it: the mosaic, black taken off."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import rawpy
+
+from lightstage.errors import FormatError
+from lightstage.exif import read_exif
+
+
+@dataclasses.dataclass(frozen=True)
+class Mosaic:
+    """One RAW photograph.
+
+    Attributes:
+        level: (h, w) float32 counts above black as a share of the white level; even sides.
+        clipped: (h, w) bool, at the white level.
+        channels: (2, 2) which of R G B (0, 1, 2) the top left four pixels see.
+        exposure: seconds * ISO / f-number^2 as the file tells; None where it does not.
+    """
+
+    level: np.ndarray
+    clipped: np.ndarray
+    channels: np.ndarray
+    exposure: float | None
+
+    def cells(self) -> np.ndarray:
+        """(h/2, w/2, 3) float32: each 2 x 2 cell is one pixel, its greens averaged."""
+        height, width = self.level.shape
+        out = np.zeros((height // 2, width // 2, 3), np.float32)
+        counts = np.bincount(self.channels.ravel(), minlength=3)
+        for place, channel in enumerate(self.channels.ravel()):
+            out[..., channel] += self.level[place // 2 :: 2, place % 2 :: 2] / counts[channel]
+        return out
+
+    def clipped_cells(self) -> np.ndarray:
+        """(h/2, w/2) bool, any pixel of the cell at the white level."""
+        height, width = self.clipped.shape
+        return np.asarray(self.clipped.reshape(height // 2, 2, width // 2, 2).any(axis=(1, 3)))
+
+
+def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
+    """Read a RAW's counts.
+
+    Args:
+        path: a file that LibRaw reads, with a 2 x 2 mosaic of one red, two green, one blue.
+        clip_share: counts of at least this share of the white level (above black) are clipped.
+
+    Raises:
+        FormatError: missing, truncated, or another kind of file.
+    """
+    try:
+        with rawpy.imread(str(path)) as raw:
+            counts = raw.raw_image_visible
+            colours = np.array(raw.raw_colors_visible[:2, :2])
+            black, white = np.array(raw.black_level_per_channel, float), float(raw.white_level)
+            letters = raw.color_desc.decode("ascii", "replace")
+            channels = np.array([["RGB".find(letters[i]) for i in row] for row in colours])
+            if counts.ndim != 2 or sorted(channels.ravel().tolist()) != [0, 1, 1, 2]:
+                raise FormatError(
+                    path,
+                    found=f"{counts.ndim}-dimensional counts, colours {letters}",
+                    expected="a mosaic of 2 x 2 pixels: one red, two green, one blue",
+                )
+            height, width = (side // 2 * 2 for side in counts.shape)
+            level = counts[:height, :width].astype(np.float32)
+        exif = read_exif(path)
+    except (rawpy.LibRawError, OSError, AttributeError) as error:
+        raise FormatError(
+            path, found=f"no readable RAW ({error})", expected="a photograph of the camera"
+        ) from None
+    for place, own in enumerate(black[colours.ravel()]):
+        part = (slice(place // 2, None, 2), slice(place % 2, None, 2))
+        level[part] = (level[part] - np.float32(own)) / np.float32(max(white - own, 1.0))
+    told = exif.exposure_s, exif.iso, exif.f_number
+    exposure = None
+    if all(value is not None and value > 0 for value in told):
+        exposure = exif.exposure_s * exif.iso / exif.f_number**2
+    return Mosaic(level, level >= clip_share, channels, exposure)
