@@ -3,14 +3,43 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Literal
 
 from processing.lobe import SKIN_F0
+
+
+@dataclasses.dataclass(frozen=True)
+class KampourisConfig:
+    """The published formulas by colour."""
+
+    combine: Literal["maximum", "median", "mean", "weighted"] = "median"
+    """How the specular parts found along x, y and z become one; `weighted` by how little noise and
+    model error each pair passes on, with the pair swapped where the brighter photograph is the more
+    saturated one."""
+    field: Literal["uniform", "lights"] = "uniform"
+    """What normals and albedo take the light for: even, as printed, or the stage's own lights."""
+    least_saturation: float = 0.02
+    """A darker photograph less saturated than this has no specular part taken off."""
+    most_specular: float = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class RatiosConfig:
+    """Plain ratios of complements, nothing separated."""
+
+    field: Literal["uniform", "lights"] = "uniform"
+    specular: float = SKIN_F0
+    """Taken off `full` and written as specular albedo everywhere."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SeparateConfig:
     """What `separate` may be told."""
 
+    method: Literal["auto", "colour", "kampouris", "ratios", "polarised", "linear", "mux"] = "auto"
+    """`auto`: by what the session's patterns are."""
+    normals: Literal["auto", "chroma", "red", "blue", "mean"] = "auto"
+    """The part of RGB that diffuse normals are taken from; `auto`: the method's own."""
     iterations: int = 5
     roughness: float = 0.25
     """Beckmann's m of skin, for the lobe."""
@@ -25,3 +54,5 @@ class SeparateConfig:
     """Below this saturation colour tells nothing; from twice as much it is trusted."""
     dark_level: float = 0.004
     """A pixel whose brightest pattern stays below this tells nothing (1 = white under `full`)."""
+    kampouris: KampourisConfig = dataclasses.field(default_factory=KampourisConfig)
+    ratios: RatiosConfig = dataclasses.field(default_factory=RatiosConfig)
