@@ -10,7 +10,7 @@ from numba import njit, prange
 from lightstage.formats.session import Session
 from processing.errors import ProcessingError
 from processing.interface import BARE, Interface, let_through, row_of
-from processing.lamps import Source, session_lamps
+from processing.lamps import Lamps, Source, session_lamps
 
 DIFFUSE_SHARES = {"": 1.0, "parallel": 0.5, "cross": 0.5}
 MIRROR_SHARES = {"": 1.0, "parallel": 1.0, "cross": 0.0}
@@ -145,10 +145,23 @@ def pattern_lights(session: Session, patterns: tuple[str, ...]) -> PatternLights
         FormatError: a file of measured lights that does not fit the rig.
         ProcessingError: patterns polarised in a way that is not known.
     """
-    lamps = session_lamps(session)
+    levels = np.stack([session.levels(name) for name in patterns])
+    return lights_of(session_lamps(session), patterns, levels)
+
+
+def lights_of(lamps: Lamps, patterns: tuple[str, ...], driven: np.ndarray) -> PatternLights:
+    """Lamps that make P patterns.
+
+    Args:
+        lamps: L of them; those that give no light are left out.
+        patterns: P names; an `@` in one tells its bank.
+        driven: (P, L) levels.
+
+    Raises:
+        ProcessingError: patterns polarised in a way that is not known.
+    """
     lit = lamps.rgb.max(axis=1) > 0
-    rgb = lamps.rgb[lit]
-    driven = np.stack([session.levels(name)[lit] for name in patterns], axis=1)
+    rgb, driven = lamps.rgb[lit], np.asarray(driven, float)[:, lit].T
     # Lights of unlike strength that go on and off together are one group: what each has at most
     # goes into its weight.
     most = driven.max(axis=1)
