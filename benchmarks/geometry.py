@@ -129,7 +129,7 @@ def peer_depths(
     for camera in session.camera_ids():
         frames = read_frames(out, camera)
         masks.append(read_foreground(out, camera))
-        pictures.append(tone_mapped(frames.images[frames.patterns.index("full")], masks[-1]))
+        pictures.append(tone_mapped(frames.image(frames.patterns.index("full")), masks[-1]))
     focus = focus_point(cameras)
     clouds: list[list[np.ndarray]] = [[] for _ in views]
     for first, second in PAIRS:
@@ -167,8 +167,8 @@ def simulate(folder: Path) -> tuple[Session, Path]:
     rng = np.random.default_rng(0)
     for camera in session.camera_ids():
         clean = read_frames(out, camera)
-        noise = rng.normal(0, NOISE, clean.images.shape).astype(np.float32)
-        write_frames(out, camera, Frames(clean.patterns, clean.images + noise, clean.valid))
+        noise = rng.normal(0, NOISE, (len(clean.patterns), *clean.shape, 3)).astype(np.float32)
+        write_frames(out, camera, Frames.of(clean.patterns, clean.images + noise, clean.valid))
     separate(session, out, SeparateConfig())
     return session, out
 

@@ -166,12 +166,12 @@ def main() -> None:
         rng = np.random.default_rng(0)
         for camera in CAMERAS:
             clean = read_frames(out, camera)
-            noise = rng.normal(0, NOISE, clean.images.shape).astype(np.float32)
-            noisy = Frames(clean.patterns, clean.images + noise, clean.valid)
+            noise = rng.normal(0, NOISE, (len(clean.patterns), *clean.shape, 3)).astype(np.float32)
+            noisy = Frames.of(clean.patterns, clean.images + noise, clean.valid)
             write_frames(out, camera, noisy)
         frames, mask = read_frames(out, CAMERAS[0]), read_foreground(out, CAMERAS[0])
         camera0 = session.rig.camera(CAMERAS[0])
-        rgb = np.ascontiguousarray(frames.images[:, mask].transpose(1, 0, 2))
+        rgb = frames.pixels(mask)
         photos = Photographs(rgb, frames.valid[mask], mask, -camera0.pixel_rays()[1][mask])
         lights = pattern_lights(session, frames.patterns)
         methods: dict[str, Callable[[], tuple[PixelMaps, np.ndarray]]] = {

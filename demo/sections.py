@@ -98,7 +98,7 @@ def stage_section(demo: Demo) -> Section:
 
 
 def _photo(demo: Demo, camera: str, pattern: int) -> np.ndarray:
-    return display(read_frames(demo.at.processed, camera).images[pattern])
+    return display(read_frames(demo.at.processed, camera).image(pattern))
 
 
 def _stack(rows: list[np.ndarray]) -> np.ndarray:

@@ -84,7 +84,7 @@ def decode(
                 expected="a face",
                 hint="Are the lights, the exposure and the lens cap as they should be?",
             )
-        write_frames(out, camera, Frames(lit, images, valid))
+        write_frames(out, camera, Frames.of(lit, images, valid))
         write_foreground(out, camera, mask)
         folder.write_mask(camera, mask)
         clipped[camera] = round(float((~valid & mask).sum() / mask.sum()), 5)

@@ -189,7 +189,7 @@ def read_view(session: Session, out: Path, camera_id: str, surface: LitSurface) 
             expected="a face in front of the camera",
             hint="Do base_mesh.ply and the rig belong to this session?",
         )
-    rgb = np.ascontiguousarray(frames.images[:, sight.mask].transpose(1, 0, 2))
+    rgb = frames.pixels(sight.mask)
     return View(sight, rgb, frames.valid[sight.mask], px_per_mm(camera))
 
 

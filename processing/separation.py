@@ -1,18 +1,16 @@
-"""Stage `separate`: coarse maps of each view by colour, lights far away, no shadows."""
+"""Stage `separate`: coarse maps of each view, lights far away, no shadows."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.frames import read_foreground, read_frames
-from processing.lights import pattern_lights, require_unpolarised
-from processing.methods.colour import separate_pixels
+from processing.lights import PatternLights, pattern_lights
+from processing.methods.choice import METHODS, chosen_method
 from processing.methods.config import SeparateConfig
 from processing.pixels import write_maps
 from processing.readings import px_per_mm
@@ -27,37 +25,46 @@ def separate(
     """Write coarse diffuse albedo, specular albedo, normals and confidence of every view.
 
     Returns:
-        Facts: views, pixels, mean confidence, warnings.
+        Facts: method, lights, views, pixels, mean confidence, warnings.
+
+    Raises:
+        ProcessingError: patterns that no method, or not the one asked for, can separate.
     """
     folder = ProcessedFolder(out)
     cameras = session.camera_ids()
     confidence: dict[str, float] = {}
     pixels = 0
     warnings: list[str] = []
+    lights = pattern_lights(session, read_frames(out, cameras[0]).patterns)
+    method = chosen_method(lights, config)
+    warnings += _warnings(lights, method)
     for done, camera_id in enumerate(cameras):
         frames = read_frames(out, camera_id)
         mask = read_foreground(out, camera_id)
         camera = session.rig.camera(camera_id)
-        lights = pattern_lights(session, frames.patterns)
-        require_unpolarised(lights)
-        if lights.colour_spread > COLOUR_SPREAD and not warnings:
-            warnings.append(
-                f"light colours differ by up to {lights.colour_spread:.2f} of their mean; "
-                "separation by colour takes them as equal"
-            )
-        rgb = np.ascontiguousarray(frames.images[:, mask].transpose(1, 0, 2))
         views = -camera.pixel_rays()[1][mask]
-        maps = separate_pixels(
-            rgb, frames.valid[mask], views, mask, lights, px_per_mm(camera), config
+        maps = METHODS[method](
+            frames.pixels(mask), frames.valid[mask], views, mask, lights, px_per_mm(camera), config
         )
         write_maps(folder, camera_id, mask, maps)
         folder.write_mask(camera_id, mask)
         confidence[camera_id] = round(float(maps.confidence.mean()), 4)
-        pixels += len(rgb)
+        pixels += len(maps.confidence)
         progress(done + 1, len(cameras))
     return {
+        "method": method,
+        "lights": lights.source,
         "views": len(cameras),
         "pixels": pixels,
         "mean_confidence": confidence,
         "warnings": warnings,
     }
+
+
+def _warnings(lights: PatternLights, method: str) -> list[str]:
+    if method == "mux" or lights.colour_spread <= COLOUR_SPREAD:
+        return []
+    return [
+        f"light colours differ by up to {lights.colour_spread:.2f} of their mean; "
+        "separation by colour takes them as equal"
+    ]

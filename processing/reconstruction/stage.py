@@ -79,8 +79,8 @@ def check_session_poses(session: Session, out: Path, config: ReconstructConfig) 
     for camera in cameras:
         frames = read_frames(out, camera.id)
         masks.append(read_foreground(out, camera.id) & frames.valid)
-        brightest = int(np.argmax([image[::8, ::8].mean() for image in frames.images]))
-        pictures.append(tone_mapped(frames.images[brightest], masks[-1]))
+        brightest = int(np.argmax([half[::8, ::8].mean(dtype=float) for half in frames.half]))
+        pictures.append(tone_mapped(frames.image(brightest), masks[-1]))
     report = check_poses(pictures, masks, cameras, config)
     radius = float(np.median(np.linalg.norm(session.rig.positions_mm, axis=1)))
     raise_when_off(report, radius)
@@ -99,13 +99,13 @@ def read_views(session: Session, out: Path) -> list[View]:
     return [
         make_view(
             session.rig.camera(camera),
-            frame.images,
+            image,
             frame.valid,
             mask,
             folder.read_view(camera, "diffuse_normal"),
             basis,
         )
-        for camera, frame, mask in zip(cameras, frames, masks, strict=True)
+        for camera, frame, image, mask in zip(cameras, frames, images, masks, strict=True)
     ]
 
 

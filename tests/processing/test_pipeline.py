@@ -44,7 +44,7 @@ def test_frames_come_back_as_they_were_written(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     images = rng.uniform(0, 30, (3, 5, 7, 3)).astype(np.float32)
     valid = rng.uniform(size=(5, 7)) > 0.3
-    write_frames(tmp_path, "cam0", Frames(("full", "x+", "x-"), images, valid))
+    write_frames(tmp_path, "cam0", Frames.of(("full", "x+", "x-"), images, valid))
     found = read_frames(tmp_path, "cam0")
     assert found.patterns == ("full", "x+", "x-")
     np.testing.assert_allclose(found.images, images, rtol=5e-4, atol=1e-5)
