@@ -1,7 +1,7 @@
 """The 24-patch colour chart in a photograph: where its patches lie, what they read, how it stands.
 
-OpenCV's detector finds the chart; its patches lie up to a quarter of a patch off, so each patch is
-then grown from its middle, and one homography of the 6 x 4 grid is fitted to the patches' centroids.
+OpenCV's detector finds the chart and places patches up to a quarter of a patch off. So each patch
+is grown from its middle, and one homography of the 6 x 4 grid is fitted to the patches' centroids.
 """
 
 from __future__ import annotations
@@ -153,25 +153,23 @@ def _grown_grid(shown: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, int,
     """A homography of the grid fitted to the patches' own shapes: it, how many, RMS in pixels."""
     smooth = cv2.medianBlur(shown, 3)
     grid = grid_places()
-    homography = None
+    homography, _ = cv2.findHomography(grid, places)
     for _ in range(3):
         middles, kept = [], []
-        homography_, _ = cv2.findHomography(grid, places)
-        if homography_ is None:
+        if homography is None:
             return None
         for index in range(len(grid)):
-            middle = _grow(smooth, homography_, grid[index])
+            middle = _grow(smooth, homography, grid[index])
             if middle is not None:
                 middles.append(middle)
                 kept.append(index)
         if len(kept) < 8:
             return None
         homography, inliers = cv2.findHomography(
-            grid[kept], np.array(middles), cv2.RANSAC, 0.1 * _pitch_px(homography_)
+            grid[kept], np.array(middles), cv2.RANSAC, 0.1 * _pitch_px(homography)
         )
-        if homography is None:
-            return None
-        places = _through(homography, grid)
+    if homography is None:
+        return None
     chosen = inliers.ravel() > 0
     off = _through(homography, grid[kept]) - np.array(middles)
     return homography, int(chosen.sum()), float(np.sqrt(np.mean(np.sum(off[chosen] ** 2, axis=1))))
@@ -180,7 +178,7 @@ def _grown_grid(shown: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, int,
 def _pitch_px(homography: np.ndarray) -> float:
     """The grid's pitch in pixels in the chart's middle."""
     middle = np.array([(COLUMNS - 1) / 2, (ROWS - 1) / 2])
-    ends = _through(homography, np.array([middle, middle + [1, 0], middle + [0, 1]]))
+    ends = _through(homography, middle + np.array([[0, 0], [1, 0], [0, 1]]))
     return float(np.mean(np.linalg.norm(ends[1:] - ends[0], axis=1)))
 
 

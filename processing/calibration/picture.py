@@ -76,8 +76,6 @@ def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
     for place, own in enumerate(black[colours.ravel()]):
         part = (slice(place // 2, None, 2), slice(place % 2, None, 2))
         level[part] = (level[part] - np.float32(own)) / np.float32(max(white - own, 1.0))
-    told = exif.exposure_s, exif.iso, exif.f_number
-    exposure = None
-    if all(value is not None and value > 0 for value in told):
-        exposure = exif.exposure_s * exif.iso / exif.f_number**2
+    seconds, iso, f_number = exif.exposure_s or 0, exif.iso or 0, exif.f_number or 0
+    exposure = seconds * iso / f_number**2 if min(seconds, iso, f_number) > 0 else None
     return Mosaic(level, level >= clip_share, channels, exposure)
