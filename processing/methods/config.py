@@ -21,6 +21,8 @@ class KampourisConfig:
     least_saturation: float = 0.02
     """A darker photograph less saturated than this has no specular part taken off."""
     most_specular: float = 0.2
+    pool_mm: float = 0.0
+    """Sigma over which neighbours' specular parts are averaged; 0 leaves each pixel its own."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from processing.lobe import transport
 from processing.methods.config import KampourisConfig, SeparateConfig
 from processing.methods.pairs import axis_pairs, full_reading
 from processing.methods.variants import normal_signal
-from processing.normals import ratio_normals, solve_far_normals
+from processing.normals import blurred, ratio_normals, solve_far_normals
 from processing.pixels import PixelMaps
 from processing.readings import read_pixels
 
@@ -46,12 +46,13 @@ def separate_pixels(
 
     Source: [Kampouris2018].
     """
-    del mask, px_per_mm
     told = config.kampouris
     pairs = axis_pairs(lights.patterns)
     rgb, _, saturation, usable = read_pixels(rgb, valid, lights.colour, config.dark_level)
     rgb /= lights.colour.astype(np.float32)
     specular, vector, diffuse = published_parts(rgb, pairs, told)
+    if told.pool_mm > 0:
+        specular = blurred(specular[:, None], usable, mask, told.pool_mm * px_per_mm)[:, 0]
     if config.normals != "auto":
         diffuse = normal_signal(rgb, config.normals)[:, pairs.ravel()]
     normal = pair_normals(diffuse, lights, pairs, views, told.field, config.iterations)
