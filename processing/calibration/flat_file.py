@@ -1,0 +1,165 @@
+"""flats.json (lightstage.flats/1): what each camera's pixels make of even light, and of none."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import atomic_path, read_json, write_json
+from lightstage.rig import Camera
+
+SCHEMA = "lightstage.flats/1"
+
+
+@dataclasses.dataclass(frozen=True)
+class FlatField:
+    """One camera's.
+
+    Attributes:
+        size_px: width and height of the mosaic.
+        centre_px: (2,) x, y of the principal point; the top left pixel's middle is (0.5, 0.5).
+        radius_px: half the picture's diagonal.
+        radial: (3,) k: 1 + k1 r^2 + k2 r^4 + k3 r^6 is the share of the light that arrives at a
+            distance of r radii from the principal point.
+        per_pixel: (h, w) float32 further gain of each pixel of the mosaic; None: all 1.
+        black_offset: (4,) of the mosaic's top left four places in row order: black above what the
+            file says, as a share of white - black; None where there are no darks.
+        hot_pixels: (n, 2) int row, column.
+    """
+
+    size_px: tuple[int, int]
+    centre_px: np.ndarray
+    radius_px: float
+    radial: np.ndarray
+    per_pixel: np.ndarray | None = None
+    black_offset: np.ndarray | None = None
+    hot_pixels: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2), int))
+
+    @staticmethod
+    def even(camera: Camera) -> FlatField:
+        """A lens that loses nothing."""
+        return FlatField(
+            (camera.width_px, camera.height_px),
+            np.array([camera.cx_px, camera.cy_px]),
+            float(np.hypot(camera.width_px, camera.height_px) / 2),
+            np.zeros(3),
+        )
+
+    def share(self, places_px: np.ndarray) -> np.ndarray:
+        """(n,) share of the light that arrives at (n, 2) places x, y."""
+        off = (np.asarray(places_px, float) - self.centre_px) / self.radius_px
+        r2 = np.sum(off * off, axis=1)
+        return np.asarray(1 + r2 * (self.radial[0] + r2 * (self.radial[1] + r2 * self.radial[2])))
+
+    def smooth(self, shape: tuple[int, int], first: tuple[int, int]) -> np.ndarray:
+        """(h, w) float32 gain against vignetting alone.
+
+        Args:
+            shape: height and width of a window of the mosaic.
+            first: its top row and left column.
+        """
+        rows = (np.arange(shape[0]) + first[0] + 0.5 - self.centre_px[1]) / self.radius_px
+        columns = (np.arange(shape[1]) + first[1] + 0.5 - self.centre_px[0]) / self.radius_px
+        r2 = (rows**2).astype(np.float32)[:, None] + (columns**2).astype(np.float32)
+        k1, k2, k3 = self.radial.astype(np.float32)
+        return np.asarray(1 / (1 + r2 * (k1 + r2 * (k2 + r2 * k3))))
+
+    def gain(self, shape: tuple[int, int], first: tuple[int, int] = (0, 0)) -> np.ndarray:
+        """(h, w) float32 that counts above black are multiplied by, in a window as of `smooth`."""
+        gain = self.smooth(shape, first)
+        if self.per_pixel is not None:
+            rows, columns = (
+                slice(first[0], first[0] + shape[0]),
+                slice(first[1], first[1] + shape[1]),
+            )
+            own = self.per_pixel[rows, columns]
+            gain[: own.shape[0], : own.shape[1]] *= own
+        return gain
+
+
+def write_flats(fields: dict[str, FlatField], path: Path, more: dict[str, Any]) -> Path:
+    """Write flats.json, and FLATS-CAMERA.npz beside it for cameras with a gain of each pixel.
+
+    Args:
+        fields: by camera id.
+        path: of the JSON file.
+        more: further fields of the file (where it comes from, figures).
+    """
+    cameras = {}
+    for camera, field in fields.items():
+        name = None
+        if field.per_pixel is not None:
+            name = f"{path.stem}-{camera}.npz"
+            with atomic_path(path.with_name(name)) as beside:
+                np.savez_compressed(beside, gain=field.per_pixel.astype(np.float16))
+        offset = field.black_offset
+        cameras[camera] = {
+            "width_px": field.size_px[0],
+            "height_px": field.size_px[1],
+            "centre_px": field.centre_px.tolist(),
+            "radius_px": field.radius_px,
+            "radial": field.radial.tolist(),
+            "per_pixel": name,
+            "black_offset": None if offset is None else offset.tolist(),
+            "hot_pixels": field.hot_pixels.tolist(),
+        }
+    return write_json(path, {"schema": SCHEMA, "cameras": cameras, **more})
+
+
+def read_flats(path: Path, cameras: list[str]) -> dict[str, FlatField]:
+    """Read flats.json.
+
+    Args:
+        path: of it.
+        cameras: ids that are wanted; one that is not in the file is left out.
+
+    Raises:
+        FormatError: every camera whose entry is unusable, in one message.
+    """
+    entries = read_json(path, SCHEMA).get("cameras")
+    fields: dict[str, FlatField] = {}
+    bad = []
+    for camera in cameras:
+        if not isinstance(entries, dict) or camera not in entries:
+            continue
+        try:
+            fields[camera] = _field(entries[camera], path)
+        except (KeyError, TypeError, ValueError, OSError, EOFError):
+            bad.append(camera)
+    if bad or not isinstance(entries, dict):
+        raise FormatError(
+            path,
+            field="cameras",
+            found=f"no usable flat of {', '.join(bad)}" if bad else "none",
+            expected="width_px, height_px, centre_px, radius_px, radial, per_pixel, black_offset "
+            "and hot_pixels of each camera",
+            hint="Make it again: lightstage-processing calibrate.",
+        )
+    return fields
+
+
+def _field(entry: dict[str, Any], path: Path) -> FlatField:
+    """One camera's entry; ValueError and the like where it is unusable."""
+    size = int(entry["width_px"]), int(entry["height_px"])
+    centre = np.array(entry["centre_px"], float).reshape(2)
+    radial = np.array(entry["radial"], float).reshape(3)
+    radius = float(entry["radius_px"])
+    given = entry.get("black_offset")
+    offset = None if given is None else np.array(given, float).reshape(4)
+    hot = np.array(entry.get("hot_pixels", []), int).reshape(-1, 2)
+    numbers = np.concatenate([centre, radial, [radius], np.zeros(0) if offset is None else offset])
+    if not np.isfinite(numbers).all() or radius <= 0 or min(size) < 2:
+        raise ValueError("numbers")
+    if ((hot < 0) | (hot >= size[::-1])).any():
+        raise ValueError("hot pixels")
+    own = None
+    if entry.get("per_pixel") is not None:
+        with np.load(path.with_name(str(entry["per_pixel"])), allow_pickle=False) as file:
+            own = file["gain"].astype(np.float32)
+        if own.ndim != 2 or not (np.isfinite(own) & (own > 0)).all():
+            raise ValueError("gain")
+    return FlatField(size, centre, radius, radial, own, offset, hot)
