@@ -2,212 +2,78 @@
 
 Run `python -m benchmarks.reflectance_accuracy` for the whole tables, which go into RESULTS.md, or
 with `--people tone3,tone6 --light direct --methods refine` for some, which are printed alone.
+Methods: `coarse` (the stage `separate`), `refine` (with the true mesh), `own-mesh` (with that of
+`reconstruct`), `peers` (their grids tried first) and `polarised` (the yardstick).
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import itertools
+import contextlib
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from benchmarks.record import table
+from benchmarks.record import record, table
 from benchmarks.reflectance_case import Case, Result
-from benchmarks.reflectance_people import PEOPLE, Known, person
+from benchmarks.reflectance_peers import PEERS, YARDSTICK
+from benchmarks.reflectance_people import PEOPLE, SCALE, Known, person
+from benchmarks.reflectance_tables import (
+    DECILE_HEADER,
+    PEOPLE_HEADER,
+    TARGET_HEADER,
+    Results,
+    decile_rows,
+    people_rows,
+    target_rows,
+)
+from benchmarks.reflectance_tuning import HEADER as TUNING_HEADER
+from benchmarks.reflectance_tuning import Kept, label, tuned
 
 LIGHTS = ("direct", "reference")
-METHODS = ("coarse", "refine", "own-mesh")
-VARIES = 2.0
-"""Specular share counts for people whose specular albedo varies by this factor over the face."""
-RISE = 1.02
-"""Errors of parts of one confidence differ by chance; more than this counts as a rise."""
+METHODS = ("coarse", "refine", "own-mesh", "peers", "polarised")
+POLARISED = ("tone3", "tone6")
+"""Who is photographed through polarisers, too; the simulator has them for direct light alone."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Target:
-    """One row of the table that the maps are held to.
+def measure(
+    known: Known, light: str, methods: Sequence[str], kept: Sequence[Kept], out: Path, scale: float
+) -> Iterator[tuple[str, Result]]:
+    """Errors of methods on one person.
 
-    Attributes:
-        light: which the row is about.
-        what: the row's words.
-        key: of `scores`.
-        goal: for light and dark skin.
-        digits: printed.
-        higher: whether more is better.
+    Args:
+        known: who.
+        light: ``direct`` or ``reference``.
+        methods: of METHODS.
+        kept: settings of the peers.
+        out: an empty folder, or that of an earlier run.
+        scale: of the pictures.
     """
-
-    light: str
-    what: str
-    key: str
-    goal: tuple[float, float]
-    digits: int = 3
-    higher: bool = False
-
-
-TARGETS = (
-    Target("direct", "diffuse albedo RMSE", "albedo_rmse", (0.008, 0.008), 4),
-    Target("direct", "specular over 2 mm, share of constant", "specular_2mm_share", (0.5, 0.5)),
-    Target("direct", "specular per pixel, share of constant", "specular_pixel_share", (1, 1)),
-    Target("direct", "diffuse normal, mean deg", "diffuse_normal_deg", (0.8, 1.3), 2),
-    Target(
-        "direct", "specular normal under 2 mm, nearer than n_d", "fine_gain", (0.2, 0.2), 3, True
-    ),
-    Target("direct", "specular normal, mean deg", "specular_normal_deg", (4, 4), 2),
-    Target("reference", "diffuse albedo RMSE", "albedo_rmse", (0.02, 0.015), 4),
-    Target("reference", "specular over 2 mm, share of constant", "specular_2mm_share", (0.7, 0.7)),
-    Target("reference", "20 new lights, PSNR dB", "psnr_db", (34, 34), 2, True),
-)
-
-Results = dict[tuple[str, str, str], Result]
-"""By light, person and method."""
+    case = Case(known, light, out / "binary", scale=scale)
+    if "coarse" in methods:
+        yield "coarse", case.result(case.separated())
+    if "refine" in methods:
+        yield "refine", case.result(case.refined())
+    if "own-mesh" in methods:
+        yield "own-mesh", case.result(case.refined_on_own_mesh(), own_mesh=True)
+    if "peers" in methods:
+        for how, peer, settings in kept:
+            yield how, case.result(peer.maps(case, settings))
+    if "polarised" in methods and light == "direct" and known.name in POLARISED:
+        through = Case(known, light, out / "polarised", sequence="binary-polarised", scale=scale)
+        for settings in YARDSTICK.grid:
+            yield label(YARDSTICK, settings), through.result(YARDSTICK.maps(through, settings))
 
 
-def measure(known: Known, light: str, methods: Sequence[str], out: Path) -> dict[str, Result]:
-    """Errors of methods on one person."""
-    case = Case(known, light, out)
-    results = {}
-    for method in methods:
-        start = time.perf_counter()
-        if method == "coarse":
-            found = case.result(case.separated())
-        elif method == "refine":
-            found = case.result(case.refined())
-        elif method == "own-mesh":
-            found = case.result(case.refined_on_own_mesh(), own_mesh=True)
-        else:
-            raise SystemExit(f"method {method!r}: expected one of {', '.join(METHODS)}")
-        results[method] = found
-        seconds = time.perf_counter() - start
-        print(f"  {known.name} {light} {method}: {seconds:.0f} s", flush=True)
-    return results
-
-
-def people_rows(results: Results, light: str) -> list[list[str]]:
-    """One row a person and method under a light."""
-    rows = []
-    for (where, name, method), result in results.items():
-        if where != light:
-            continue
-        for label, found, share in (("all", result.every, 1.0),
-                                    ("sure", result.sure, result.sure_share)):  # fmt: skip
-            if not found:
-                rows.append([name, method, label, f"{100 * share:.1f}", *[""] * 11])
-                continue
-            rows.append(
-                [
-                    name,
-                    method,
-                    label,
-                    f"{100 * share:.1f}",
-                    f"{found['albedo_rmse']:.4f}",
-                    f"{found['specular_2mm_share']:.3f}",
-                    f"{found['specular_pixel_share']:.3f}",
-                    f"{found['specular_varies']:.2f}",
-                    f"{found['diffuse_normal_deg']:.2f} / {found['diffuse_normal_median_deg']:.2f}",
-                    f"{found['specular_normal_deg']:.2f}",
-                    f"{found['fine_deg']:.2f}",
-                    f"{found['fine_diffuse_deg']:.2f}",
-                    f"{found['fine_nothing_deg']:.2f}",
-                    f"{found['fine_gain']:.3f}",
-                    f"{found['psnr_db']:.2f} / {found['psnr_white_db']:.2f}"
-                    if "psnr_db" in found
-                    else "",
-                ]
-            )
-    return rows
-
-
-PEOPLE_HEADER = (
-    "person", "method", "skin", "share %", "albedo RMSE", "specular 2 mm", "specular px",
-    "varies by", "n_d mean / median deg", "n_s deg", "fine n_s", "fine n_d", "fine none",
-    "fine gain", "new lights dB (own peak / white 1)",
-)  # fmt: skip
-
-
-def target_rows(results: Results, method: str) -> list[list[str]]:
-    """The table of targets: measured, over the target, over the best peer, for light and dark."""
-    rows = []
-    for target in TARGETS:
-        for column, skin in enumerate(("light", "dark")):
-            mine = _mean(results, target, method, skin)
-            if mine is None:
-                continue
-            value, worst, count = mine
-            goal = target.goal[column]
-            met = value >= goal if target.higher else value <= goal
-            peers = {
-                peer: found[0]
-                for peer in dict.fromkeys(key[2] for key in results)
-                if peer not in METHODS and (found := _mean(results, target, peer, skin))
-            }
-            best = min(peers, key=lambda p: -peers[p] if target.higher else peers[p], default="")
-            rows.append(
-                [
-                    target.light,
-                    target.what,
-                    skin,
-                    f"{goal:g}",
-                    f"{value:.{target.digits}f}",
-                    f"{worst:.{target.digits}f}",
-                    str(count),
-                    f"{value / goal:.2f}",
-                    "yes" if met else "NO",
-                    f"{best} {peers[best]:.{target.digits}f}" if best else "",
-                    f"{value / peers[best]:.2f}" if best else "",
-                ]
-            )
-    return rows
-
-
-TARGET_HEADER = (
-    "light", "row", "skin", "target", "mean", "worst", "people", "mean / target", "met",
-    "best peer", "ours / peer",
-)  # fmt: skip
-
-
-def _mean(
-    results: Results, target: Target, method: str, skin: str
-) -> tuple[float, float, int] | None:
-    """Mean and worst over people of one column, and how many they are."""
-    values = [
-        result.every[target.key]
-        for (light, name, how), result in results.items()
-        if light == target.light and how == method and person(name).skin == skin
-        and ("specular_2mm" not in target.key or result.every["specular_varies"] >= VARIES)
-    ]  # fmt: skip
-    if not values:
-        return None
-    worst = min(values) if target.higher else max(values)
-    return float(np.mean(values)), worst, len(values)
-
-
-def decile_rows(results: Results) -> list[list[str]]:
-    """Errors by decile of confidence, and whether they fall."""
-    rows = []
-    for (light, name, method), result in results.items():
-        columns = list(zip(*result.deciles, strict=True))
-        for label, column, digits in (
-            ("confidence", columns[0], 2),
-            ("albedo RMSE", columns[1], 4),
-            ("n_d deg", columns[2], 2),
-            ("specular RMSE", columns[3], 4),
-        ):
-            rises = sum(b > RISE * a for a, b in itertools.pairwise(column))
-            cells = [f"{value:.{digits}f}" for value in column]
-            said = "" if label == "confidence" else str(rises)
-            rows.append([light, name, method, label, *cells, said])
-    return rows
-
-
-DECILE_HEADER = (
-    "light", "person", "method", "by decile of confidence",
-    *(f"{10 * k}-{10 * k + 10} %" for k in range(10)), "rises of 9",
-)  # fmt: skip
+@contextlib.contextmanager
+def _folder(keep: Path | None, name: str) -> Iterator[Path]:
+    """A folder to work in, kept below `keep` where that is told."""
+    if keep is not None:
+        yield keep / name
+        return
+    with tempfile.TemporaryDirectory() as made:
+        yield Path(made)
 
 
 def main() -> None:
@@ -215,20 +81,63 @@ def main() -> None:
     parser.add_argument("--people", default=",".join(known.name for known in PEOPLE))
     parser.add_argument("--light", default=",".join(LIGHTS))
     parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--scale", type=float, default=SCALE)
+    parser.add_argument("--keep", type=Path, help="leave the processed folders here")
+    parser.add_argument("--record", action="store_true", help="put the tables into RESULTS.md")
     told = parser.parse_args()
-    methods = told.methods.split(",")
+    whole = all(getattr(told, name) == parser.get_default(name)
+                for name in ("people", "light", "methods", "scale"))  # fmt: skip
+    methods, lights = told.methods.split(","), told.light.split(",")
+    unknown = sorted({*methods} - {*METHODS} | {*lights} - {*LIGHTS})
+    if unknown:
+        parser.error(f"{', '.join(unknown)}: expected {', '.join((*METHODS, *LIGHTS))}")
+    kept, grid = tuned(PEERS) if "peers" in methods else ([], [])
+    if grid:
+        print("settings of the peers\n" + table(TUNING_HEADER, grid), flush=True)
     results: Results = {}
-    for light in told.light.split(","):
+    for light in lights:
         for name in told.people.split(","):
-            with tempfile.TemporaryDirectory() as folder:
-                measured = measure(person(name), light, methods, Path(folder))
-            results |= {(light, name, method): found for method, found in measured.items()}
-    for light in told.light.split(","):
-        print(f"\n{light}\n" + table(PEOPLE_HEADER, people_rows(results, light)))
-    print("\n" + table(DECILE_HEADER, decile_rows(results)))
+            with _folder(told.keep, f"{name}-{light}") as folder:
+                start = time.perf_counter()
+                for method, found in measure(
+                    person(name), light, methods, kept, folder, told.scale
+                ):
+                    results[light, name, method] = found
+                    seconds = time.perf_counter() - start
+                    print(f"  {name} {light} {method}: {seconds:.0f} s", flush=True)
+                    start = time.perf_counter()
+    titled = tables(results)
+    for title, header, rows, _ in titled:
+        print(f"\n{title}\n" + table(header, rows))
+    if whole or told.record:
+        if grid:
+            titled.append(("Reflectance: settings of the peers", TUNING_HEADER, grid, TUNED))
+        for title, header, rows, note in titled:
+            record(title, header, rows, note)
+
+
+NOTE = (
+    "Three views of 1504 x 1004, pixel noise .001 sqrt(.25 + I), default rig; all skin seen at "
+    "less than 70 deg. `ours / peer` against the peer that is best in that row."
+)
+TUNED = "Tried on two people at 602 x 402, direct light; kept where best in some row for one."
+
+
+def tables(results: Results) -> list[tuple[str, Sequence[str], list[list[str]], str]]:
+    """Title, header, rows and note of every table."""
+    methods = dict.fromkeys(key[2] for key in results)
+    titled: list[tuple[str, Sequence[str], list[list[str]], str]] = []
     for method in methods:
-        rows = target_rows(results, method)
-        print(f"\n{method} against the targets\n" + table(TARGET_HEADER, rows))
+        if method in METHODS and (rows := target_rows(results, method)):
+            titled.append((f"Reflectance: {method} against the targets", TARGET_HEADER, rows, NOTE))
+    for light in dict.fromkeys(key[0] for key in results):
+        rows = people_rows(results, light)
+        titled.append((f"Reflectance: every person, {light} light", PEOPLE_HEADER, rows, NOTE))
+    ours = {key: found for key, found in results.items() if key[2] in METHODS}
+    if ours:
+        title = "Reflectance: errors by confidence"
+        titled.append((title, DECILE_HEADER, decile_rows(ours), NOTE))
+    return titled
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.reflectance_people import NOISE, Known, noisy, session
+from benchmarks.reflectance_people import NOISE, SCALE, Known, noisy, session
 from benchmarks.reflectance_relight import relit
 from benchmarks.reflectance_scores import (
     SURE,
@@ -29,7 +29,7 @@ from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from processing.decode import DecodeConfig
-from processing.frames import Frames, write_foreground, write_frames
+from processing.frames import Frames, foreground_path, write_foreground, write_frames
 from processing.masks import foreground
 from processing.methods.config import SeparateConfig
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
@@ -58,20 +58,30 @@ class Result:
 class Case:
     """A person's session with noise, in a processed folder of its own."""
 
-    def __init__(self, known: Known, light: str, out: Path, *, sequence: str = "binary") -> None:
+    def __init__(
+        self,
+        known: Known,
+        light: str,
+        out: Path,
+        *,
+        sequence: str = "binary",
+        scale: float = SCALE,
+    ) -> None:
         """Write the noisy frames.
 
         Args:
             known: who.
             light: ``direct`` or ``reference``.
-            out: an empty folder.
+            out: an empty folder, or one of an earlier run: its frames are taken again.
             sequence: of patterns.
+            scale: of the pictures, see `session`.
         """
         self.known, self.light, self.out = known, light, out
-        path = session(known, light=light, sequence=sequence)
+        path = session(known, light=light, sequence=sequence, scale=scale)
         self.session: Session = load_session(path)
         self.truth = ProcessedFolder(truth_path(path))
-        put_frames(self.session, out, np.random.default_rng(known.seed))
+        if not foreground_path(out, self.session.camera_ids()[-1]).is_file():
+            put_frames(self.session, out, np.random.default_rng(known.seed))
 
     def separated(self, settings: Mapping[str, Any] | None = None) -> dict[str, Maps]:
         """Maps of the coarse pass, with settings of SeparateConfig."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +115,7 @@ class Relighter:
 
 
 def relit(
-    maps: dict[str, Maps],
+    maps: Mapping[str, Maps],
     mesh: Mesh,
     rig: Rig,
     truth: ProcessedFolder,

@@ -1,0 +1,248 @@
+"""What our maps are held against: the published formulas and plain normals, each with its grid.
+
+Two kinds. Far away: `separate` with another method, a field without mesh as it was published or
+with the stage's own lights. On the true mesh: normals from one channel, or from the mean of all,
+with the same positions, shadows and interface that `refine` has; a constant stands for the mirror
+reflection. The polarised yardstick is of the second kind: cross shots hold no mirror reflection.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from benchmarks.reflectance_case import Case
+from benchmarks.reflectance_scores import Maps
+from lightstage.formats.mesh import read_ply
+from processing.albedo import diffuse_light
+from processing.frames import read_foreground, read_frames
+from processing.interface import skin_interface
+from processing.lights import PatternLights, irradiance_vectors, pattern_lights
+from processing.lobe import SKIN_F0, transport
+from processing.normals import solve_normals
+from processing.surface import LitSurface, Sight, lit_surface, see
+
+SOLVES = 2
+MOST_FACES = 120_000
+SHADOW_OFFSET_MM = 0.3
+SMOOTHING_MM = 1.0
+CHANNELS = {"red": [0], "blue": [2], "mean": [0, 1, 2]}
+
+Settings = Mapping[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Peer:
+    """A method and the settings that it is tried with.
+
+    Attributes:
+        name: of the method.
+        grid: settings, each told as it is printed.
+        maps: of a case and settings.
+    """
+
+    name: str
+    grid: tuple[Settings, ...]
+    maps: Callable[[Case, Settings], dict[str, Maps]]
+
+
+def product(**values: tuple[Any, ...]) -> tuple[dict[str, Any], ...]:
+    """All combinations of values."""
+    return tuple(
+        dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())
+    )
+
+
+def far_kampouris(case: Case, settings: Settings) -> dict[str, Maps]:
+    """The published separation."""
+    told = {key: value for key, value in settings.items() if key != "normals"}
+    return case.separated(
+        {"method": "kampouris", "normals": settings["normals"], "kampouris": told}
+    )
+
+
+def far_ratios(case: Case, settings: Settings) -> dict[str, Maps]:
+    """Ratios of complements as photographed, of all channels or of one."""
+    told = {key: value for key, value in settings.items() if key != "normals"}
+    return case.separated({"method": "ratios", "normals": settings["normals"], "ratios": told})
+
+
+def on_mesh(case: Case, settings: Settings) -> dict[str, Maps]:
+    """Normals from some channels with the true mesh, a constant for the mirror reflection."""
+    return dict(_on_mesh(case, settings))
+
+
+def _on_mesh(case: Case, settings: Settings) -> Iterator[tuple[str, Maps]]:
+    surface: LitSurface | None = None
+    for camera_id in case.session.camera_ids():
+        frames = read_frames(case.out, camera_id)
+        lights = pattern_lights(case.session, frames.patterns)
+        surface = surface or true_surface(case, lights)
+        sight = see(
+            surface, case.session.rig.camera(camera_id), read_foreground(case.out, camera_id)
+        )
+        rgb = frames.pixels(sight.mask) / lights.colour.astype(np.float32)
+        constant, roughness = float(settings["specular"]), float(settings["roughness"])
+        signal = rgb[:, :, CHANNELS[settings["channel"]]].mean(axis=2)
+        normal = matte_normals(signal, sight, lights, constant, roughness)
+        e, lobe = lit(sight, lights, normal, roughness)
+        mirror = np.full(len(normal), constant, np.float32)
+        found, power = diffuse_light(rgb, e, lobe, mirror)
+        yield camera_id, placed(sight.mask, normal, found, power, mirror, roughness)
+
+
+def true_surface(case: Case, lights: PatternLights) -> LitSurface:
+    """The true mesh under the lights of patterns."""
+    return lit_surface(
+        read_ply(case.truth.base_mesh),
+        lights,
+        offset_mm=SHADOW_OFFSET_MM,
+        smoothing_mm=SMOOTHING_MM,
+        directions=1,
+        most_faces=MOST_FACES,
+    )
+
+
+def matte_normals(
+    signal: np.ndarray, sight: Sight, lights: PatternLights, constant: float, roughness: float
+) -> np.ndarray:
+    """(n, 3) normals of readings (n, P) less the lobe of a constant specular albedo."""
+    normal = sight.normals
+    for _ in range(SOLVES):
+        matte = signal
+        if constant > 0:
+            matte = signal - np.float32(constant) * lit(sight, lights, normal, roughness)[1]
+        vectors = irradiance_vectors(
+            lights, sight.points_mm, normal, sight.shadows, skin_interface(), roughness
+        )
+        found = solve_normals(np.ascontiguousarray(matte, np.float32), vectors)
+        good = np.einsum("nk,nk->n", found, sight.normals) > 0
+        normal = np.where(good[:, None], found, sight.normals)
+    return normal
+
+
+def lit(
+    sight: Sight, lights: PatternLights, normal: np.ndarray, roughness: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """E_k and B_k of a view's pixels."""
+    return transport(
+        lights,
+        sight.points_mm,
+        normal,
+        sight.views,
+        roughness,
+        sight.shadows,
+        skin_interface(),
+    )
+
+
+def placed(
+    mask: np.ndarray,
+    normal: np.ndarray,
+    found: np.ndarray,
+    power: np.ndarray,
+    mirror: np.ndarray,
+    roughness: float,
+) -> Maps:
+    """Maps of a mask's pixels in their picture; such a method knows no confidence but 1."""
+    albedo = np.maximum(found / np.maximum(power, 1e-4)[:, None], 0)
+
+    def picture(values: np.ndarray) -> np.ndarray:
+        image = np.zeros((*mask.shape, *values.shape[1:]), np.float32)
+        image[mask] = values
+        return image
+
+    ones = np.ones(len(normal))
+    normals, even = picture(normal), picture(ones)
+    return Maps(normals, normals, picture(albedo), picture(mirror), even * roughness, even)
+
+
+def polarised(case: Case, settings: Settings) -> dict[str, Maps]:
+    """Parallel and cross shots with the true mesh: what separation by colour is held up to."""
+    return dict(_polarised(case, settings))
+
+
+def _polarised(case: Case, settings: Settings) -> Iterator[tuple[str, Maps]]:
+    surface: dict[str, LitSurface] = {}
+    roughness = float(settings["roughness"])
+    for camera_id in case.session.camera_ids():
+        frames = read_frames(case.out, camera_id)
+        camera = case.session.rig.camera(camera_id)
+        foreground = read_foreground(case.out, camera_id)
+        part: dict[str, tuple[Sight, PatternLights, np.ndarray]] = {}
+        for bank in ("cross", "parallel"):
+            some = [k for k, name in enumerate(frames.patterns) if name.endswith(bank)]
+            names = tuple(frames.patterns[k] for k in some)
+            lights = pattern_lights(case.session, names)
+            if bank not in surface:
+                surface[bank] = true_surface(case, lights)
+            sight = see(surface[bank], camera, foreground)
+            readings = frames.pixels(sight.mask)[:, some] / lights.colour.astype(np.float32)
+            part[bank] = sight, lights, readings
+        sight, lights, rgb = part["cross"]
+        rgb = 2 * rgb
+        normal = matte_normals(rgb.mean(axis=2), sight, lights, 0.0, roughness)
+        e, _ = lit(sight, lights, normal, roughness)
+        nothing = np.zeros(len(normal), np.float32)
+        found, power = diffuse_light(rgb, e, np.zeros_like(e), nothing)
+        body = (found / np.maximum(power, 1e-4)[:, None]).mean(axis=1)
+        sight, lights, rgb = part["parallel"]
+        e, lobe = lit(sight, lights, normal, roughness)
+        gloss = rgb.mean(axis=2) - 0.5 * body[:, None] * e
+        weight = np.einsum("np,np->n", lobe, lobe).astype(float)
+        prior = float(settings["prior"]) * float(np.median(weight))
+        mirror = (np.einsum("np,np->n", lobe, gloss) + prior * SKIN_F0) / (weight + prior)
+        mirror = np.clip(mirror, 0, 0.2)
+        yield camera_id, placed(sight.mask, normal, found, power, mirror, roughness)
+
+
+PEERS = (
+    Peer(
+        "kampouris",
+        product(
+            combine=("median", "maximum", "mean", "weighted"),
+            field=("uniform", "lights"),
+            least_saturation=(0.02, 0.1),
+            most_specular=(0.05, 0.2),
+            normals=("auto",),
+        )
+        + product(
+            combine=("median", "weighted"),
+            field=("lights",),
+            least_saturation=(0.02,),
+            most_specular=(0.05,),
+            normals=("red", "blue"),
+        ),
+        far_kampouris,
+    ),
+    Peer(
+        "ratios",
+        product(field=("uniform", "lights"), specular=(0.0, 0.014, 0.02, 0.026), normals=("mean",)),
+        far_ratios,
+    ),
+    Peer(
+        "red",
+        product(field=("uniform", "lights"), specular=(0.0, 0.014, 0.02, 0.026), normals=("red",)),
+        far_ratios,
+    ),
+    Peer(
+        "blue",
+        product(field=("uniform", "lights"), specular=(0.0, 0.014, 0.02, 0.026), normals=("blue",)),
+        far_ratios,
+    ),
+    Peer(
+        "red, true mesh",
+        product(channel=("red",), specular=(0.0, 0.014, 0.02, 0.026), roughness=(0.2, 0.26)),
+        on_mesh,
+    ),
+    Peer(
+        "blue, true mesh",
+        product(channel=("blue",), specular=(0.0, 0.014, 0.02, 0.026), roughness=(0.2, 0.26)),
+        on_mesh,
+    ),
+)
+YARDSTICK = Peer("polarised, true mesh", product(roughness=(0.26,), prior=(0.1, 1.0)), polarised)

@@ -1,0 +1,81 @@
+"""Settings of the peers: tried on one light and one dark person, the best of each row kept."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.reflectance_case import Case
+from benchmarks.reflectance_peers import Peer, Settings
+from benchmarks.reflectance_people import person
+from benchmarks.reflectance_scores import scores
+
+PEOPLE = ("tone3", "tone6")
+SCALE = 0.1
+"""Small pictures: 602 x 402."""
+ROWS = {
+    "albedo_rmse": "albedo RMSE",
+    "specular_2mm_share": "specular 2 mm",
+    "specular_pixel_share": "specular px",
+    "diffuse_normal_deg": "n_d deg",
+    "fine_deg": "fine n_s deg",
+    "specular_normal_deg": "n_s deg",
+}
+"""Errors of `scores` that settings are chosen by, each smaller for the better."""
+
+Kept = tuple[str, Peer, Settings]
+"""Label, peer, settings."""
+
+
+def label(peer: Peer, settings: Settings) -> str:
+    """A peer with its settings as one line."""
+    said = ", ".join(f"{key} {value}" for key, value in settings.items())
+    return f"{peer.name} ({said})"
+
+
+def tuned(peers: Sequence[Peer]) -> tuple[list[Kept], list[list[str]]]:
+    """Try every peer's grid.
+
+    Args:
+        peers: with their grids.
+
+    Returns:
+        The settings that are best in some row for some person, and the grids' rows: what was tried,
+        errors of each person, and the rows in which it was kept.
+    """
+    errors: dict[str, dict[str, dict[str, float]]] = {}
+    tried: dict[str, tuple[Peer, Settings]] = {}
+    for name in PEOPLE:
+        with tempfile.TemporaryDirectory() as folder:
+            case = Case(person(name), "direct", Path(folder), scale=SCALE)
+            for peer in peers:
+                for settings in peer.grid:
+                    how = label(peer, settings)
+                    tried[how] = peer, settings
+                    found = scores(case.samples(peer.maps(case, settings)))
+                    errors.setdefault(how, {})[name] = found
+    won: dict[str, list[str]] = {how: [] for how in tried}
+    for peer in peers:
+        own = [how for how, (whose, _) in tried.items() if whose is peer]
+        for name in PEOPLE:
+            for key, said in ROWS.items():
+                best = min(own, key=lambda how: errors[how][name][key])
+                won[best].append(f"{said} {name}")
+    kept = [(how, *tried[how]) for how in tried if won[how]]
+    rows = [
+        [
+            how,
+            *(
+                f"{errors[how][PEOPLE[0]][key]:.3f} / {errors[how][PEOPLE[1]][key]:.3f}"
+                for key in ROWS
+            ),
+            "; ".join(won[how]),
+        ]
+        for how in tried
+    ]
+    return kept, rows
+
+
+HEADER = ("peer and settings", *(f"{said}, {' / '.join(PEOPLE)}" for said in ROWS.values()),
+          "best in")  # fmt: skip
