@@ -1,16 +1,58 @@
-"""Method `colour`: chroma's normals, specular albedo by least squares on skin's lobe."""
+"""Method `colour`: chroma's normals, specular albedo by least squares on skin's lobe.
+
+Coarse: no mesh, no shadows. A pixel is taken to lie where its ray passes the sphere's centre, so
+that most of what the lights' finite distance does is known without a mesh.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
+import cv2
 import numpy as np
 
-from processing.albedo import diffuse_albedo, diffuse_light, pooled, shrunk, specular_evidence
-from processing.lights import PatternLights, far_field, no_shadows
-from processing.lobe import transport
+from lightstage.rig import Camera
+from processing.albedo import shrunk
+from processing.interface import skin_interface
+from processing.lights import PatternLights
+from processing.methods.coarse_kernels import COUNT, SUMS, finish_window, solve_window
 from processing.methods.config import SeparateConfig
-from processing.normals import solve_far_normals
+from processing.methods.far_tables import far_tables
 from processing.pixels import PixelMaps
-from processing.readings import read_pixels
+from processing.readings import px_per_mm
+
+RAY_STEP_PX = 16
+"""The camera's rays are found at every so many pixels and interpolated."""
+SETTLED = 1e-8
+"""A normal is found when a solve moves it by less than this, squared."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Readings:
+    """What a window of a picture reads, and from where it is seen.
+
+    Attributes:
+        values: (P, h, w, 3) float16 or float32, times `scale`.
+        scale: of the readings.
+        mask: (h, w) bool, which to solve.
+        valid: (h, w) bool, false where clipped.
+        origin: row and column of the window's first pixel in the picture of the rays.
+        rays: (gh, gw, 3) float32 unit directions from the camera, at every `step_px` pixels.
+        step_px: see there.
+        camera_mm: (3,) where the camera is; the origin itself takes every pixel to lie there.
+        px_per_mm: pixels a millimetre at the sphere's centre.
+    """
+
+    values: np.ndarray
+    scale: float
+    mask: np.ndarray
+    valid: np.ndarray
+    origin: tuple[int, int]
+    rays: np.ndarray
+    step_px: int
+    camera_mm: np.ndarray
+    px_per_mm: float
 
 
 def separate_pixels(
@@ -21,11 +63,9 @@ def separate_pixels(
     lights: PatternLights,
     px_per_mm: float,
     config: SeparateConfig,
+    camera_mm: np.ndarray | None = None,
 ) -> PixelMaps:
-    """Far-field separation of one view's pixels, each taken to lie at the sphere's centre.
-
-    Normals come from chroma, which holds no mirror reflection; specular albedo from least squares
-    on the lobe model, pooled over neighbours; diffuse albedo from what the lobe leaves.
+    """Separation of one view's pixels that are at hand as an array; see `separate_window`.
 
     Args:
         rgb: (n, P, 3) what the mask's pixels read, in row order.
@@ -35,38 +75,164 @@ def separate_pixels(
         lights: of the P patterns.
         px_per_mm: pixels a millimetre at the sphere's centre.
         config: see there.
+        camera_mm: (3,) where the camera is; without it every pixel lies at the sphere's centre.
+    """
+    values = np.zeros((rgb.shape[1], *mask.shape, 3), np.float32)
+    values[:, mask] = rgb.transpose(1, 0, 2)
+    rays = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1, 3), np.float32)
+    rays[:-1, :-1][mask] = -views
+    good = np.zeros(mask.shape, bool)
+    good[mask] = valid
+    place = np.zeros(3) if camera_mm is None else camera_mm
+    readings = Readings(values, 1.0, mask, good, (0, 0), rays, 1, place, px_per_mm)
+    return separate_window(readings, lights, config)
+
+
+def camera_rays(camera: Camera, step_px: int = RAY_STEP_PX) -> np.ndarray:
+    """(gh, gw, 3) float32 directions of a camera's rays through every `step_px`th pixel's centre,
+    and beyond the picture's end by one step.
+    """
+    few = dataclasses.replace(
+        camera,
+        width_px=-(-camera.width_px // step_px) + 1,
+        height_px=-(-camera.height_px // step_px) + 1,
+        fx_px=camera.fx_px / step_px,
+        fy_px=camera.fy_px / step_px,
+        cx_px=(camera.cx_px - 0.5) / step_px + 0.5,
+        cy_px=(camera.cy_px - 0.5) / step_px + 0.5,
+    )
+    return np.ascontiguousarray(few.pixel_rays()[1], np.float32)
+
+
+def window_readings(
+    values: np.ndarray,
+    scale: float,
+    mask: np.ndarray,
+    valid: np.ndarray,
+    origin: tuple[int, int],
+    camera: Camera,
+) -> Readings:
+    """Readings of a window of one camera's picture; see Readings for the arguments."""
+    rays = camera_rays(camera)
+    where, fine = camera.centre_mm, px_per_mm(camera)
+    return Readings(values, scale, mask, valid, origin, rays, RAY_STEP_PX, where, fine)
+
+
+def separate_window(readings: Readings, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
+    """Separate a window of one view's frames, which may lie on the disk: it is read once, in rows.
+
+    Normals come from chroma, which holds no mirror reflection; specular albedo from least squares
+    on the lobe model, pooled over neighbours; diffuse albedo from what the lobe leaves.
+
+    Args:
+        readings: see there.
+        lights: of the P patterns.
+        config: see there.
 
     Returns:
-        PixelMaps; confidence 0 and zeros where a pixel is clipped, dark, grey or not finite.
+        float32 PixelMaps; confidence 0 and zeros where a pixel is clipped, dark, grey or not
+        finite.
     """
-    rgb, signal, saturation, usable = read_pixels(rgb, valid, lights.colour, config.dark_level)
-    normal = solve_far_normals(signal, far_field(lights), views, config.iterations)
-    colourful = np.clip(saturation / config.grey_saturation - 1, 0, 1)
-    solved = usable & (colourful > 0) & (np.einsum("nk,nk->n", normal, normal) > 0.5)
-    normal[~solved] = 0
-    rgb = rgb / lights.colour.astype(np.float32)
-    open_sky = no_shadows(len(rgb), lights)
-    centre = np.zeros_like(normal)
-    e, lobe = transport(lights, centre, normal, views, config.roughness, open_sky)
-    each = specular_evidence(rgb.mean(axis=2), e, lobe)
-    sigma = config.specular_pool_mm * px_per_mm
-    weight = np.where(solved, each.weight, 0)
-    typical = float(np.median(weight[solved])) if solved.any() else 0.0
-    specular = shrunk(
-        pooled(np.where(solved, each.weighed, 0), mask, sigma),
-        pooled(weight, mask, sigma),
-        config.specular_prior,
-        config.specular_prior_share * typical,
+    mask = np.ascontiguousarray(readings.mask)
+    per_row = mask.sum(axis=1)
+    row_start = np.cumsum(per_row) - per_row
+    count = int(per_row.sum())
+    block = max(1, int(readings.px_per_mm / 2))
+    view = readings.rays[len(readings.rays) // 2, readings.rays.shape[1] // 2].astype(float)
+    if np.any(readings.camera_mm):
+        view = -readings.camera_mm / np.linalg.norm(readings.camera_mm)
+    elif count:
+        view = _mean_ray(readings)
+    tables = far_tables(lights, -view, config.roughness, skin_interface())
+    sums = np.zeros((*(-(-side // block) for side in mask.shape), SUMS + 1), np.float32)
+    normal, albedo = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    specular, roughness, confidence = (np.empty(count, np.float32) for _ in range(3))
+    values = readings.values
+    solve_window(
+        values.view(np.uint16) if values.dtype == np.float16 else values,
+        np.float32(readings.scale),
+        mask,
+        np.ascontiguousarray(readings.valid),
+        row_start,
+        np.array(readings.origin),
+        readings.rays,
+        readings.step_px,
+        readings.camera_mm.astype(np.float32),
+        tables.diffuse.ravel(),
+        tables.lobe.ravel(),
+        tables.lobe.shape[1],
+        np.float32(tables.radius_mm),
+        lights.colour.astype(np.float32),
+        np.array(
+            [3 * config.dark_level, config.grey_saturation, config.iterations, SETTLED], np.float32
+        ),
+        block,
+        sums,
+        normal,
+        albedo,
+        specular,
+        roughness,
+        confidence,
     )
-    specular = np.where(solved, specular, 0)
-    lit, power = diffuse_light(rgb, e, lobe, specular)
-    lit[~solved], power[~solved] = 0, 0
-    albedo = diffuse_albedo(lit, power, mask, px_per_mm, config.albedo_prior_power)
-    albedo[~solved] = 0
-    facing = np.clip(np.einsum("nk,nk->n", normal, views) / 0.3, 0, 1)
-    confidence = np.where(solved, colourful * facing * fit(signal, e), 0)
-    roughness = np.where(solved, config.roughness, 0)
+    gloss, prior = blocks_albedo(sums, block, readings.px_per_mm, config)
+    finish_window(
+        mask,
+        row_start,
+        block,
+        gloss,
+        prior,
+        np.float32(config.albedo_prior_power),
+        np.float32(config.roughness),
+        albedo,
+        specular,
+        roughness,
+    )
     return PixelMaps(normal, normal, albedo, specular, roughness, confidence)
+
+
+def blocks_albedo(
+    sums: np.ndarray, block: int, px_per_mm: float, config: SeparateConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """Specular albedo of blocks of pixels, pooled, and the diffuse albedo of their neighbourhood.
+
+    Args:
+        sums: (bh, bw, SUMS + 1) of `solve_window`.
+        block: pixels a side.
+        px_per_mm: pixels a millimetre.
+        config: see there.
+
+    Returns:
+        (bh, bw) and (bh, bw, 3) float32.
+    """
+    count = sums[..., COUNT]
+    full = count > 0
+    each = sums[..., 1][full] / count[full]
+    typical = float(np.median(each)) if full.any() else 0.0
+    share = 1 / (block * block)
+    pooled = _blurred(sums[..., :2] * share, config.specular_pool_mm * px_per_mm, block)
+    weight = config.specular_prior_share * typical
+    gloss = shrunk(pooled[..., 0], pooled[..., 1], config.specular_prior, weight)
+    lit = sums[..., 2:5] - gloss[..., None] * sums[..., 6:7]
+    near = _blurred(np.concatenate([lit, sums[..., 5:6]], axis=2) * share, px_per_mm, block)
+    power = near[..., 3:]
+    prior = np.where(power > 0, near[..., :3] / np.where(power > 0, power, 1), 0)
+    return gloss.astype(np.float32), prior.astype(np.float32)
+
+
+def _blurred(image: np.ndarray, sigma_px: float, block: int) -> np.ndarray:
+    """Gaussian means over blocks; less what summing and interpolating blocks blurs already."""
+    blocks = sigma_px / block
+    if block > 1:
+        blocks = math.sqrt(max(blocks * blocks - 0.25, 0.01))
+    found = cv2.GaussianBlur(image, (0, 0), blocks, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(found).reshape(image.shape)
+
+
+def _mean_ray(readings: Readings) -> np.ndarray:
+    """(3,) unit: the mean of the rays where they are given."""
+    total = readings.rays.reshape(-1, 3).sum(axis=0, dtype=float)
+    length = float(np.linalg.norm(total))
+    return total / length if length > 0 else np.array([0.0, 0.0, -1.0])
 
 
 def fit(signal: np.ndarray, irradiance: np.ndarray) -> np.ndarray:

@@ -15,37 +15,33 @@ from numba import njit, prange
 from processing.interface import Interface, let_through, row_of
 from processing.lights import OCTAHEDRON, PatternLights, octahedral_normals
 from processing.lobe import FARTHEST_TAN, fresnel_table
+from processing.methods.lanes import LANES
 
-LANES = 8
-"""Patterns are padded with dark ones to a multiple of this: one vector of the processor."""
+ROWS = 12
+"""Rows of the diffuse table."""
+CELLS = OCTAHEDRON
+"""Cells a side of the octahedral grid of normals."""
 LOBE_SIDE = 96
 """Cells a side of the octahedral grid of mirror directions, whose corners hold the lobe."""
 
 
 @dataclasses.dataclass(frozen=True)
 class FarTables:
-    """Tables over octahedral grids, K lanes a direction, the lanes of no pattern 0.
+    """Tables over octahedral grids, patterns in G groups of LANES, the lanes of no pattern 0.
 
     Attributes:
-        solver: (cells, 3, K) float32 pseudo-inverse of the irradiance vectors: rho n from a signal.
-        vectors: (cells, 3, K) irradiance vectors at the sphere's centre.
-        drift: (cells, 6, K) how the irradiance n . g changes with the place: n' J p, J symmetric
-            (xx yy zz xy xz yz) and in 1/mm.
-        lobe: ((LOBE_SIDE + 1)^2, K) the mirror lobe toward one camera times the cosine toward it,
-            over the mirrored directions at the corners of the grid's cells.
+        diffuse: (cells, G, ROWS, LANES) float32 of every cell of normals. Rows 0 to 2: the
+            pseudo-inverse of the irradiance vectors, rho n from a signal. Rows 3 to 5: the
+            irradiance vectors at the sphere's centre. Rows 6 to 11: how the irradiance n . g
+            changes with the place, n' J p, J symmetric (xx yy zz xy xz yz) and in 1/mm.
+        lobe: ((LOBE_SIDE + 1)^2, G, LANES) the mirror lobe toward one camera times the cosine
+            toward it, over the mirrored directions at the corners of the grid's cells.
         radius_mm: of the lights, mean.
     """
 
-    solver: np.ndarray
-    vectors: np.ndarray
-    drift: np.ndarray
+    diffuse: np.ndarray
     lobe: np.ndarray
     radius_mm: float
-
-    @property
-    def lanes(self) -> tuple[int, ...]:
-        """K zeros: a length that the compiler knows."""
-        return (0,) * self.lobe.shape[1]
 
 
 def far_tables(
@@ -63,7 +59,8 @@ def far_tables(
         FarTables; the solver is 0 where a cell's patterns do not determine a normal.
     """
     directions = (lights.position_mm / lights.radius_mm[:, None]).astype(np.float32)
-    strength = np.zeros((-(-len(lights.patterns) // LANES) * LANES, len(directions)), np.float32)
+    groups = -(-len(lights.patterns) // LANES)
+    strength = np.zeros((groups * LANES, len(directions)), np.float32)
     strength[: len(lights.patterns)] = lights.strength
     normals = octahedral_normals().astype(np.float32)
     vectors = np.zeros((len(normals), 3, len(strength)), np.float32)
@@ -77,7 +74,9 @@ def far_tables(
     lobe = np.zeros((len(corners), len(strength)), np.float32)
     fresnel = fresnel_table().astype(np.float32)
     _mirror(corners, view.astype(np.float32), directions, by_light, roughness, fresnel, lobe)
-    return FarTables(solver, vectors, drift, lobe, float(lights.radius_mm.mean()))
+    rows = np.concatenate([solver, vectors, drift], axis=1)
+    diffuse = np.ascontiguousarray(rows.reshape(-1, ROWS, groups, LANES).swapaxes(1, 2))
+    return FarTables(diffuse, lobe.reshape(-1, groups, LANES), float(lights.radius_mm.mean()))
 
 
 def octahedral_corners(side: int) -> np.ndarray:
@@ -207,7 +206,3 @@ def _mirror(
             value *= table[below] * (1 - rest) + table[below + 1] * rest
             for k in range(strength.shape[1]):
                 lobe[i, k] += np.float32(value) * strength[j, k]
-
-
-CELLS = OCTAHEDRON
-"""Cells a side of the octahedral grid of normals."""
