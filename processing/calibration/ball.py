@@ -22,6 +22,7 @@ EDGE_POINTS = 400
 """Of a ball's outline in each camera."""
 LIT_SHARE = 0.25
 """A pixel of a grey ball is brighter than this share of the ball's typical one."""
+UNDISTORT_ROUNDS = 12
 SMALLEST_PX = 6.0
 """Radius of a ball below which nothing is measured."""
 
@@ -117,13 +118,18 @@ def half(camera: Camera) -> Camera:
 
 def rays_through(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """(n, 3) unit directions in the world through (n, 2) places of a picture."""
-    places = np.ascontiguousarray(np.asarray(pixels, float).reshape(-1, 1, 2) - 0.5)
-    if not len(places):
-        return np.zeros((0, 3))
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-10)
-    plain = cv2.undistortPointsIter(
-        places, camera.opencv_matrix, np.array(camera.dist), None, None, criteria
-    ).reshape(-1, 2)
+    u, v = (
+        (np.asarray(pixels, float).reshape(-1, 2) - [camera.cx_px, camera.cy_px])
+        / [camera.fx_px, camera.fy_px]
+    ).T
+    x, y = u, v
+    k1, k2, p1, p2, k3 = camera.dist
+    for _ in range(UNDISTORT_ROUNDS if any(camera.dist) else 0):
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        dx, dy = 2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        x, y = (u - dx) / radial, (v - dy) / radial
+    plain = np.stack([x, y], axis=1)
     local = np.concatenate([plain, np.ones((len(plain), 1))], axis=1)
     local /= np.linalg.norm(local, axis=1, keepdims=True)
     return np.asarray(local @ camera.cam_from_world[:, :3])
@@ -238,7 +244,7 @@ def _edge(picture: Picture, expected_px: float) -> tuple[np.ndarray, np.ndarray]
     mask = (light > LIT_SHARE * typical).astype(np.uint8)
     if not typical > 0:
         return None
-    count, labels, stats, middles = cv2.connectedComponentsWithStats(mask)
+    count, _, stats, middles = cv2.connectedComponentsWithStats(mask)
     if count < 2:
         return None
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
