@@ -68,7 +68,7 @@ def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
                 )
             height, width = (side // 2 * 2 for side in counts.shape)
             level = counts[:height, :width].astype(np.float32)
-        exif = read_exif(path)
+        exposure = exposure_of(path)
     except (rawpy.LibRawError, OSError, AttributeError) as error:
         raise FormatError(
             path, found=f"no readable RAW ({error})", expected="a photograph of the camera"
@@ -76,6 +76,15 @@ def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
     for place, own in enumerate(black[colours.ravel()]):
         part = (slice(place // 2, None, 2), slice(place % 2, None, 2))
         level[part] = (level[part] - np.float32(own)) / np.float32(max(white - own, 1.0))
-    seconds, iso, f_number = exif.exposure_s or 0, exif.iso or 0, exif.f_number or 0
-    exposure = seconds * iso / f_number**2 if min(seconds, iso, f_number) > 0 else None
     return Mosaic(level, level >= clip_share, channels, exposure)
+
+
+def exposure_of(path: Path) -> float | None:
+    """Seconds * ISO / f-number^2 of a photograph as its headers tell; None where they do not.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    exif = read_exif(path)
+    seconds, iso, f_number = exif.exposure_s or 0, exif.iso or 0, exif.f_number or 0
+    return seconds * iso / f_number**2 if min(seconds, iso, f_number) > 0 else None

@@ -1,0 +1,45 @@
+"""`lightstage-processing calibrate`: calibration photographs to what sessions are measured by."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import typer
+
+from lightstage.commands import JsonFlag, finish, progress_bar
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command `calibrate` to an application."""
+    app.command("calibrate")(calibrate_command)
+
+
+def calibrate_command(
+    lab: Path = typer.Argument(
+        ..., help="A lab's calibration shots, or a session of targets.", show_default=False
+    ),
+    out: Path = typer.Option(..., "--out", help="Calibration folder, made or replaced."),
+    config: Path | None = typer.Option(None, "--config", help="TOML: [chart] [colour] [flat] .."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Colours, flats, black level and hot pixels of every camera, from photographed targets."""
+    from lightstage.formats.config import make_config, read_toml
+    from processing.calibration.folder import read_source
+    from processing.calibration.stage import (
+        CalibrateConfig,
+        calibrate,
+        headline,
+        write_calibration,
+    )
+
+    values = {} if config is None else read_toml(config)
+    settings = make_config(CalibrateConfig, values, "defaults" if config is None else config)
+    source = read_source(lab)
+    with progress_bar("calibrate") as progress:
+        found = calibrate(source, settings, progress)
+    write_calibration(found, source, settings, out)
+    for warning in found.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    facts = {"out": str(out), **found.facts, "warnings": found.warnings}
+    finish(f"{out}: {headline(found)}", facts, as_json)

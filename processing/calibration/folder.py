@@ -1,0 +1,221 @@
+"""Calibration photographs: a lab's newest finished shots, or one session of targets.
+
+A lab holds LAB/KIND-UTC/calibration.json (lightstage.calibration-shots/1) and a session folder for
+each pose. A session of targets holds all kinds, its patterns named KIND-NN.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import re
+from pathlib import Path
+from typing import Any
+
+from lightstage.errors import FormatError, LightstageError, one_error
+from lightstage.formats.files import read_json, sha256_file
+from lightstage.formats.session import Session, load_session
+
+SHOTS_SCHEMA = "lightstage.calibration-shots/1"
+SHOTS_NAME = "calibration.json"
+KINDS = ("charuco", "mirror", "grey", "chart", "dark", "flat")
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """One thing, photographed by all cameras as it was held once.
+
+    Attributes:
+        kind: of KINDS.
+        session: that holds the photographs.
+        patterns: of the session that show it.
+        faces: the camera that it was held toward; None: all, or not known.
+    """
+
+    kind: str
+    session: Session
+    patterns: tuple[str, ...]
+    faces: str | None
+
+    @property
+    def where(self) -> str:
+        """To name in errors."""
+        name = self.session.root.name
+        if (self.session.root.parent / SHOTS_NAME).is_file():
+            name = f"{self.session.root.parent.name}/{name}"
+        return f"{name}, {self.patterns[0]}"
+
+    def photograph(self, camera: str, pattern: str | None = None) -> Path:
+        """Where a camera's photograph lies; of the first pattern where none is named.
+
+        Raises:
+            FormatError: there is none.
+        """
+        wanted = self.patterns[0] if pattern is None else pattern
+        return self.session.frame_path(self.session.frame(wanted, camera))
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """Calibration photographs by kind.
+
+    Attributes:
+        root: the lab's folder, or the session's.
+        poses: kind to its poses, in the order they were taken; kinds that are missing are absent.
+        facts: kind to what its shots are (folder, id, created_utc, expires_utc, sha256).
+        warnings: what to tell.
+    """
+
+    root: Path
+    poses: dict[str, list[Pose]]
+    facts: dict[str, dict[str, Any]]
+    warnings: list[str]
+
+    def cameras(self) -> list[str]:
+        """Ids of all cameras that took photographs, in the rigs' order."""
+        found: dict[str, None] = {}
+        for poses in self.poses.values():
+            for pose in poses:
+                found.update(dict.fromkeys(pose.session.camera_ids()))
+        return list(found)
+
+
+def read_source(root: Path, now: datetime.datetime | None = None) -> Source:
+    """Find the photographs that a calibration is made from.
+
+    Args:
+        root: a lab's folder (of each kind the newest finished shots count), or a session of
+            targets as `lightstage-sim targets` writes it.
+        now: to tell what has expired; the computer's clock by default.
+
+    Raises:
+        FormatError: no such folder, nothing finished in it, or shots that were changed since, all
+            in one message.
+    """
+    if (root / "session.json").is_file():
+        return _targets(load_session(root))
+    if not root.is_dir():
+        raise FormatError(
+            root,
+            found="no such folder" if not root.exists() else "a file",
+            expected="a lab's folder of calibration shots, or a session of targets",
+            hint="`lightstage calibrate KIND --out LAB` makes one.",
+        )
+    newest: dict[str, tuple[datetime.datetime, Path, dict[str, Any]]] = {}
+    for path in sorted(root.glob(f"*/{SHOTS_NAME}")):
+        value = read_json(path, SHOTS_SCHEMA)
+        kind, created = value.get("kind"), _time(value, "created_utc", path)
+        finished = value.get("finished_utc") is not None
+        if finished and kind in KINDS and (kind not in newest or created > newest[kind][0]):
+            newest[kind] = created, path.parent, value
+    if not newest:
+        raise FormatError(
+            root,
+            found="no finished calibration shots",
+            expected="some, each in a folder KIND-UTC",
+            hint="Take them: `lightstage calibrate KIND --out LAB`.",
+        )
+    poses: dict[str, list[Pose]] = {}
+    facts: dict[str, dict[str, Any]] = {}
+    problems: list[LightstageError] = []
+    warnings = []
+    now = now or datetime.datetime.now(datetime.UTC)
+    for kind in (name for name in KINDS if name in newest):
+        _, folder, value = newest[kind]
+        try:
+            poses[kind] = _poses(kind, folder, value)
+        except LightstageError as error:
+            problems.append(error)
+        facts[kind] = {
+            "folder": folder.name,
+            "id": value.get("id"),
+            "created_utc": value["created_utc"],
+            "expires_utc": value.get("expires_utc"),
+            "sha256": sha256_file(folder / SHOTS_NAME),
+        }
+        if "expires_utc" in value and _time(value, "expires_utc", folder / SHOTS_NAME) < now:
+            warnings.append(f"{folder.name} expired {value['expires_utc']}")
+    if problems:
+        raise one_error(problems)
+    rigs = {value.get("rig_sha256") for _, _, value in newest.values()}
+    if len(rigs) > 1:
+        warnings.append("the kinds were not all photographed with one rig.json")
+    return Source(root, poses, facts, warnings)
+
+
+def _poses(kind: str, folder: Path, value: dict[str, Any]) -> list[Pose]:
+    """The poses that count of one folder of shots.
+
+    Raises:
+        FormatError: malformed, or a pose's session is not the one that was taken.
+    """
+    poses = []
+    problems: list[LightstageError] = []
+    for entry in value.get("poses") or []:
+        try:
+            name, told, faces = str(entry["folder"]), entry["session_sha256"], entry["faces"]
+        except (KeyError, TypeError):
+            raise FormatError(
+                folder / SHOTS_NAME, field="poses", found=repr(entry)[:80], expected="a pose"
+            ) from None
+        root = folder / name
+        if not root.resolve().is_relative_to(folder.resolve()):
+            raise FormatError(
+                folder / SHOTS_NAME, field="poses", found=name, expected="a folder in it"
+            )
+        path = root / "session.json"
+        if not path.is_file() or sha256_file(path) != told:
+            problems.append(
+                FormatError(
+                    path,
+                    field="sha256",
+                    found="another file" if path.is_file() else "no such file",
+                    expected=f"{str(told)[:12]}.. ({SHOTS_NAME})",
+                    hint="Bring it back from a copy, or take these shots again.",
+                )
+            )
+            continue
+        session = load_session(root)
+        poses.append(Pose(kind, session, tuple(session.file.sequence), faces))
+    if problems:
+        raise one_error(problems)
+    if not poses:
+        raise FormatError(folder / SHOTS_NAME, field="poses", found="none", expected="some")
+    return poses
+
+
+def _targets(session: Session) -> Source:
+    """All kinds in one session, each pattern named KIND-NN."""
+    poses: dict[str, list[Pose]] = {}
+    for pattern in session.file.sequence:
+        kind = re.match(r"[a-z]+", pattern)
+        if kind is not None and kind[0] in KINDS and re.fullmatch(r"[a-z]+-\d+", pattern):
+            poses.setdefault(kind[0], []).append(Pose(kind[0], session, (pattern,), None))
+    if not poses:
+        raise FormatError(
+            session.root / "session.json",
+            field="sequence",
+            found=", ".join(session.file.sequence)[:80],
+            expected="patterns such as chart-00, flat-00, dark-00",
+            hint="Name a lab's folder, or a session of calibration targets.",
+        )
+    told = {
+        "folder": session.root.name,
+        "id": session.file.id,
+        "created_utc": session.file.created_utc,
+        "sha256": sha256_file(session.root / "session.json"),
+    }
+    return Source(session.root, poses, {kind: dict(told) for kind in poses}, [])
+
+
+def _time(value: dict[str, Any], field: str, path: Path) -> datetime.datetime:
+    """A time with its zone; FormatError where it is none."""
+    try:
+        time = datetime.datetime.fromisoformat(str(value.get(field)))
+    except ValueError:
+        time = datetime.datetime.min
+    if time.tzinfo is None:
+        raise FormatError(
+            path, field=field, found=repr(value.get(field)), expected="ISO 8601 with zone"
+        )
+    return time
