@@ -167,32 +167,28 @@ def polarised(case: Case, settings: Settings) -> dict[str, Maps]:
 
 
 def _polarised(case: Case, settings: Settings) -> Iterator[tuple[str, Maps]]:
-    surface: dict[str, LitSurface] = {}
+    surface: LitSurface | None = None
     roughness = float(settings["roughness"])
     for camera_id in case.session.camera_ids():
         frames = read_frames(case.out, camera_id)
-        camera = case.session.rig.camera(camera_id)
-        foreground = read_foreground(case.out, camera_id)
-        part: dict[str, tuple[Sight, PatternLights, np.ndarray]] = {}
-        for bank in ("cross", "parallel"):
-            some = [k for k, name in enumerate(frames.patterns) if name.endswith(bank)]
-            names = tuple(frames.patterns[k] for k in some)
-            lights = pattern_lights(case.session, names)
-            if bank not in surface:
-                surface[bank] = true_surface(case, lights)
-            sight = see(surface[bank], camera, foreground)
-            readings = frames.pixels(sight.mask)[:, some] / lights.colour.astype(np.float32)
-            part[bank] = sight, lights, readings
-        sight, lights, rgb = part["cross"]
-        rgb = 2 * rgb
-        normal = matte_normals(rgb.mean(axis=2), sight, lights, 0.0, roughness)
-        e, _ = lit(sight, lights, normal, roughness)
+        lights = pattern_lights(case.session, frames.patterns)
+        surface = surface or true_surface(case, lights)
+        sight = see(
+            surface, case.session.rig.camera(camera_id), read_foreground(case.out, camera_id)
+        )
+        rgb = frames.pixels(sight.mask) / lights.colour.astype(np.float32)
+        through = np.array([name.endswith("@cross") for name in lights.patterns])
+        cross, parallel = (
+            lights.of(tuple(np.array(lights.patterns)[some].tolist()))
+            for some in (through, ~through)
+        )
+        normal = matte_normals(rgb[:, through].mean(axis=2), sight, cross, 0.0, roughness)
+        e, lobe = lit(sight, cross, normal, roughness)
         nothing = np.zeros(len(normal), np.float32)
-        found, power = diffuse_light(rgb, e, np.zeros_like(e), nothing)
+        found, power = diffuse_light(rgb[:, through], e, lobe, nothing)
         body = (found / np.maximum(power, 1e-4)[:, None]).mean(axis=1)
-        sight, lights, rgb = part["parallel"]
-        e, lobe = lit(sight, lights, normal, roughness)
-        gloss = rgb.mean(axis=2) - 0.5 * body[:, None] * e
+        e, lobe = lit(sight, parallel, normal, roughness)
+        gloss = rgb[:, ~through].mean(axis=2) - body[:, None] * e
         weight = np.einsum("np,np->n", lobe, lobe).astype(float)
         prior = float(settings["prior"]) * float(np.median(weight))
         mirror = (np.einsum("np,np->n", lobe, gloss) + prior * SKIN_F0) / (weight + prior)

@@ -21,6 +21,8 @@ from processing.rays import MeshRays, interpolate
 
 PEAK_QUANTILE = 0.999
 SHADOW_OFFSET_MM = 0.1
+EXPONENT = 1.0
+"""Of the simulator's lamps; a picture that is to be rendered tells its lights."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +49,7 @@ def single_lights(rig: Rig) -> PatternLights:
     """The new lights, one a pattern: a white at the origin that faces a light reads 1."""
     position = new_rig(rig).positions_mm
     count = len(position)
-    lamps = Lamps(position, np.ones((count, 3)), 0.0, NO_STRAY, "nominal")
+    lamps = Lamps(position, np.ones((count, 3)), EXPONENT, {}, "nominal")
     return lights_of(lamps, tuple(f"new{k:02d}" for k in range(count)), np.eye(count))
 
 
