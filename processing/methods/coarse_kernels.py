@@ -31,6 +31,8 @@ RUN = 128
 """Pixels of a row that are loaded at once."""
 SUMS = 7
 """Sums of a block: weighed, weight, lit (3), power, mirror times irradiance."""
+LENGTH = 11
+"""Place of |rho n| in what a pixel gives."""
 COUNT = 7
 """Place of a block's number of solved pixels, behind its sums."""
 SIDE = np.float32(CELLS)
@@ -66,6 +68,7 @@ def _pixel(
     groups: int,
     radius: float,
     white: np.ndarray,
+    part: np.ndarray,
     limits: np.ndarray,
     signal: np.ndarray,
     out: np.ndarray,
@@ -73,9 +76,11 @@ def _pixel(
     """Solve one pixel; false when nothing can be told.
 
     rgb: flat readings, (G, 3, LANES) from index `first` on; view toward the camera; place in mm;
-    diffuse, lobe: flat tables of FarTables; white (3,) the lights' colour; limits: three times the
-    dark level, grey saturation, solves at most, when to stop; signal (G * LANES,) is scratch. out:
-    normal (3), confidence, weighed, weight, lit (3), power, mirror times irradiance.
+    diffuse, lobe: flat tables of FarTables; white (3,) the lights' colour; part (3,): the weights of
+    R G B that normals are solved from, zeros for chroma; limits: three times the dark level, grey
+    saturation, solves at most, when to stop, noise squared, and the normal's deviation squared
+    that halves the confidence; signal (G * LANES,) is scratch. out: normal (3), confidence, weighed, weight, lit (3), power, mirror times irradiance, and |rho n|,
+    0 where the pixel before was not solved.
     """
     one, zero = np.float32(1), np.float32(0)
     vx, vy, vz = view
@@ -105,7 +110,9 @@ def _pixel(
     colourful = min(one, max(zero, saturation / limits[1] - one))
     if not (colourful > 0 and np.isfinite(saturation)):
         return False
-    per /= saturation
+    x, y, z = x / saturation, y / saturation, z / saturation
+    if part[0] + part[1] + part[2] > 0:
+        x, y, z = part[0], part[1], part[2]
     across_r, across_g, across_b = every(x * per), every(y * per), every(z * per)
     ss = zero
     for k in range(groups):
@@ -115,8 +122,11 @@ def _pixel(
         store(signal, k * LANES, s)
         ss += total(s * s)
 
-    nx, ny, nz = vx, vy, vz
-    length = zero
+    # From where the pixel before it ended: most lie in the same cell.
+    nx, ny, nz, length = out[0], out[1], out[2], out[LENGTH]
+    if length == zero:
+        nx, ny, nz = vx, vy, vz
+    out[LENGTH] = zero
     cell = -1
     for _ in range(int(limits[2])):
         u, v = _octahedral(nx, ny, nz)
@@ -157,8 +167,9 @@ def _pixel(
     corner = (i * (LOBE_SIDE + 1) + j) * groups * LANES
     below = corner + (LOBE_SIDE + 1) * groups * LANES
     beyond = groups * LANES
+    noise = zero
     ee = eb = bb = es = lit_r = lit_g = lit_b = mirrored = zero
-    third = one / np.float32(3)
+    third, quarter = one / np.float32(3), np.float32(0.25)
     to_r, to_g, to_b = one / white[0], one / white[1], one / white[2]
     for k in range(groups):
         row = (cell * groups + k) * ROWS * LANES
@@ -177,6 +188,13 @@ def _pixel(
         lit_r += total(e * red) * to_r
         lit_g += total(e * green) * to_g
         lit_b += total(e * blue) * to_b
+        # What a reading's noise, which grows with its light, turns the normal by: not along it.
+        sx, sy = load(diffuse, row), load(diffuse, row + LANES)
+        sz = load(diffuse, row + 2 * LANES)
+        along_n = every(nx) * sx + every(ny) * sy + every(nz) * sz
+        turns = sx * sx + sy * sy + sz * sz - along_n * along_n
+        bright = at_least(red + green + blue, every(zero)) * every(third) + every(quarter)
+        noise += total(turns * bright)
         mirrored += total(m * (every(to_r) * red + every(to_g) * green + every(to_b) * blue))
     if not (ee > 0 and ss > 0):
         return False
@@ -185,11 +203,13 @@ def _pixel(
     fits = min(one, max(zero, (np.float32(0.4) - misfit) / np.float32(0.3)))
     facing = min(one, max(zero, nv / np.float32(0.3)))
     out[0], out[1], out[2] = nx, ny, nz
-    out[3] = colourful * facing * fits
+    noise *= limits[4] * (x * x + y * y + z * z) * per * per / (length * length)
+    out[3] = colourful * facing * fits / (one + noise / limits[5])
     out[4] = (mirrored - share * (lit_r + lit_g + lit_b)) * third
     out[5] = max(zero, bb - share * eb)
     out[6], out[7], out[8] = lit_r, lit_g, lit_b
     out[9], out[10] = ee, eb
+    out[LENGTH] = length
     return bool(np.isfinite(out[4] + out[5] + out[9]))
 
 
@@ -220,6 +240,7 @@ def _put(
 ) -> None:
     """Keep one pixel's result, and add it to its block's sums (SUMS + 1)."""
     if not found:
+        out[LENGTH] = 0
         normal[at] = 0
         albedo[at] = 0
         specular[at] = roughness[at] = confidence[at] = 0
@@ -250,6 +271,7 @@ def solve_window(
     groups: int,
     radius: float,
     white: np.ndarray,
+    part: np.ndarray,
     limits: np.ndarray,
     block: int,
     sums: np.ndarray,
@@ -273,7 +295,7 @@ def solve_window(
     for strip in prange(len(sums)):
         rgb = np.zeros(RUN * stride, np.float32)
         signal = np.zeros(groups * LANES, np.float32)
-        out = np.zeros(11, np.float32)
+        out = np.zeros(LENGTH + 1, np.float32)
         for y in range(strip * block, min(height, strip * block + block)):
             at = row_start[y]
             gy = (np.float32(y + origin[0])) / np.float32(step)
@@ -287,6 +309,7 @@ def solve_window(
                 x1 = x0
                 while x1 < width and x1 < x0 + RUN and mask[y, x1]:
                     x1 += 1
+                out[LENGTH] = 0
                 for k in range(patterns):
                     lane = k // LANES * 3 * LANES + k % LANES
                     for x in range(x0, x1):
@@ -321,6 +344,7 @@ def solve_window(
                         groups,
                         radius,
                         white,
+                        part,
                         limits,
                         signal,
                         out,

@@ -163,9 +163,8 @@ def separate_window(readings: Readings, lights: PatternLights, config: SeparateC
         tables.lobe.shape[1],
         np.float32(tables.radius_mm),
         lights.colour.astype(np.float32),
-        np.array(
-            [3 * config.dark_level, config.grey_saturation, config.iterations, SETTLED], np.float32
-        ),
+        _part(config.normals, lights.colour),
+        _limits(config),
         block,
         sums,
         normal,
@@ -226,6 +225,25 @@ def _blurred(image: np.ndarray, sigma_px: float, block: int) -> np.ndarray:
         blocks = math.sqrt(max(blocks * blocks - 0.25, 0.01))
     found = cv2.GaussianBlur(image, (0, 0), blocks, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(found).reshape(image.shape)
+
+
+def _limits(config: SeparateConfig) -> np.ndarray:
+    """What `solve_window` takes as limits."""
+    half_trust = math.radians(config.half_trust_deg)
+    values = (3 * config.dark_level, config.grey_saturation, config.iterations, SETTLED)
+    return np.array([*values, config.noise**2, half_trust**2], np.float32)
+
+
+def _part(normals: str, white: np.ndarray) -> np.ndarray:
+    """(3,) float32 weights of R G B for `solve_window`."""
+    if normals in ("auto", "chroma"):
+        return np.zeros(3, np.float32)
+    if normals == "mean":
+        return np.asarray(1 / (3 * white), np.float32)
+    weights = np.zeros(3, np.float32)
+    channel = ("red", "green", "blue").index(normals)
+    weights[channel] = 1 / white[channel]
+    return weights
 
 
 def _mean_ray(readings: Readings) -> np.ndarray:

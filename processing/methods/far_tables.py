@@ -69,11 +69,18 @@ def far_tables(
     by_light = np.ascontiguousarray(strength.T)
     near = (1 / lights.radius_mm).astype(np.float32)
     _diffuse(normals, directions, by_light, near, interface.table, roughness, vectors, drift)
+    some = slice(0, len(lights.patterns))
+    stray = lights.stray
+    vectors[:, :, some] += np.einsum("pij,nj->nip", stray[:, :, :3], normals, optimize=True)
+    vectors[:, :, some] += stray[:, :, 3].T
+    vectors[:, :, some] *= lights.diffuse_share
+    drift[:, :, some] *= lights.diffuse_share
     _invert(vectors, solver)
     corners = octahedral_corners(LOBE_SIDE).astype(np.float32)
     lobe = np.zeros((len(corners), len(strength)), np.float32)
     fresnel = fresnel_table().astype(np.float32)
     _mirror(corners, view.astype(np.float32), directions, by_light, roughness, fresnel, lobe)
+    lobe[:, some] *= lights.mirror_share
     rows = np.concatenate([solver, vectors, drift], axis=1)
     diffuse = np.ascontiguousarray(rows.reshape(-1, ROWS, groups, LANES).swapaxes(1, 2))
     return FarTables(diffuse, lobe.reshape(-1, groups, LANES), float(lights.radius_mm.mean()))
