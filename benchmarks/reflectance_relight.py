@@ -14,7 +14,7 @@ from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera, Rig
 from processing.interface import skin_interface
-from processing.lamps import NO_STRAY, Lamps
+from processing.lamps import Lamps
 from processing.lights import PatternLights, Shadows, lights_of
 from processing.lobe import transport
 from processing.rays import MeshRays, interpolate

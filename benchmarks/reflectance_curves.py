@@ -1,0 +1,247 @@
+"""Errors of reflectance against what goes wrong: noise, sway, room light, lamps, place, gloss.
+
+Run `python -m benchmarks.reflectance_curves` for all, written into RESULTS.md and
+docs/reflectance_curves.png, or with `--curves noise,sway` for some, which are printed alone. One
+light and one dark person, three views of 602 x 402, direct light. Photographs go through the stages
+`decode`, `separate` and `refine` (with the true mesh, where the person was at the first shot), with
+nothing told of what was done to the light.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import dataclasses
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.plots import Line, Panel, draw
+from benchmarks.record import record, table
+from benchmarks.reflectance_people import NOISE, benchmark_rig, noisy, person
+from benchmarks.reflectance_scores import joined, read_maps, scores, view_samples
+from lightstage.commands import quiet
+from lightstage.formats.config import make_config
+from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import Session, load_session
+from processing.decode import DecodeConfig, decode
+from processing.methods.config import SeparateConfig
+from processing.refine import RefineConfig, refine
+from processing.separation import separate
+from sim.camera.flaws import CaptureFlaws, RoomConfig, SwayConfig
+from sim.camera.sway import moved
+from sim.light.lamps import LampConfig, lamps_of
+from sim.light.world import World
+from sim.people.subject import Subject
+from sim.people.subjects import load_subject
+from sim.session import SessionConfig, truth_path, write_direct
+from sim.truth import write_truth
+
+SCALE = 0.1
+TEXTURE_ROWS = 1536
+PEOPLE = ("tone3", "tone6")
+PICTURE = Path(__file__).parents[1] / "docs" / "reflectance_curves.png"
+PUBLISHED = {"method": "kampouris", "kampouris": {"combine": "weighted", "field": "lights"}}
+METHODS = ("refine", "coarse", "kampouris")
+ERRORS = {
+    "albedo_rmse": "diffuse albedo RMSE",
+    "diffuse_normal_deg": "diffuse normal, mean deg",
+    "specular_2mm_share": "specular over 2 mm, share of constant",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """One way in which photographs are taken."""
+
+    noise: float = NOISE
+    sway_mm: float = 0.0
+    ambient: float = 0.0
+    gain_spread: float = 0.0
+    missing: int = 0
+    off_centre_mm: float = 0.0
+    roughness: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Curve:
+    """A field of `Setting`, its words, and the values that are tried."""
+
+    field: str
+    said: str
+    values: tuple[float, ...]
+
+
+CURVES = (
+    Curve("noise", "noise, share of sqrt(.25 + I)", (0.0003, 0.001, 0.003, 0.01)),
+    Curve("sway_mm", "sway, mm (and a third of it in deg)", (0, 0.1, 0.3, 1)),
+    Curve("ambient", "room light, share of full", (0, 0.005, 0.02, 0.06)),
+    Curve("gain_spread", "unknown spread of lamps' gains", (0, 0.02, 0.05, 0.15)),
+    Curve("missing", "dead lamps of 168, unknown", (0, 2, 8, 24)),
+    Curve("off_centre_mm", "head above the centre, mm", (0, 20, 40, 70)),
+    Curve("roughness", "roughness against the person's own", (0.6, 0.8, 1, 1.3)),
+)
+
+Errors = dict[tuple[str, Setting, str], dict[str, float]]
+"""By person, setting and method."""
+
+
+class Stage:
+    """A person in the benchmark's stage; rays are cast anew only where the person changes."""
+
+    def __init__(self, name: str) -> None:
+        self.known = person(name)
+        self.rig = benchmark_rig(SCALE)
+        known = self.known
+        self.subject = load_subject(known.name, known.seed, None, TEXTURE_ROWS, known.traits)
+        self._worlds: dict[tuple[float, float], World] = {}
+
+    def world(self, setting: Setting) -> World:
+        """The person where the setting says, under the lamps that it says."""
+        who = setting.off_centre_mm, setting.roughness
+        if who not in self._worlds:
+            self._worlds = {who: World(changed(self.subject, *who), self.rig)}
+        world = copy.copy(self._worlds[who])
+        config = LampConfig(gain_spread=setting.gain_spread)
+        lamps = lamps_of(self.rig, config, self.known.seed)
+        dead = np.random.default_rng(self.known.seed).permutation(len(lamps.weights))
+        weights = lamps.weights.copy()
+        weights[dead[: setting.missing]] = 0
+        world.lamps = dataclasses.replace(lamps, weights=weights)
+        return world
+
+
+def changed(subject: Subject, off_centre_mm: float, roughness: float) -> Subject:
+    """The subject higher up, its roughness scaled."""
+    shift = np.eye(4)[:3]
+    shift[1, 3] = off_centre_mm
+    rough = (subject.roughness * np.float32(roughness)).astype(np.float32)
+    return moved(dataclasses.replace(subject, roughness=rough), shift)
+
+
+def photographed(stage: Stage, setting: Setting, folder: Path) -> Session:
+    """A session under a setting, its truth beside it, pixel noise added."""
+    world = stage.world(setting)
+    sway = SwayConfig(sway_mm=setting.sway_mm, sway_deg=setting.sway_mm / 3)
+    flaws = CaptureFlaws(room=RoomConfig(ambient=setting.ambient), sway=sway)
+    root = folder / "session"
+    write_truth(world, truth_path(root))
+    write_direct(world, root, SessionConfig(), stage.known.seed, quiet, flaws)
+    session = load_session(root)
+    rng = np.random.default_rng(stage.known.seed)
+    for frame in session.file.frames:
+        path = session.frame_path(frame)
+        write_exr(path, noisy(read_exr(path), rng, setting.noise), half=False)
+    return session
+
+
+def measured(stage: Stage, setting: Setting) -> Iterator[tuple[str, dict[str, float]]]:
+    """Method and errors under a setting."""
+    with tempfile.TemporaryDirectory() as name:
+        session, out = photographed(stage, setting, Path(name)), Path(name) / "out"
+        decode(session, out, DecodeConfig())
+        truth = ProcessedFolder(truth_path(session.root))
+
+        def errors() -> dict[str, float]:
+            found = ProcessedFolder(out)
+            cameras = [session.rig.camera(camera_id) for camera_id in session.camera_ids()]
+            return scores(joined([view_samples(read_maps(found, c.id), truth, c) for c in cameras]))
+
+        def run(settings: Mapping[str, object]) -> None:
+            separate(session, out, make_config(SeparateConfig, settings, "benchmark"))
+
+        calls: dict[str, Callable[[], object]] = {
+            "kampouris": lambda: run(PUBLISHED),
+            "coarse": lambda: run({}),
+            "refine": lambda: refine(session, out, RefineConfig()),
+        }
+        shutil.copy(truth.base_mesh, ProcessedFolder(out).base_mesh)
+        for method, call in calls.items():
+            call()
+            yield method, errors()
+
+
+def settings_of(curve: Curve) -> list[Setting]:
+    """The settings that a curve goes through."""
+    kind = type(getattr(Setting(), curve.field))
+    return [Setting(**{curve.field: kind(value)}) for value in curve.values]
+
+
+def panels(curves: tuple[Curve, ...], errors: Errors) -> list[list[Panel]]:
+    """A row of panels for each error, a column for each curve."""
+    rows = []
+    for key, said in ERRORS.items():
+        row = []
+        for curve in curves:
+            lines = [
+                Line(
+                    f"{method}, {person(name).skin} skin",
+                    list(curve.values),
+                    [errors[name, setting, method][key] for setting in settings_of(curve)],
+                    METHODS.index(method),
+                    person(name).skin == "dark",
+                )
+                for method in METHODS
+                for name in PEOPLE
+            ]
+            # The published formulas' specular errors are many times a constant's.
+            row.append(Panel(said, curve.said, lines, curve.field == "noise", log_y=True))
+        rows.append(row)
+    return rows
+
+
+def table_rows(curves: tuple[Curve, ...], errors: Errors) -> list[list[str]]:
+    """Curve, value, method; errors of the light and the dark person."""
+    return [
+        [
+            curve.said,
+            f"{value:g}",
+            method,
+            *(
+                " / ".join(f"{errors[name, setting, method][key]:.4g}" for name in PEOPLE)
+                for key in ERRORS
+            ),
+        ]
+        for curve in curves
+        for value, setting in zip(curve.values, settings_of(curve), strict=True)
+        for method in METHODS
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    fields = [curve.field for curve in CURVES]
+    parser.add_argument("--curves", default=",".join(fields), help=", ".join(fields))
+    parser.add_argument("--picture", type=Path, help="where to draw some curves")
+    told = parser.parse_args()
+    wanted = told.curves.split(",")
+    if unknown := sorted({*wanted} - {*fields}):
+        parser.error(f"{', '.join(unknown)}: expected {', '.join(fields)}")
+    curves = tuple(curve for curve in CURVES if curve.field in wanted)
+    errors: Errors = {}
+    for name in PEOPLE:
+        stage = Stage(name)
+        settings = dict.fromkeys(s for curve in curves for s in settings_of(curve))
+        # People of one place and gloss one after another: their rays are cast once.
+        for setting in sorted(settings, key=lambda s: (s.off_centre_mm, s.roughness)):
+            for method, found in measured(stage, setting):
+                errors[name, setting, method] = found
+            print(f"  {name} {setting}", flush=True)
+    header = ("curve", "value", "method", *(f"{said}, light / dark" for said in ERRORS.values()))
+    rows = table_rows(curves, errors)
+    whole = curves == CURVES
+    if whole or told.picture:
+        draw(panels(curves, errors), told.picture or PICTURE)
+    if whole:
+        note = "People tone3 and tone6, three views of 602 x 402; docs/reflectance_curves.png."
+        record("Reflectance: curves", header, rows, note)
+    else:
+        print(table(header, rows))
+
+
+if __name__ == "__main__":
+    main()
