@@ -17,7 +17,7 @@ from lightstage.importing import import_session
 from lightstage.operator import command as operator_command
 from lightstage.patterns import command as patterns_command
 from lightstage.rig import load_rig
-from lightstage.session import read_colour
+from lightstage.session import read_calibration
 
 app = make_app("Drive the light stage: capture a session, check it, import one taken elsewhere.")
 capture_command.register(app)
@@ -53,12 +53,14 @@ def import_command(
     out: Path = typer.Option(..., "--out", help="The session's folder, new."),
     subject: str = typer.Option("subject-1", help="Pseudonym of the person."),
     expression: str = typer.Option("neutral"),
-    colour: Path | None = typer.Option(None, help="Colour calibration (lightstage.colour/1)."),
+    colour: Path | None = typer.Option(
+        None, help="A calibration folder, or a colour calibration alone."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Make a session of photographs taken elsewhere."""
     the_rig = load_rig(rig)
-    calibration = None if colour is None else read_colour(colour, the_rig)
+    calibration = None if colour is None else read_calibration(colour, the_rig)
     with progress_bar("import") as progress:
         frames = import_session(folder, the_rig, out, subject, expression, calibration, progress)
     finish(f"{out}: {frames} frames imported", {"session": str(out), "frames": frames}, as_json)

@@ -6,7 +6,6 @@ import os
 import secrets
 import shutil
 from pathlib import Path
-from typing import Any
 
 from lightstage.cameras.camera import CardFile
 from lightstage.commands import ProgressCallback, quiet
@@ -16,7 +15,7 @@ from lightstage.formats.files import fsync_path, sha256_file
 from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.photograph import identify_file
 from lightstage.rig import Rig
-from lightstage.session import SessionPlan, SessionWriter, check_pseudonym, require_new
+from lightstage.session import Carried, SessionPlan, SessionWriter, check_pseudonym, require_new
 
 
 def find_photographs(folder: Path, rig: Rig) -> dict[str, dict[str, Path]]:
@@ -78,7 +77,7 @@ def import_session(
     out: Path,
     subject: str,
     expression: str,
-    colour: dict[str, Any] | None = None,
+    calibration: Carried | None = None,
     progress: ProgressCallback = quiet,
 ) -> int:
     """Make a session of photographs taken elsewhere; all of it appears at once, or nothing.
@@ -89,7 +88,7 @@ def import_session(
         out: the session's folder, new.
         subject: pseudonym.
         expression: such as ``neutral``.
-        colour: calibration as read by session.read_colour.
+        calibration: as read by session.read_calibration.
         progress: called with photographs kept and wanted.
 
     Returns:
@@ -107,7 +106,10 @@ def import_session(
     beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
     try:
         plan = SessionPlan(tuple(found), subject, expression)
-        writer = SessionWriter.new(beside, rig, plan, facts={"imported": True}, colour=colour)
+        own = calibration or Carried()
+        writer = SessionWriter.new(
+            beside, rig, plan, facts={"imported": True}, colour=own.colour, beside=own.beside
+        )
         try:
             _keep_all(found, writer, total, progress)
             writer.finish()

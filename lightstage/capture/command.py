@@ -27,7 +27,13 @@ from lightstage.patterns import Drive, read_patterns, sequence_patterns
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import check_shots
 from lightstage.sequence import plan_shots
-from lightstage.session import check_consent, check_pseudonym, read_colour, require_new
+from lightstage.session import (
+    Carried,
+    check_consent,
+    check_pseudonym,
+    read_calibration,
+    require_new,
+)
 
 SUBJECT = "subject-1"
 EXPRESSION = "neutral"
@@ -65,7 +71,9 @@ def capture_command(
     consent: str | None = typer.Option(None, help="Id of the record of the person's consent."),
     patterns: Path | None = typer.Option(None, help="Your own patterns (TOML)."),
     drive: str | None = typer.Option(None, help="solid-angle (the default) or on-off."),
-    colour: Path | None = typer.Option(None, help="Colour calibration (lightstage.colour/1)."),
+    colour: Path | None = typer.Option(
+        None, help="A calibration folder, or a colour calibration alone, for the session to carry."
+    ),
     calibration: Path | None = typer.Option(
         None, help="The lab's folder of calibration shots; stale ones are refused."
     ),
@@ -144,10 +152,11 @@ def _new_order(
     the_rig = load_rig(rig)
     own = {} if patterns is None else read_patterns(patterns, the_rig)
     shots = plan_shots(sequence_patterns(sequence), the_rig, config.drive, own)
-    matrix = None if colour is None else read_colour(colour, the_rig)
+    own_calibration = Carried() if colour is None else read_calibration(colour, the_rig)
     return the_rig, Order(
-        out, shots, subject=subject, expression=expression, consent=consent, colour=matrix
-    )
+        out, shots, subject=subject, expression=expression, consent=consent,
+        colour=own_calibration.colour, beside=own_calibration.beside,
+    )  # fmt: skip
 
 
 def _with_calibration(

@@ -47,6 +47,7 @@ class Order:
         expression: such as ``neutral``.
         consent: id of the record of the subject's consent.
         colour: a colour calibration to keep in the session.
+        beside: other files of that calibration, by name.
         facts: what else the journal and the manifest shall say, such as calibration shots.
         findings: of whoever looked before, told with those of the preflight.
     """
@@ -58,6 +59,7 @@ class Order:
     expression: str = "neutral"
     consent: str | None = None
     colour: dict[str, Any] | None = None
+    beside: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     findings: Sequence[Finding] = ()
 
@@ -210,7 +212,8 @@ def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
     if not order.resume:
         levels = {shot.pattern: shot.levels.tolist() for shot in order.shots}
         plan = SessionPlan(tuple(levels), order.subject, order.expression, levels, order.consent)
-        return SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts, order.colour)
+        calibration = order.colour, order.beside
+        return SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts, *calibration)
     writer = SessionWriter.resumed(order.root, stage.rig)
     try:
         require(_changed(writer, stage))

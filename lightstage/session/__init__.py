@@ -1,6 +1,12 @@
 """A session's life on disk: the journal, photographs kept once, recovery, session.json."""
 
-from lightstage.session.colour import COLOUR_PATH, COLOUR_SCHEMA, read_colour
+from lightstage.session.colour import (
+    COLOUR_PATH,
+    COLOUR_SCHEMA,
+    Carried,
+    read_calibration,
+    read_colour,
+)
 from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
 from lightstage.session.kept import Kept
@@ -16,6 +22,7 @@ from lightstage.session.writer import SessionWriter
 __all__ = [
     "COLOUR_PATH",
     "COLOUR_SCHEMA",
+    "Carried",
     "Exposed",
     "Journal",
     "Kept",
@@ -27,6 +34,7 @@ __all__ = [
     "bring_home",
     "check_consent",
     "check_pseudonym",
+    "read_calibration",
     "read_colour",
     "read_journal",
     "reconcile",

@@ -1,17 +1,91 @@
-"""A colour calibration as a session carries it."""
+"""A calibration as a session carries it: colours, flats, measured lights."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError
-from lightstage.formats.files import read_json
+from lightstage.formats.files import check_schema, read_json
+from lightstage.formats.lights import read_measured_lights
 from lightstage.formats.scale import chart_levels
 from lightstage.rig import Rig
 
 COLOUR_SCHEMA = "lightstage.colour/1"
 COLOUR_PATH = "calibration/colour.json"
+FLATS_SCHEMA = "lightstage.flats/1"
+COLOUR_NAME, FLATS_NAME, LIGHTS_NAME = "colour.json", "flats.json", "lights.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class Carried:
+    """What a session keeps of a calibration, in its folder ``calibration``.
+
+    Attributes:
+        colour: the value of colour.json; None where there is none.
+        beside: name to bytes of the other files.
+    """
+
+    colour: dict[str, Any] | None = None
+    beside: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
+
+
+def read_calibration(path: Path, rig: Rig) -> Carried:
+    """Read what a session is to carry.
+
+    Args:
+        path: a colour calibration alone, or a folder as `lightstage-processing calibrate` writes
+            it, with colour.json, flats.json and lights.json or some of them.
+        rig: the session's.
+
+    Raises:
+        FormatError: a file that cannot be used with this rig, or a folder with none of them.
+    """
+    if not path.is_dir():
+        return Carried(read_colour(path, rig))
+    colour, flats, lights = (path / name for name in (COLOUR_NAME, FLATS_NAME, LIGHTS_NAME))
+    beside: dict[str, bytes] = {}
+    if flats.is_file():
+        beside |= _flats(flats)
+    if lights.is_file():
+        read_measured_lights(lights, rig)
+        beside[LIGHTS_NAME] = lights.read_bytes()
+    if not beside and not colour.is_file():
+        raise FormatError(
+            path,
+            found="no colour.json, flats.json or lights.json",
+            expected="a calibration folder, or a colour calibration",
+            hint="Make one: lightstage-processing calibrate LAB --out CALIBRATION.",
+        )
+    return Carried(read_colour(colour, rig) if colour.is_file() else None, beside)
+
+
+def carried_paths(colour: Mapping[str, Any] | None, beside: Mapping[str, bytes]) -> dict[str, str]:
+    """What session.json says under ``calibration``: kind to path in the session."""
+    kinds = {} if colour is None else {"colour": COLOUR_PATH}
+    folder = Path(COLOUR_PATH).parent.as_posix()
+    for kind, name in (("flats", FLATS_NAME), ("lights", LIGHTS_NAME)):
+        if name in beside:
+            kinds[kind] = f"{folder}/{name}"
+    return kinds
+
+
+def _flats(path: Path) -> dict[str, bytes]:
+    """flats.json and the gains of single pixels that it names, by name."""
+    data = path.read_bytes()
+    try:
+        value = json.loads(data)
+        check_schema(path, value, FLATS_SCHEMA)
+        named = [entry.get("per_pixel") for entry in value["cameras"].values()]
+        files = {name: path.with_name(name).read_bytes() for name in named if name is not None}
+    except (AttributeError, KeyError, TypeError, ValueError, OSError) as error:
+        raise FormatError(
+            path, found=str(error), expected="flats of cameras, and the files that it names"
+        ) from None
+    return {path.name: data, **files}
 
 
 def read_colour(path: Path, rig: Rig) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.errors import CaptureError
-from lightstage.formats.files import write_json
+from lightstage.formats.files import write_bytes, write_json
 from lightstage.rig import Rig, rig_to_json, save_rig
 from lightstage.session.colour import COLOUR_PATH
 from lightstage.session.disk import disk_errors
@@ -19,11 +19,15 @@ JOURNAL = "journal.jsonl"
 RIG = "rig.json"
 
 
-def save_beside(root: Path, rig: Rig, colour: Mapping[str, Any] | None) -> None:
+def save_beside(
+    root: Path, rig: Rig, colour: Mapping[str, Any] | None, beside: Mapping[str, bytes]
+) -> None:
     """What lies in a session's folder before its journal begins."""
     save_rig(rig, root / RIG)
     if colour is not None:
         write_json(root / COLOUR_PATH, dict(colour))
+    for name, data in beside.items():
+        write_bytes((root / COLOUR_PATH).with_name(name), data)
 
 
 def require_new(root: Path) -> None:

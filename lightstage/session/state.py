@@ -282,7 +282,7 @@ class SessionState:
         self._shots.add(sys.intern(line["pattern"]))
 
     def _on_calibration(self, line: Line) -> None:
-        kinds = ("colour", "cameras", "lights")
+        kinds = ("colour", "cameras", "lights", "flats")
         self._calibration |= {kind: line[kind] for kind in kinds if kind in line}
 
     def _on_note(self, line: Line) -> None:

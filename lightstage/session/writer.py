@@ -15,7 +15,7 @@ from lightstage.errors import CaptureError, FormatError
 from lightstage.formats.session import save_session, session_id
 from lightstage.rig import Rig, load_rig
 from lightstage.session.aside import put_aside, take_aside
-from lightstage.session.colour import COLOUR_PATH
+from lightstage.session.colour import carried_paths
 from lightstage.session.disk import disk_errors, make_folder
 from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
@@ -53,6 +53,7 @@ class SessionWriter(Record):
         serials: Mapping[str, str | None] | None = None,
         facts: Mapping[str, Any] | None = None,
         colour: Mapping[str, Any] | None = None,
+        beside: Mapping[str, bytes] | None = None,
     ) -> SessionWriter:
         """Make a session; a folder that holds something is never touched.
 
@@ -64,6 +65,7 @@ class SessionWriter(Record):
             serials: what each camera tells as its serial number, by camera id.
             facts: what else the journal shall begin with (devices, configuration).
             colour: a colour calibration (as read by read_colour) to keep in the session.
+            beside: other files of the calibration, by name (read_calibration).
 
         Raises:
             ConfigError: a name that cannot stand in a session.
@@ -76,7 +78,7 @@ class SessionWriter(Record):
             root.mkdir(parents=True, exist_ok=True)
         journal, begin = Journal.new(
             root / JOURNAL,
-            lambda: save_beside(root, rig, colour),
+            lambda: save_beside(root, rig, colour, beside or {}),
             session=session_id(plan.subject, plan.expression, created),
             created_utc=created,
             **plan.facts(),
@@ -84,7 +86,7 @@ class SessionWriter(Record):
             rig_sha256=rig_hash(rig),
             cards={c: as_json(files) for c, files in (cards or {}).items()},
             serials=dict(serials or {}),
-            calibration={} if colour is None else {"colour": COLOUR_PATH},
+            calibration=carried_paths(colour, beside or {}),
             **(facts or {}),
         )
         return SessionWriter(root, journal, SessionState([begin]))

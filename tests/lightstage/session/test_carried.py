@@ -1,0 +1,82 @@
+"""A calibration folder that a session carries: whole, or refused before anything is made."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import write_json
+from lightstage.formats.session import load_session
+from lightstage.session import SessionWriter, read_calibration
+
+
+@pytest.fixture
+def folder(tmp_path, small_rig):
+    path = tmp_path / "CALIBRATION"
+    eye = np.eye(3).tolist()
+    cameras = {camera.id: {"linear_from_raw": eye} for camera in small_rig.cameras}
+    write_json(path / "colour.json", {"schema": "lightstage.colour/1", "cameras": cameras})
+    own = {camera.id: {"per_pixel": None} for camera in small_rig.cameras}
+    own["cam0"]["per_pixel"] = "flats-cam0.npz"
+    write_json(path / "flats.json", {"schema": "lightstage.flats/1", "cameras": own})
+    (path / "flats-cam0.npz").write_bytes(b"gains")
+    lights = [
+        {"id": light.id, "position_mm": list(light.position_mm), "rgb_gain": [1, 1, 1]}
+        for light in small_rig.lights
+    ]
+    told = {"position_sigma_mm": 1.0, "residual_px": 0.1, "gain_sigma": 0.01}
+    value = {"schema": "lightstage.lights/1", "exponent": 0.0, "stray": {}, "facts": {}}
+    value["lights"] = [{**light, **told} for light in lights]
+    write_json(path / "lights.json", value)
+    return path
+
+
+def test_a_session_carries_colours_flats_and_lights_from_its_first_line_on(
+    tmp_path, fill, small_rig, plan, folder
+):
+    carried = read_calibration(folder, small_rig)
+    writer = SessionWriter.new(
+        tmp_path / "S", small_rig, plan, colour=carried.colour, beside=carried.beside
+    )
+    writer.close()
+    writer = SessionWriter.resumed(tmp_path / "S")
+    writer.resume({}, {})
+    fill(writer)
+    writer.finish()
+    told = load_session(writer.root).file.calibration.model_dump()
+    writer.close()
+    for kind in ("colour", "flats", "lights"):
+        assert told[kind] == f"calibration/{kind}.json"
+        assert json.loads((tmp_path / "S" / told[kind]).read_text()) == json.loads(
+            (folder / f"{kind}.json").read_text()
+        )
+    assert (tmp_path / "S/calibration/flats-cam0.npz").read_bytes() == b"gains"
+
+
+def test_a_folder_may_hold_some_of_the_files(small_rig, folder):
+    (folder / "colour.json").unlink()
+    (folder / "lights.json").unlink()
+    carried = read_calibration(folder, small_rig)
+    assert carried.colour is None
+    assert set(carried.beside) == {"flats.json", "flats-cam0.npz"}
+
+
+@pytest.mark.parametrize("name", ["flats-cam0.npz", "../flats-cam0.npz", "missing.npz", 7])
+def test_flats_that_name_a_file_that_is_not_beside_them_are_refused(small_rig, folder, name):
+    value = json.loads((folder / "flats.json").read_text())
+    value["cameras"]["cam0"]["per_pixel"] = name
+    write_json(folder / "flats.json", value)
+    if name == "flats-cam0.npz":
+        assert read_calibration(folder, small_rig).beside[name] == b"gains"
+        return
+    with pytest.raises(FormatError, match=r"flats\.json"):
+        read_calibration(folder, small_rig)
+
+
+def test_an_empty_folder_is_no_calibration(tmp_path, small_rig):
+    (tmp_path / "nothing").mkdir()
+    with pytest.raises(FormatError, match=r"no colour\.json"):
+        read_calibration(tmp_path / "nothing", small_rig)
