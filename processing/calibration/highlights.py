@@ -56,12 +56,10 @@ def find_highlights(
     Returns:
         Highlights; of two nearer to each other than the window neither.
     """
-    light = np.where(picture.valid, picture.rgb.mean(axis=2), 0)
-    light = np.where(np.isfinite(light), light, 0).astype(np.float32)
+    light = picture.rgb.mean(axis=2)
     clipped = (~picture.valid).astype(np.uint8)
-    # A clipped blob is as bright as what surrounds it at least.
-    rgb = np.where(np.isfinite(picture.rgb), picture.rgb, 0).astype(np.float32)
-    light = np.where(clipped > 0, np.maximum(rgb.mean(axis=2), light.max(initial=0.0)), light)
+    # What clipped is as bright as the brightest at least, or it is no number.
+    light = np.where(np.isfinite(light), light, 0).astype(np.float32)
     smooth = cv2.GaussianBlur(light, (0, 0), max(0.6, reach_px / 5))
     background = float(np.median(light))
     noise = 1.4826 * float(np.median(np.abs(light - background)))
@@ -72,23 +70,49 @@ def find_highlights(
     _, _, _, middles = cv2.connectedComponentsWithStats(tops.astype(np.uint8))
     places = middles[1:] + 0.5
     apart = _apart(places, 2.0 * reach)
+    return _windows(picture.rgb, clipped, light, places[apart], reach)
+
+
+def flux_at(picture: Picture, places_px: np.ndarray, reach_px: float) -> np.ndarray:
+    """(n, 3) light of blobs at given places of another picture; NaN where it clipped."""
+    clipped = (~picture.valid).astype(np.uint8)
+    light = picture.rgb.mean(axis=2)
+    return _windows(picture.rgb, clipped, light, places_px, max(1, round(reach_px)), True).flux
+
+
+def _windows(
+    rgb: np.ndarray,
+    clipped: np.ndarray,
+    light: np.ndarray,
+    places: np.ndarray,
+    reach: int,
+    keep_all: bool = False,
+) -> Highlights:
+    """Centroid and light of the window around each place, less what its frame shows."""
     kept, flux = [], []
-    for x, y in places[apart]:
+    nothing = np.full(3, np.nan)
+    for x, y in places:
         top, left = int(y) - reach, int(x) - reach
         rows, columns = slice(top, top + 2 * reach + 1), slice(left, left + 2 * reach + 1)
-        if top < 1 or left < 1 or rows.stop >= len(light) or columns.stop >= light.shape[1]:
+        inside = top >= 1 and left >= 1 and rows.stop < len(light)
+        if not (inside and columns.stop < light.shape[1]):
+            if keep_all:
+                kept.append((x, y))
+                flux.append(nothing)
             continue
         frame = _frame(rgb, rows, columns)
-        patch = rgb[rows, columns] - frame
-        total = patch.sum(axis=(0, 1))
         weight = np.maximum(light[rows, columns] - frame.mean(), 0)
-        if not weight.sum() > 0:
+        whole = weight.sum()
+        if not (whole > 0 or keep_all):
             continue
-        dy, dx = np.mgrid[rows, columns]
-        kept.append(((dx + 0.5) * weight, (dy + 0.5) * weight, weight))
-        flux.append(np.full(3, np.nan) if clipped[rows, columns].any() else total)
-    centroids = [(x.sum() / w.sum(), y.sum() / w.sum()) for x, y, w in kept]
-    return Highlights(np.array(centroids).reshape(-1, 2), np.array(flux).reshape(-1, 3))
+        down, along = np.mgrid[rows, columns] + 0.5
+        middle = (
+            (x, y) if keep_all else ((along * weight).sum() / whole, (down * weight).sum() / whole)
+        )
+        kept.append(middle)
+        dark = clipped[rows, columns].any()
+        flux.append(nothing if dark else (rgb[rows, columns] - frame).sum(axis=(0, 1)))
+    return Highlights(np.array(kept, float).reshape(-1, 2), np.array(flux).reshape(-1, 3))
 
 
 def mirrored(

@@ -21,7 +21,7 @@ SOLVES, MATCHES = 12, 6
 LEAST_SEEN = 8
 """Highlights of a pose, over all cameras, below which it is no picture of the stage's lamps."""
 DIRECTION_APART = 0.25
-"""Of a highlight's direction by its gradients and that of its lamp, the largest chord."""
+"""How far a highlight's gradients may be from its lamp's levels, as a chord between directions."""
 TINY = 1e-12
 CONVERGED_MM = 1e-3
 
@@ -35,8 +35,10 @@ class Seen:
         camera: of the picture.
         found: the highlights.
         lamp: (n,) which lamp each one is where that is known (one light a photograph), else -1.
-        toward: (n, 3) about the direction of each one's lamp, from linear gradients; NaN where
-            unknown.
+        toward: (n, 3) how much stronger each is in x+ than in x-, of their sum, so y and z, as
+            linear gradients show it; NaN where unknown.
+        signature: (L, 3) the same of each lamp's levels.
+        level: (L,) of each lamp in the photograph.
     """
 
     pose: int
@@ -44,6 +46,8 @@ class Seen:
     found: Highlights
     lamp: np.ndarray
     toward: np.ndarray
+    signature: np.ndarray
+    level: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -221,9 +225,9 @@ def _match(seen: list[Seen], state: _State, gate_px: float, config: MirrorConfig
         want = expected_px(camera, centre, state.radius_mm, state.lamps_mm)
         apart = each.found.place_px[:, None] - want[None]
         far = np.sqrt(np.sum(apart * apart, axis=2))
-        toward = state.lamps_mm / np.linalg.norm(state.lamps_mm, axis=1, keepdims=True)
-        chord = np.linalg.norm(each.toward[:, None] - toward[None], axis=2)
-        far = np.where(np.isnan(far) | (chord > DIRECTION_APART), np.inf, far)
+        chord = np.linalg.norm(each.toward[:, None] - each.signature[None], axis=2)
+        dark = (each.level <= 0)[None]
+        far = np.where(np.isnan(far) | (chord > DIRECTION_APART) | dark, np.inf, far)
         index = np.arange(len(far))
         far[known] = np.where(
             np.arange(far.shape[1])[None] == each.lamp[known][:, None], far[known], np.inf
@@ -253,7 +257,7 @@ def _match(seen: list[Seen], state: _State, gate_px: float, config: MirrorConfig
                 np.broadcast_to(camera.centre_mm, (count, 3)),
                 rays_through(camera, px),
                 np.stack(side, axis=1),
-                each.found.flux[good],
+                each.found.flux[good] / each.level[best[good], None],
             )
         )
     lamp, pose, group_, origin, ray, side_, flux = (

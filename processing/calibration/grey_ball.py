@@ -1,0 +1,324 @@
+"""How strong lamps are, from a grey ball: what its places read under each pattern.
+
+A Lambertian place of normal n at p reads s sum_l level_l w_l max(0, n . l) (d0 / d)^2 c^e, with w_l
+what the lamp gives, s the camera's scale, c the cosine to the lamp's axis. A cosine lobe is broad,
+so a few patterns cannot tell each lamp: gains are sought nearest to what is known of them (their
+highlights in the mirror ball, or 1), e the same. What lamps cannot explain is kept as an affine and
+quadratic function of the normal for each pattern.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+LEAST_FACING = 0.35
+"""Cosine to the camera below which a grey ball is no longer Lambertian, and its rim is near."""
+SOLVES = 6
+CHANNELS = 3
+TOLD_SHARE = 0.5
+"""The balls tell the exponent when they leave less than this share of its uncertainty."""
+FIXED = 1e-6
+QUADRATIC = 9
+"""Terms of a function of a unit normal up to the second degree: its constant is in the squares."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Readings:
+    """n places of a grey ball, as cameras read them under P patterns.
+
+    Attributes:
+        patterns: P names.
+        levels: (P, L) that were driven.
+        points_mm: (n, 3).
+        normals: (n, 3) unit.
+        rgb: (n, P, 3) linear, ambient light taken off.
+        group: (n,) whose scale each is on: a camera's, in one pose.
+    """
+
+    patterns: tuple[str, ...]
+    levels: np.ndarray
+    points_mm: np.ndarray
+    normals: np.ndarray
+    rgb: np.ndarray
+    group: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class GreyConfig:
+    """The grey ball.
+
+    Attributes:
+        radius_mm: of the ball, about.
+        gain_sigma: how far lamps' gains may be from nominal, as a share, where no highlights tell.
+        highlight_sigma: at least so far from what their highlights tell.
+        exponent: of a lamp's fall-off with the angle to its axis, where the balls do not tell: 1 is
+            a bare LED.
+        exponent_sigma: how far it may be from that.
+        noise_share: error of a reading, as a share of the typical one under all lamps.
+        stray_share: stray light expected, as a share of a pattern's mean light.
+        places: about how many places of the ball each camera gives.
+    """
+
+    radius_mm: float = 38.1
+    gain_sigma: float = 0.05
+    highlight_sigma: float = 0.01
+    exponent: float = 1.0
+    exponent_sigma: float = 0.5
+    noise_share: float = 0.002
+    stray_share: float = 0.01
+    places: int = 600
+
+
+@dataclasses.dataclass(frozen=True)
+class Gains:
+    """Lamps' gains as the grey ball gives them.
+
+    Attributes:
+        rgb: (L, 3) gains relative to the nominal radiant intensity, mean 1 in each channel.
+        sigma: (L,) standard deviation of one, as a share.
+        exponent: of the lamps' fall-off.
+        exponent_sigma: its standard deviation; near the configuration's where the balls do not
+            tell and its exponent is taken.
+        stray: pattern to (3, 3, 4), see formats.lights.
+        before: root mean square error of a reading with nominal gains, as a share of the typical
+            one under all lamps.
+        after: the same with these gains.
+        left: the same with stray light too.
+    """
+
+    rgb: np.ndarray
+    sigma: np.ndarray
+    exponent: float
+    exponent_sigma: float
+    stray: Mapping[str, np.ndarray]
+    before: float
+    after: float
+    left: float
+
+
+def solve_gains(
+    readings: Readings,
+    lamps_mm: np.ndarray,
+    known_log: np.ndarray,
+    known_sigma: np.ndarray,
+    config: GreyConfig,
+) -> Gains:
+    """Gains, fall-off and stray light from a grey ball.
+
+    Args:
+        readings: of one pose or more.
+        lamps_mm: (L, 3) positions.
+        known_log: (L, 3) natural logarithms of what is known of the gains; NaN where nothing is.
+        known_sigma: (L,) their standard errors.
+        config: the ball.
+    """
+    count = len(lamps_mm)
+    log, prior = expected_gains(known_log, known_sigma, config)
+    nominal = np.zeros(count)
+    group_count = int(readings.group.max()) + 1
+    exponents, sigmas, found = np.zeros(CHANNELS), np.zeros(CHANNELS), np.zeros((count, CHANNELS))
+    spread = np.zeros((count, CHANNELS))
+    for c in range(CHANNELS):
+        solved = _solve(readings, c, lamps_mm, log[:, c], prior, group_count, config)
+        exponents[c], sigmas[c] = solved[2:]
+    weight = 1 / sigmas**2
+    exponent = float((exponents * weight).sum() / weight.sum())
+    if sigmas.min() > TOLD_SHARE * config.exponent_sigma:
+        # A ball in the middle sees every lamp along its axis, and would fit its own noise.
+        exponent = config.exponent
+    exponent = max(exponent, 0.0)
+    fixed = dataclasses.replace(config, exponent=exponent, exponent_sigma=FIXED)
+    for c in range(CHANNELS):
+        solved = _solve(readings, c, lamps_mm, log[:, c], prior, group_count, fixed)
+        found[:, c], spread[:, c] = solved[:2]
+    found -= np.log(np.exp(found).mean(axis=0))
+    before = _misfit(readings, lamps_mm, np.tile(nominal[:, None], 3), config.exponent)
+    after = _misfit(readings, lamps_mm, found, exponent)
+    stray = _stray(readings, lamps_mm, found, exponent, config)
+    left = _misfit(readings, lamps_mm, found, exponent, stray)
+    return Gains(
+        rgb=np.exp(found),
+        sigma=spread.mean(axis=1),
+        exponent=exponent,
+        exponent_sigma=float(sigmas.min()),
+        stray=stray,
+        before=before,
+        after=after,
+        left=left,
+    )
+
+
+def expected_gains(
+    known_log: np.ndarray, known_sigma: np.ndarray, config: GreyConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """(L, 3) logarithms of gains before the grey ball is looked at, and (L,) how well known."""
+    told = np.isfinite(known_log).all(axis=1) & np.isfinite(known_sigma)
+    log = np.where(told[:, None], known_log, 0.0)
+    known = np.hypot(np.where(told, known_sigma, 0.0), config.highlight_sigma)
+    return log, np.where(told, known, config.gain_sigma)
+
+
+def lamp_readings(
+    points_mm: np.ndarray, normals: np.ndarray, lamps_mm: np.ndarray, exponent: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a white reads of each lamp of weight 1, and how it falls with the exponent.
+
+    Returns:
+        (n, L) readings; (n, L) their derivative by the exponent.
+    """
+    way = lamps_mm - points_mm[:, None]
+    far = np.linalg.norm(way, axis=2)
+    reference = np.linalg.norm(lamps_mm, axis=1)
+    facing = np.maximum(np.einsum("nlk,nk->nl", way, normals) / far, 0)
+    aside = np.einsum("nlk,lk->nl", way, lamps_mm) / (far * reference)
+    aside = np.clip(aside, 1e-6, 1)
+    light = facing * (reference / far) ** 2 * aside**exponent
+    return light, light * np.log(aside)
+
+
+def nominal_weights(lamps_mm: np.ndarray) -> np.ndarray:
+    """(L,) what a white at the origin that faces lamps of equal intensity reads, up to a scale."""
+    return np.asarray(1 / np.sum((lamps_mm / 1000.0) ** 2, axis=1))
+
+
+def _solve(
+    readings: Readings,
+    channel: int,
+    lamps_mm: np.ndarray,
+    log: np.ndarray,
+    prior: np.ndarray,
+    groups: int,
+    config: GreyConfig,
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """One channel: (L,) logarithms of gains, (L,) their sigma; exponent and its sigma."""
+    count = len(lamps_mm)
+    value = readings.rgb[:, :, channel]
+    good = np.isfinite(value).all(axis=1)
+    points, normals, group = (
+        a[good] for a in (readings.points_mm, readings.normals, readings.group)
+    )
+    value = value[good]
+    gain, exponent = log.copy(), config.exponent
+    weights = nominal_weights(lamps_mm)
+    scale = np.ones(groups)
+    normal = np.eye(count + groups + 1)
+    for _ in range(SOLVES):
+        light, fall = lamp_readings(points, normals, lamps_mm, exponent)
+        strength = readings.levels * (weights * np.exp(gain))
+        model = light @ strength.T  # (n, P)
+        for g in range(groups):
+            own = group == g
+            power = float((model[own] ** 2).sum())
+            scale[g] = (value[own] * model[own]).sum() / power if power > 0 else 1.0
+        own_scale = scale[group][:, None]
+        sigma = _sigma(own_scale * model, group, config)
+        left = (value - own_scale * model) / sigma
+        normal = np.zeros((count + groups + 1,) * 2)
+        right = np.zeros(count + groups + 1)
+        for k in range(len(strength)):
+            rows = np.zeros((len(value), count + groups + 1))
+            rows[:, :count] = light * strength[k] * (own_scale / sigma)
+            rows[np.arange(len(value)), count + group] = (own_scale * model / sigma)[:, k]
+            rows[:, -1] = (fall @ strength[k]) * (own_scale / sigma)[:, 0]
+            normal += rows.T @ rows
+            right += rows.T @ left[:, k]
+        normal[np.arange(count), np.arange(count)] += prior**-2
+        right[:count] += (log - gain) * prior**-2
+        # Scales are free; their own step is undone by the next round's, which is exact.
+        normal[np.arange(count, count + groups), np.arange(count, count + groups)] += 1e-6
+        normal[-1, -1] += config.exponent_sigma**-2
+        right[-1] += (config.exponent - exponent) * config.exponent_sigma**-2
+        step = np.linalg.solve(normal, right)
+        gain += step[:count]
+        exponent += float(step[-1])
+        if np.abs(step[:count]).max() < 1e-6:
+            break
+    sigma_of = np.sqrt(np.diag(np.linalg.inv(normal)))
+    return gain, sigma_of[:count], exponent, float(sigma_of[-1])
+
+
+def _sigma(model: np.ndarray, group: np.ndarray, config: GreyConfig) -> np.ndarray:
+    """(n, 1) error expected of a reading: a share of its group's typical brightest pattern."""
+    brightest = model.max(axis=1)
+    typical = np.array([np.median(brightest[group == g]) if (group == g).any() else 1.0
+                        for g in range(int(group.max()) + 1)])  # fmt: skip
+    return np.asarray(config.noise_share * np.maximum(typical[group], 1e-12))[:, None]
+
+
+def _fitted(
+    readings: Readings,
+    lamps_mm: np.ndarray,
+    log: np.ndarray,
+    exponent: float,
+    stray: Mapping[str, np.ndarray] | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n, P, 3) readings on the lamps' scale, (n, P, 3) what the lamps give, (P, 3) its mean."""
+    light, _ = lamp_readings(readings.points_mm, readings.normals, lamps_mm, exponent)
+    weights = nominal_weights(lamps_mm)[:, None] * np.exp(log)
+    model = np.einsum("nl,pl,lc->npc", light, readings.levels, weights, optimize=True)
+    around = readings.levels @ weights / 4
+    if stray:
+        cells = np.array([stray[name] for name in readings.patterns])
+        model += around * _quadratic(cells, readings.normals)
+    value = np.where(np.isfinite(readings.rgb), readings.rgb, 0)
+    held = np.isfinite(readings.rgb)
+    out = np.full(model.shape, np.nan)
+    for g in range(int(readings.group.max()) + 1):
+        own = readings.group == g
+        power = np.sum(np.where(held[own], model[own], 0) ** 2, axis=(0, 1))
+        both = np.sum(value[own] * model[own], axis=(0, 1))
+        scale = np.where(power > 0, both / np.where(power > 0, power, 1), np.nan)
+        out[own] = readings.rgb[own] / scale
+    return out, model, around
+
+
+def _misfit(
+    readings: Readings,
+    lamps_mm: np.ndarray,
+    log: np.ndarray,
+    exponent: float,
+    stray: Mapping[str, np.ndarray] | None = None,
+) -> float:
+    value, model, _ = _fitted(readings, lamps_mm, log, exponent, stray)
+    left = value - model
+    return float(np.sqrt(np.nanmean(left**2)) / np.nanmedian(model.max(axis=1)))
+
+
+def _quadratic(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(n, P, 3) n . (A n + b) of (P, 3, 3, 4) cells [A | b]."""
+    bent = np.einsum("pcij,nj->npci", cells[..., :3], normals, optimize=True) + cells[..., 3]
+    return np.asarray(np.einsum("npci,ni->npc", bent, normals, optimize=True))
+
+
+def quadratic_terms(normals: np.ndarray) -> np.ndarray:
+    """(n, 9) x y z, then x^2 y^2 z^2 xy yz zx: the constant is in the squares' sum."""
+    x, y, z = normals.T
+    return np.stack([x, y, z, x * x, y * y, z * z, x * y, y * z, z * x], axis=1)
+
+
+def _stray(
+    readings: Readings, lamps_mm: np.ndarray, log: np.ndarray, exponent: float, config: GreyConfig
+) -> dict[str, np.ndarray]:
+    """What is left of each pattern, as an affine and quadratic function of the normal."""
+    value, model, around = _fitted(readings, lamps_mm, log, exponent)
+    terms = quadratic_terms(readings.normals)
+    out = {}
+    for k, name in enumerate(readings.patterns):
+        cells = np.zeros((3, 3, 4))
+        for c in range(CHANNELS):
+            left = (value[:, k, c] - model[:, k, c]) / max(around[k, c], 1e-12)
+            good = np.isfinite(left)
+            rows = terms[good]
+            noise = max(float(np.std(left[good])), 1e-6) if good.any() else 1.0
+            # Places next to each other share their errors: each counts for a tenth.
+            normal = rows.T @ rows / (10 * noise**2)
+            normal[np.diag_indices(QUADRATIC)] += config.stray_share**-2
+            found = np.linalg.solve(normal, rows.T @ left[good] / (10 * noise**2))
+            a, b, d, xy, yz, zx = found[3:]
+            cells[c, :, :3] = [[a, xy / 2, zx / 2], [xy / 2, b, yz / 2], [zx / 2, yz / 2, d]]
+            cells[c, :, 3] = found[:3]
+        out[name] = cells
+    return out
