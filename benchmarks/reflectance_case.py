@@ -28,7 +28,6 @@ from lightstage.formats.exr import read_exr
 from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
-from processing.decode import DecodeConfig
 from processing.frames import Frames, foreground_path, write_foreground, write_frames
 from processing.masks import foreground
 from processing.methods.config import SeparateConfig
@@ -36,6 +35,9 @@ from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.refine import RefineConfig, refine
 from processing.separation import separate
 from sim.session import truth_path
+
+FOREGROUND_SHARE = 0.03
+"""Foreground is brighter than this share of the picture's 99th percentile."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +154,7 @@ def put_frames(
     for camera_id in stage_session.camera_ids():
         frames = [stage_session.frame(name, camera_id) for name in patterns]
         images = np.stack([read_exr(stage_session.frame_path(frame)) for frame in frames])
-        mask = foreground(images.max(axis=(0, 3)), DecodeConfig().foreground_share)
+        mask = foreground(images.max(axis=(0, 3)), FOREGROUND_SHARE)
         images = noisy(images, rng, share)
         valid = np.ones(mask.shape, bool)
         write_frames(out, camera_id, Frames.of(patterns, images, valid))
