@@ -65,6 +65,7 @@ def _pixel(
     place: tuple[float, float, float],
     diffuse: np.ndarray,
     lobe: np.ndarray,
+    leaving: np.ndarray,
     groups: int,
     radius: float,
     white: np.ndarray,
@@ -76,7 +77,7 @@ def _pixel(
     """Solve one pixel; false when nothing can be told.
 
     rgb: flat readings, (G, 3, LANES) from index `first` on; view toward the camera; place in mm;
-    diffuse, lobe: flat tables of FarTables; white (3,) the lights' colour; part (3,): the weights of
+    diffuse, lobe, leaving: tables of FarTables, the first two flat; white (3,) the lights' colour; part (3,): the weights of
     R G B that normals are solved from, zeros for chroma; limits: three times the dark level, grey
     saturation, solves at most, when to stop, noise squared, and the normal's deviation squared
     that halves the confidence; signal (G * LANES,) is scratch. out: normal (3), confidence, weighed, weight, lit (3), power, mirror times irradiance, and |rho n|,
@@ -150,8 +151,13 @@ def _pixel(
         if cell == last and step < limits[3] * square:
             break
 
-    # Where the mirrored ray meets the lights' sphere, between four corners of the lobe's table.
     nv = nx * vx + ny * vy + nz * vz
+    across = min(one, max(nv, np.float32(GRAZING))) * np.float32(len(leaving) - 1)
+    step_out = min(len(leaving) - 2, int(across))
+    across -= np.float32(step_out)
+    leaves = every(leaving[step_out] * (one - across) + leaving[step_out + 1] * across)
+
+    # Where the mirrored ray meets the lights' sphere, between four corners of the lobe's table.
     twice = nv + nv
     rx, ry, rz = twice * nx - vx, twice * ny - vy, twice * nz - vz
     beside = rx * px + ry * py + rz * pz
@@ -175,7 +181,7 @@ def _pixel(
         row = (cell * groups + k) * ROWS * LANES
         e = every(nx) * load(diffuse, row + 3 * LANES) + every(ny) * load(diffuse, row + 4 * LANES)
         e = e + every(nz) * load(diffuse, row + 5 * LANES)
-        e = at_least(e + _moved(diffuse, row, nx, ny, nz, px, py, pz), every(zero))
+        e = at_least(e + _moved(diffuse, row, nx, ny, nz, px, py, pz), every(zero)) * leaves
         at = k * LANES
         m = w00 * load(lobe, corner + at) + w01 * load(lobe, corner + beyond + at)
         m = m + w10 * load(lobe, below + at) + w11 * load(lobe, below + beyond + at)
@@ -268,6 +274,7 @@ def solve_window(
     camera: np.ndarray,
     diffuse: np.ndarray,
     lobe: np.ndarray,
+    leaving: np.ndarray,
     groups: int,
     radius: float,
     white: np.ndarray,
@@ -341,6 +348,7 @@ def solve_window(
                         ),
                         diffuse,
                         lobe,
+                        leaving,
                         groups,
                         radius,
                         white,

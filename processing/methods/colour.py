@@ -160,6 +160,7 @@ def separate_window(readings: Readings, lights: PatternLights, config: SeparateC
         readings.camera_mm.astype(np.float32),
         tables.diffuse.ravel(),
         tables.lobe.ravel(),
+        tables.leaving,
         tables.lobe.shape[1],
         np.float32(tables.radius_mm),
         lights.colour.astype(np.float32),

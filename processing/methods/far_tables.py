@@ -36,11 +36,14 @@ class FarTables:
             changes with the place, n' J p, J symmetric (xx yy zz xy xz yz) and in 1/mm.
         lobe: ((LOBE_SIDE + 1)^2, G, LANES) the mirror lobe toward one camera times the cosine
             toward it, over the mirrored directions at the corners of the grid's cells.
+        leaving: (COSINES + 1,) of the light that scattered in the skin, what leaves it toward a
+            camera at cosines 0 to 1, over the mean of all directions.
         radius_mm: of the lights, mean.
     """
 
     diffuse: np.ndarray
     lobe: np.ndarray
+    leaving: np.ndarray
     radius_mm: float
 
 
@@ -83,7 +86,15 @@ def far_tables(
     lobe[:, some] *= lights.mirror_share
     rows = np.concatenate([solver, vectors, drift], axis=1)
     diffuse = np.ascontiguousarray(rows.reshape(-1, ROWS, groups, LANES).swapaxes(1, 2))
-    return FarTables(diffuse, lobe.reshape(-1, groups, LANES), float(lights.radius_mm.mean()))
+    row, part = row_of(roughness, len(interface.table))
+    let = interface.table[row] * (1 - part) + interface.table[row + 1] * part
+    mean = interface.mean[row] * (1 - part) + interface.mean[row + 1] * part
+    return FarTables(
+        diffuse,
+        lobe.reshape(-1, groups, LANES),
+        (let / mean).astype(np.float32),
+        float(lights.radius_mm.mean()),
+    )
 
 
 def octahedral_corners(side: int) -> np.ndarray:

@@ -1,0 +1,141 @@
+"""The coarse method in plain float64: every light summed for every pixel, nothing tabulated."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from processing.interface import skin_interface
+from processing.lights import PatternLights
+from processing.lobe import SKIN_F0
+from processing.methods.config import SeparateConfig
+from tests.processing.lit_ball import exact_fresnel, smith
+
+
+@dataclasses.dataclass(frozen=True)
+class Twin:
+    """(n, ...) maps of the pixels, float64."""
+
+    normal: np.ndarray
+    albedo: np.ndarray
+    specular: np.ndarray
+    solved: np.ndarray
+
+
+def let_through(roughness: float, cosine: np.ndarray) -> np.ndarray:
+    """T of the interface at Beckmann's m between two rows of its table."""
+    table = skin_interface().table.astype(float)
+    rows = np.linspace(0.15, 0.35, len(table))
+    line = np.array([np.interp(roughness, rows, column) for column in table.T])
+    return np.interp(cosine, np.linspace(0, 1, len(line)), line)
+
+
+def mean_let(roughness: float) -> float:
+    """Mean of T."""
+    rows = np.linspace(0.15, 0.35, len(skin_interface().mean))
+    return float(np.interp(roughness, rows, skin_interface().mean.astype(float)))
+
+
+def light(
+    lights: PatternLights,
+    points: np.ndarray,
+    normals: np.ndarray,
+    views: np.ndarray,
+    roughness: float,
+    solve: bool = False,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n, P) irradiance and lobe of specular albedo 1; with `solve` (n, P, 3) vectors first."""
+    strength = lights.strength
+    irradiance = np.zeros((len(points), len(strength), 3))
+    mirror = np.zeros((len(points), len(strength)))
+    nv = np.maximum((normals * views).sum(axis=1), 0.05)
+    for j, place in enumerate(lights.position_mm):
+        toward = place - points
+        distance = np.linalg.norm(toward, axis=1)
+        toward /= distance[:, None]
+        fall = (lights.radius_mm[j] / distance) ** 2
+        nl = (normals * toward).sum(axis=1)
+        enters = np.where(nl > 0, let_through(roughness, np.maximum(nl, 0)) * fall, 0)
+        irradiance += (enters[:, None] * toward)[:, None, :] * strength[None, :, j, None]
+        if solve:
+            continue
+        half = toward + views
+        half /= np.linalg.norm(half, axis=1, keepdims=True)
+        nh = np.maximum((normals * half).sum(axis=1), 1e-9)
+        tan2 = (1 - nh**2) / nh**2
+        spread = np.where(tan2 < 9 * roughness**2, np.exp(-tan2 / roughness**2), 0)
+        spread = spread / (4 * roughness**2 * nh**4 * nv)
+        f = exact_fresnel(SKIN_F0, (views * half).sum(axis=1)) / SKIN_F0
+        shadows = smith(nv, roughness) * smith(np.maximum(nl, 1e-9), roughness)
+        value = np.where(nl > 0, fall * spread * f * shadows, 0)
+        mirror += value[:, None] * strength[None, :, j]
+    if solve:
+        return irradiance, mirror
+    leaving = let_through(roughness, nv) / mean_let(roughness)
+    return np.einsum("npk,nk->np", irradiance, normals) * leaving[:, None], mirror
+
+
+def separate(
+    rgb: np.ndarray,
+    valid: np.ndarray,
+    views: np.ndarray,
+    mask: np.ndarray,
+    lights: PatternLights,
+    px_per_mm: float,
+    config: SeparateConfig,
+    camera_mm: np.ndarray,
+) -> Twin:
+    """What `colour.separate_pixels` claims to do, argument for argument."""
+    rgb = rgb.astype(float)
+    with np.errstate(all="ignore"):
+        total = rgb.sum(axis=1)
+        bright = rgb.mean(axis=2).max(axis=1)
+        solved = valid & np.isfinite(total).all(axis=1) & (total > 0).all(axis=1)
+        solved &= bright > config.dark_level
+        unit = lights.colour / np.linalg.norm(lights.colour)
+        across = total - (total @ unit)[:, None] * unit
+        length = np.linalg.norm(across, axis=1)
+        solved &= length / total.mean(axis=1) > config.grey_saturation
+    rgb = np.where(solved[:, None, None], rgb, 0)
+    across = np.where(solved[:, None], across / np.where(solved, length, 1)[:, None], 0)
+    signal = np.einsum("npc,nc->np", rgb, across)
+    points = camera_mm - (views @ camera_mm)[:, None] * views
+    normals = views.copy()
+    for _ in range(12):
+        vectors, _ = light(lights, points, normals, views, config.roughness, solve=True)
+        for i in np.flatnonzero(solved):
+            found = np.linalg.lstsq(vectors[i], signal[i], rcond=None)[0]
+            normals[i] = found / np.linalg.norm(found)
+    e, mirror = light(lights, points, normals, views, config.roughness)
+    rgb = rgb / lights.colour
+    power = (e * e).sum(axis=1)
+    own = mirror - e * ((e * mirror).sum(axis=1) / power)[:, None]
+    weighed = np.where(solved, (own * rgb.mean(axis=2)).sum(axis=1), 0)
+    weight = np.where(solved, (own * own).sum(axis=1), 0)
+    typical = np.median(weight[solved]) if solved.any() else 0.0
+    prior = config.specular_prior_share * typical
+    sigma = config.specular_pool_mm * px_per_mm
+    top = pooled(weighed, mask, sigma) + prior * config.specular_prior
+    bottom = pooled(weight, mask, sigma) + prior
+    specular = np.clip(top / np.where(bottom > 0, bottom, 1), 0, 0.2)
+    lit = np.einsum("np,npc->nc", e, rgb) - (specular * (e * mirror).sum(axis=1))[:, None]
+    lit, power = np.where(solved[:, None], lit, 0), np.where(solved, power, 0)
+    near = np.stack([pooled(lit[:, c], mask, px_per_mm) for c in range(3)], axis=1)
+    around = pooled(power, mask, px_per_mm)[:, None]
+    near = np.where(around > 0, near / np.where(around > 0, around, 1), 0)
+    own_weight = config.albedo_prior_power
+    albedo = np.maximum((lit + own_weight * near) / (power[:, None] + own_weight), 0)
+    none = ~solved
+    albedo[none], normals[none], specular[none] = 0, 0, 0
+    return Twin(normals, albedo, specular, solved)
+
+
+def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Gaussian sums over the mask, at every pixel."""
+    image = np.zeros(mask.shape)
+    image[mask] = values
+    return np.asarray(
+        cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)[mask]
+    )
