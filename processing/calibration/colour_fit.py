@@ -66,7 +66,8 @@ class ColourFit:
         correction: what is used.
         matrix: (3, 3).
         root_polynomial: (3, 6), whether it is used or not.
-        read: (24, 3) the patches' reflectances as the correction reads them, mean over samples.
+        read: (24, 3) the patches' reflectances as the correction reads them, mean over samples; 0
+            where a patch was clipped or not read.
         kept: (24,) bool, patches that were fitted to.
         facts: figures, JSON-ready.
     """
@@ -129,7 +130,7 @@ def fit_colour(
     )
     chosen = {"auto": better, "matrix": False, "root_polynomial": True}[config.use]
     correction = ColourCorrection(matrix, bent if chosen else None, exposure)
-    read = _reflectance(correction, samples)
+    read = np.where(usable[:, None], _reflectance(correction, samples), 0.0)
     final = _delta_e(read, known)
     balanced = _reflectance(ColourCorrection(_white_balance(samples, known, kept)), samples)
     facts = {
@@ -145,8 +146,13 @@ def fit_colour(
         },
         "reflectance_rms": round(float(np.sqrt(np.mean((read - known)[kept] ** 2))), 5),
         "neutral_scale": round(_neutral_scale(read, known, kept), 5),
-        "patch_delta_e": [round(float(e), 2) for e in final],
-        "patch_residual": np.round(read - known, 5).tolist(),
+        "patch_delta_e": [
+            round(float(e), 2) if good else None for e, good in zip(final, usable, strict=True)
+        ],
+        "patch_residual": [
+            np.round(off, 5).tolist() if good else None
+            for off, good in zip(read - known, usable, strict=True)
+        ],
         "left_out": {
             "clipped": (np.flatnonzero(~usable) + 1).tolist(),
             "unlike_the_chart": (np.flatnonzero(usable & ~kept) + 1).tolist(),

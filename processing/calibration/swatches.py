@@ -33,7 +33,8 @@ def write_swatches(fit: ColourFit, known: np.ndarray, path: Path) -> Path:
         picture[top : top + SIDE, left : left + SIDE] = read
         inner = SIDE // 3
         picture[top + inner : top + 2 * inner, left + inner : left + 2 * inner] = true
-        text = f"{fit.facts['patch_delta_e'][index]:.2f}"
+        apart = fit.facts["patch_delta_e"][index]
+        text = "" if apart is None else f"{apart:.2f}"
         if not fit.kept[index]:
             text += " left out"
         ink = (0, 0, 0) if known[index].mean() > 0.18 else (255, 255, 255)
