@@ -15,9 +15,11 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.scale import raw_scale
 from lightstage.formats.session import Frame, Session
 from processing.colour import read_colour
+from processing.completing import missing_patterns, said
 from processing.errors import ProcessingError
 from processing.frames import Frames, write_foreground, write_frames
 from processing.masks import foreground
+from processing.preparation import PrepareConfig, prepare_view, prepare_warnings
 from processing.raw import read_raw
 
 
@@ -29,6 +31,8 @@ class DecodeConfig:
     """Counts of at least this share of the white level are clipped."""
     foreground_share: float = 0.03
     """Foreground is brighter than this share of the picture's 99th percentile."""
+    prepare: PrepareConfig = dataclasses.field(default_factory=PrepareConfig)
+    """Motion, ambient light and flicker between the photographs."""
 
 
 def decode(
@@ -47,6 +51,8 @@ def decode(
     """
     cameras = session.camera_ids()
     matrices, warnings = _colours(session, cameras)
+    recipes = missing_patterns(session)
+    sums: dict[str, dict[str, Any]] = {}
     lit = tuple(p for p in session.file.sequence if session.levels(p).max() > 0)
     dark = [p for p in session.file.sequence if p not in lit]
     steps = len(cameras) * (len(lit) + len(dark))
@@ -59,7 +65,7 @@ def decode(
         images = np.zeros((len(lit), *shape, 3), np.float32)
         ambient = np.zeros((*shape, 3), np.float32)
         valid = np.ones(shape, bool)
-        for pattern in (*dark, *lit):
+        for pattern in (*dark, *(p for p in lit if p not in recipes[camera])):
             frame = session.frame(pattern, camera)
             rgb, good = read_frame(session, frame, matrices.get(camera), config.clip_share)
             if rgb.shape[:2] != shape:
@@ -75,6 +81,9 @@ def decode(
                 images[lit.index(pattern)] = rgb - ambient
             done += 1
             progress(done, steps)
+        sums[camera] = prepare_view(
+            out, camera, lit, images, valid, session, config.prepare, recipes[camera]
+        )
         images[:, ~valid] = 0
         mask = foreground(images.max(axis=(0, 3)), config.foreground_share)
         if not mask.any():
@@ -96,7 +105,8 @@ def decode(
         "ambient_from": dark,
         "clipped_share_of_foreground": clipped,
         "foreground_share_of_picture": covered,
-        "warnings": warnings,
+        "sums": sums,
+        "warnings": [*warnings, *said(recipes), *prepare_warnings(sums)],
     }
 
 

@@ -13,9 +13,10 @@ from lightstage.errors import one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.files import sha256_file, write_json
 from lightstage.formats.landmarks import read_points_px
-from lightstage.formats.session import Session, changed_frames, load_session, missing_frames
+from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import AtlasConfig, atlas
+from processing.completing import unmendable_frames, with_complements
 from processing.decode import DecodeConfig, decode
 from processing.errors import ProcessingError
 from processing.methods.config import SeparateConfig
@@ -120,8 +121,8 @@ def run(
     last = only or until
     if last not in STAGES:
         raise ProcessingError("stage", found=repr(last), expected=", ".join(STAGES))
-    session = load_session(session_path)
-    problems = missing_frames(session) or changed_frames(session)
+    session = with_complements(load_session(session_path))
+    problems = unmendable_frames(session) or changed_frames(session)
     if problems:
         raise one_error(problems)
     template, template_hash = None, ""

@@ -151,8 +151,8 @@ def test_missing_and_changed_photographs_exit_2_and_write_nothing(
     assert (done.returncode, out.exists()) == (2, False)
     assert "sha256" in done.stderr
     assert "Traceback" not in done.stderr
-    cut.unlink()
-    (session / "frames" / "full" / "cam1.exr").unlink()
+    for pattern in ("z+", "z-"):
+        (session / "frames" / pattern / "cam0.exr").unlink()
     done = command("run", session, "--out", out)
     assert (done.returncode, out.exists()) == (2, False)
     assert "2 problems" in done.stderr
