@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.formats.processed import ProcessedFolder
+from processing.diagnosis_page import light_section
 from processing.report import (
     Picture,
     Section,
@@ -45,6 +46,9 @@ def write_processed_report(out: Path, report: Mapping[str, Any]) -> Path:
     """
     folder = ProcessedFolder(out)
     sections = [Section("Stages", _stages(report))]
+    light = light_section(out, report.get("stages", {}).get("decode", {}).get("sums", {}))
+    if light is not None:
+        sections.append(light)
     views = _views(folder)
     if views:
         sections.append(Section("Views", views))
