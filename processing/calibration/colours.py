@@ -13,7 +13,6 @@ from lightstage.formats.environment import LightSet
 from lightstage.rig import Camera
 from processing.calibration.ball import Picture, half
 from processing.calibration.chart import ChartView, chart_places_mm, find_chart
-from processing.calibration.chart_reference import chart_reflectance
 from processing.calibration.colour_fit import ChartSample, ColourFit, ColourFitConfig, fit_colour
 from processing.calibration.flat_file import FlatField
 from processing.calibration.folder import Pose
@@ -46,44 +45,42 @@ class Seen:
     Attributes:
         pose: of the chart.
         view: where its patches lie, and what they read with vignetting undone.
-        sample: what the fit takes.
+        places_mm: (24, 3) of the patches' middles in the world.
+        normal: (3,) unit, of the chart's face.
         exposure: of the photograph; None where it does not tell.
         tilt_deg: between the chart's normal and the way to the camera.
     """
 
     pose: Pose
     view: ChartView
-    sample: ChartSample
+    places_mm: np.ndarray
+    normal: np.ndarray
     exposure: float | None
     tilt_deg: float
 
 
-def fit_colours(
+def see_charts(
     poses: list[Pose],
-    lights: dict[str, LightSet],
     flats: dict[str, FlatField],
     chart: ChartConfig,
-    fit: ColourFitConfig,
     progress: ProgressCallback = quiet,
-) -> tuple[dict[str, ColourFit], dict[str, Seen]]:
-    """Fit the colours of every camera that a chart was held toward.
+) -> dict[str, Seen]:
+    """Find the chart that each camera's colours are fitted to.
 
     Args:
         poses: of the chart. One that was made for a camera is read by that camera; where nothing
-            says so, the camera that sees it least tilted of all poses takes that one.
-        lights: by `Pose.where`: what shone, on the scale on which white is to read 1.
+            says so, each camera takes the pose that it sees least tilted.
         flats: fields of cameras that have one.
         chart: see there.
-        fit: see there.
         progress: of photographs.
 
     Returns:
-        Camera id to its fit, and to the chart that it was fitted to.
+        Camera id to its chart.
 
     Raises:
-        ProcessingError: every camera without a usable chart, in one message.
+        ProcessingError: every camera without one, in one message.
+        FormatError: a photograph that cannot be read.
     """
-    known = chart_reflectance(chart.reference)
     wanted = [
         (pose, camera)
         for pose in poses
@@ -92,35 +89,52 @@ def fit_colours(
     ]
     best: dict[str, Seen] = {}
     for done, (pose, name) in enumerate(wanted, 1):
-        camera = pose.session.rig.camera(name)
-        seen = _look(pose, camera, lights[pose.where], flats.get(name), chart)
+        seen = _look(pose, pose.session.rig.camera(name), flats.get(name), chart)
         if seen is not None and (name not in best or seen.tilt_deg < best[name].tilt_deg):
             best[name] = seen
         progress(done, len(wanted))
+    problems: list[LightstageError] = [
+        ProcessingError(
+            f"chart, {name}",
+            found="no colour chart",
+            expected=f"its 24 patches, turned to the camera within {chart.max_tilt_deg:g} degrees",
+            hint="Photograph the chart again, toward this camera, without glare.",
+        )
+        for name in dict.fromkeys(camera for _, camera in wanted)
+        if name not in best
+    ]
+    if problems:
+        raise one_error(problems)
+    return best
+
+
+def fit_colours(
+    seen: dict[str, Seen], lights: dict[str, LightSet], known: np.ndarray, config: ColourFitConfig
+) -> dict[str, ColourFit]:
+    """Fit the colours of every camera to its chart.
+
+    Args:
+        seen: camera id to its chart.
+        lights: by `Pose.where`: what shone, on the scale on which white is to read 1.
+        known: (24, 3) reflectances of the patches.
+        config: of the fit.
+
+    Raises:
+        ProcessingError: every camera whose chart has too few usable patches, in one message.
+    """
     fits: dict[str, ColourFit] = {}
     problems: list[LightstageError] = []
-    for name in dict.fromkeys(camera for _, camera in wanted):
-        if name not in best:
-            problems.append(
-                ProcessingError(
-                    f"chart, {name}",
-                    found="no colour chart",
-                    expected=f"its 24 patches, turned to the camera within {chart.max_tilt_deg:g} "
-                    "degrees",
-                    hint="Photograph the chart again, toward this camera, without glare.",
-                )
-            )
-            continue
-        seen = best[name]
+    for name, each in seen.items():
+        white = white_at(each.places_mm, each.normal, lights[each.pose.where])
+        sample = ChartSample(each.view.rgb, white, each.view.clipped)
+        where = f"{each.pose.where}, {name}"
         try:
-            fits[name] = fit_colour(
-                [seen.sample], known, fit, seen.exposure, f"{seen.pose.where}, {name}"
-            )
+            fits[name] = fit_colour([sample], known, config, each.exposure, where)
         except ProcessingError as error:
             problems.append(error)
     if problems:
         raise one_error(problems)
-    return fits, best
+    return fits
 
 
 def check_grey(
@@ -180,9 +194,7 @@ def flattened(mosaic: Mosaic, field: FlatField | None) -> Mosaic:
     return dataclasses.replace(mosaic, level=level)
 
 
-def _look(
-    pose: Pose, camera: Camera, lights: LightSet, field: FlatField | None, chart: ChartConfig
-) -> Seen | None:
+def _look(pose: Pose, camera: Camera, field: FlatField | None, chart: ChartConfig) -> Seen | None:
     """The chart in one photograph; None where it is not seen, or too tilted."""
     path = pose.photograph(camera.id)
     mosaic = read_mosaic(path, chart.clip_share)
@@ -202,5 +214,4 @@ def _look(
     tilt_deg = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
     if tilt_deg > chart.max_tilt_deg:
         return None
-    sample = ChartSample(view.rgb, white_at(places, normal, lights), view.clipped)
-    return Seen(pose, view, sample, mosaic.exposure, tilt_deg)
+    return Seen(pose, view, places, normal, mosaic.exposure, tilt_deg)

@@ -23,15 +23,11 @@ def calibrate_command(
     config: Path | None = typer.Option(None, "--config", help="TOML: [chart] [colour] [flat] .."),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Colours, flats, black level and hot pixels of every camera, from photographed targets."""
+    """Colours, flats and black level of every camera, and lamps, from photographed targets."""
     from lightstage.formats.config import make_config, read_toml
     from processing.calibration.folder import read_source
-    from processing.calibration.stage import (
-        CalibrateConfig,
-        calibrate,
-        headline,
-        write_calibration,
-    )
+    from processing.calibration.output import headline, write_calibration
+    from processing.calibration.stage import CalibrateConfig, calibrate
 
     values = {} if config is None else read_toml(config)
     settings = make_config(CalibrateConfig, values, "defaults" if config is None else config)

@@ -1,9 +1,8 @@
-"""A calibration from its photographs: flats and darks first, then colours, then the grey ball."""
+"""A calibration from its photographs: flats, darks, colours, lights, colours by those lights."""
 
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,24 +10,31 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import LightstageError, one_error
 from lightstage.formats.environment import LightSet, stage_lights
-from lightstage.formats.files import atomic_folder, write_json
+from lightstage.formats.lights import MeasuredLights
+from lightstage.rig import Rig
+from processing.calibration.ball import ball_shots
 from processing.calibration.chart_reference import chart_reflectance
 from processing.calibration.colour_fit import ColourFit, ColourFitConfig
-from processing.calibration.colours import ChartConfig, Seen, check_grey, fit_colours
-from processing.calibration.flat_file import FlatField, write_flats
+from processing.calibration.colours import (
+    ChartConfig,
+    Seen,
+    check_grey,
+    fit_colours,
+    see_charts,
+)
+from processing.calibration.flat_file import FlatField
 from processing.calibration.flats import FlatConfig, fit_flat, read_darks
 from processing.calibration.folder import Pose, Source
 from processing.calibration.grey import GreyConfig
+from processing.calibration.lights_fit import LightsConfig, fit_lights
 from processing.calibration.picture import read_mosaic
-from processing.calibration.swatches import write_swatches
-from processing.colour import SCHEMA as COLOUR_SCHEMA
+from processing.calibration.white import white_at
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
-from processing.records import versions
 
-SCHEMA = "lightstage.calibration/1"
-NAME = "calibration.json"
-COLOUR, FLATS = "colour.json", "flats.json"
+BALLS = ("mirror", "grey")
+GREY_WARNED = 0.03
+"""A grey ball that reads farther from its reflectance is warned of, as a share."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +45,7 @@ class CalibrateConfig:
     colour: ColourFitConfig = dataclasses.field(default_factory=ColourFitConfig)
     flat: FlatConfig = dataclasses.field(default_factory=FlatConfig)
     grey: GreyConfig = dataclasses.field(default_factory=GreyConfig)
+    lights: LightsConfig = dataclasses.field(default_factory=LightsConfig)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +57,8 @@ class Calibration:
         colours: camera id to its correction; empty without a chart.
         fits: camera id to the fit that gave it.
         full_levels: (n,) what the chart was lit by; None without a chart.
+        lights: measured lamps, and the rig whose lamps they are; None without a ball under more
+            than one pattern.
         facts: JSON-ready, by part.
         warnings: what to tell.
     """
@@ -58,6 +67,7 @@ class Calibration:
     colours: dict[str, ColourCorrection]
     fits: dict[str, ColourFit]
     full_levels: np.ndarray | None
+    lights: tuple[MeasuredLights, Rig] | None
     facts: dict[str, Any]
     warnings: list[str]
 
@@ -72,103 +82,47 @@ def calibrate(
             message.
     """
     poses = source.poses
-    if not any(kind in poses for kind in ("chart", "flat", "dark")):
+    balls = {kind: [p for p in poses.get(kind, []) if len(p.patterns) > 1] for kind in BALLS}
+    if not any(kind in poses for kind in ("chart", "flat", "dark")) and not any(balls.values()):
         raise ProcessingError(
             source.root,
             found=f"shots of {', '.join(poses)}",
-            expected="shots of a chart, a flat card or the dark",
+            expected="shots of a chart, a flat card, the dark, or a ball under several patterns",
             hint="Take them: `lightstage calibrate chart --out LAB`.",
         )
     warnings = list(source.warnings)
     facts: dict[str, Any] = {}
     flats = _flats(poses, config.flat, facts, warnings)
-    fits: dict[str, ColourFit] = {}
-    colours: dict[str, ColourCorrection] = {}
-    full = None
-    if "chart" in poses:
-        full = _levels(poses["chart"][0])
-        lights = {pose.where: _lights(pose, full) for pose in poses["chart"]}
-        fits, seen = fit_colours(
-            poses["chart"], lights, flats, config.chart, config.colour, progress
-        )
-        colours = {name: fit.correction for name, fit in fits.items()}
+    seen = see_charts(poses["chart"], flats, config.chart, progress) if "chart" in poses else {}
+    known = chart_reflectance(config.chart.reference)
+    full = _levels(next(iter(seen.values())).pose) if seen else None
+    fits = _fits(seen, full, None, known, config.colour)
+    lights = None
+    if any(balls.values()):
+        rig = next(pose for kind in BALLS for pose in balls[kind]).session.rig
+        raw = {name: fit.correction for name, fit in fits.items()}
+        shots = {
+            kind: [ball_shots(pose.session, raw, pose.patterns) for pose in balls[kind]]
+            for kind in BALLS
+        }
+        measured = fit_lights(rig, shots["mirror"], shots["grey"], config.lights, progress)
+        lights = measured, rig
+        facts["lights"] = dict(measured.facts)
+        fits = _fits(seen, full, lights, known, config.colour)
+    colours = {name: fit.correction for name, fit in fits.items()}
+    if fits and full is not None:
         facts["colour"] = {name: fit.facts | _told(seen[name]) for name, fit in fits.items()}
         warnings += _colour_warnings(fits)
         if "grey" in poses:
             pose = poses["grey"][0]
-            colours, facts["grey"] = check_grey(
-                pose, colours, flats, _lights(pose, full), config.grey
-            )
-            if facts["grey"]["largest_error"] > 0.03:
+            shone = _lights(pose, full, lights)
+            colours, facts["grey"] = check_grey(pose, colours, flats, shone, config.grey)
+            if facts["grey"]["largest_error"] > GREY_WARNED:
                 share = 100 * facts["grey"]["largest_error"]
                 warnings.append(f"the grey ball reads {share:.1f} % away from its reflectance")
     else:
         warnings.append("no shots of the colour chart: no colours")
-    return Calibration(flats, colours, fits, full, facts, warnings)
-
-
-def write_calibration(
-    found: Calibration, source: Source, config: CalibrateConfig, out: Path
-) -> Path:
-    """Write a calibration's folder: colour.json, flats.json, pictures, calibration.json.
-
-    All of it appears at once; one that is there already is replaced.
-
-    Returns:
-        `out`.
-
-    Raises:
-        FormatError: `out` is something else.
-    """
-    resolved = dataclasses.asdict(config)
-    with atomic_folder(out, NAME) as folder:
-        if found.flats:
-            write_flats(found.flats, folder / FLATS, {"source": source.facts})
-        if found.colours and found.full_levels is not None:
-            cameras = {
-                name: _colour_entry(correction, found.fits[name])
-                for name, correction in found.colours.items()
-            }
-            value = {"full_levels": found.full_levels.tolist(), "source": source.facts}
-            write_json(folder / COLOUR, {"schema": COLOUR_SCHEMA, "cameras": cameras, **value})
-            known = chart_reflectance(config.chart.reference)
-            for name, fit in found.fits.items():
-                write_swatches(fit, known, folder / f"chart-{name}.png")
-        write_json(
-            folder / NAME,
-            {
-                "schema": SCHEMA,
-                "source": source.facts,
-                "config": resolved,
-                "facts": found.facts,
-                "warnings": found.warnings,
-                "versions": versions(),
-            },
-        )
-    return out
-
-
-def headline(found: Calibration) -> str:
-    """The figures of a calibration on one line."""
-    said = []
-    if found.fits:
-        facts = [fit.facts for fit in found.fits.values()]
-        before = np.mean([each["delta_e"]["white_balance_alone"] for each in facts])
-        after = np.mean([each["delta_e"]["mean"] for each in facts])
-        bent = sum(each["used"] == "root_polynomial" for each in facts)
-        said.append(
-            f"colours of {len(facts)} cameras ({bent} by root-polynomial), Delta E 2000 "
-            f"{before:.2f} by white balance alone, {after:.2f} now"
-        )
-    if "grey" in found.facts:
-        said.append(f"grey ball within {100 * found.facts['grey']['largest_error']:.2f} %")
-    if "flat" in found.facts:
-        corners = [each["light_at_the_corner"] for each in found.facts["flat"].values()]
-        said.append(f"flats of {len(corners)} cameras, corners at {100 * min(corners):.1f} %")
-    if "dark" in found.facts:
-        hot = sum(each["hot_pixels"] for each in found.facts["dark"].values())
-        said.append(f"{hot} hot pixels in {len(found.facts['dark'])} cameras")
-    return ", ".join(said)
+    return Calibration(flats, colours, fits, full, lights, facts, warnings)
 
 
 def _flats(
@@ -217,9 +171,42 @@ def _levels(pose: Pose) -> np.ndarray:
     return np.asarray(pose.session.levels(pose.patterns[0]), float)
 
 
-def _lights(pose: Pose, full: np.ndarray) -> LightSet:
+def _lights(pose: Pose, full: np.ndarray, measured: tuple[MeasuredLights, Rig] | None) -> LightSet:
     """What shone on a pose, on the scale on which a white under `full` reads 1."""
-    return stage_lights(pose.session.rig, _levels(pose), pose.where, full)
+    rig = pose.session.rig
+    if measured is None:
+        return stage_lights(rig, _levels(pose), pose.where, full)
+    lamps, own = measured
+    where = {light.id: index for index, light in enumerate(own.lights)}
+    lights = tuple(
+        dataclasses.replace(
+            light,
+            position_mm=tuple(lamps.position_mm[where[light.id]].tolist()),
+            rgb_gain=tuple(lamps.rgb_gain[where[light.id]].tolist()),
+        )
+        if light.id in where
+        else light
+        for light in rig.lights
+    )
+    shone = stage_lights(dataclasses.replace(rig, lights=lights), _levels(pose), pose.where, full)
+    # Only differences between lamps were measured: white is 1 in each channel by what a scale is.
+    whole = stage_lights(dataclasses.replace(rig, lights=lights), full, "full", full)
+    white = white_at(np.zeros((1, 3)), np.array([0.0, 0.0, 1.0]), whole)[0]
+    return dataclasses.replace(shone, rgb=shone.rgb / white)
+
+
+def _fits(
+    seen: dict[str, Seen],
+    full: np.ndarray | None,
+    measured: tuple[MeasuredLights, Rig] | None,
+    known: np.ndarray,
+    config: ColourFitConfig,
+) -> dict[str, ColourFit]:
+    """Fits of all cameras that saw a chart."""
+    if full is None:
+        return {}
+    lights = {each.pose.where: _lights(each.pose, full, measured) for each in seen.values()}
+    return fit_colours(seen, lights, known, config)
 
 
 def _told(seen: Seen) -> dict[str, Any]:
@@ -246,15 +233,3 @@ def _colour_warnings(fits: dict[str, ColourFit]) -> list[str]:
                 "chart of the configuration?"
             )
     return said
-
-
-def _colour_entry(correction: ColourCorrection, fit: ColourFit) -> dict[str, Any]:
-    """One camera's entry in colour.json."""
-    bent = correction.root_polynomial
-    keys = ("used", "held_out_delta_e", "delta_e", "reflectance_rms", "neutral_scale")
-    return {
-        "linear_from_raw": correction.matrix.tolist(),
-        "root_polynomial": None if bent is None else bent.tolist(),
-        "exposure": correction.exposure,
-        "facts": {key: fit.facts[key] for key in keys},
-    }

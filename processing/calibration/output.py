@@ -1,0 +1,103 @@
+"""A calibration's folder: colour.json, flats.json, lights.json, pictures, calibration.json."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightstage.formats.files import atomic_folder, write_json
+from lightstage.formats.lights import write_measured_lights
+from processing.calibration.chart_reference import chart_reflectance
+from processing.calibration.colour_fit import ColourFit
+from processing.calibration.flat_file import write_flats
+from processing.calibration.folder import Source
+from processing.calibration.stage import CalibrateConfig, Calibration
+from processing.calibration.swatches import write_swatches
+from processing.colour import SCHEMA as COLOUR_SCHEMA
+from processing.colour import ColourCorrection
+from processing.records import versions
+
+SCHEMA = "lightstage.calibration/1"
+NAME = "calibration.json"
+COLOUR, FLATS, LIGHTS = "colour.json", "flats.json", "lights.json"
+
+
+def write_calibration(
+    found: Calibration, source: Source, config: CalibrateConfig, out: Path
+) -> Path:
+    """Write a calibration's folder: colour.json, flats.json, pictures, calibration.json.
+
+    All of it appears at once; one that is there already is replaced.
+
+    Returns:
+        `out`.
+
+    Raises:
+        FormatError: `out` is something else.
+    """
+    resolved = dataclasses.asdict(config)
+    with atomic_folder(out, NAME) as folder:
+        if found.flats:
+            write_flats(found.flats, folder / FLATS, {"source": source.facts})
+        if found.colours and found.full_levels is not None:
+            cameras = {
+                name: _colour_entry(correction, found.fits[name])
+                for name, correction in found.colours.items()
+            }
+            value = {"full_levels": found.full_levels.tolist(), "source": source.facts}
+            write_json(folder / COLOUR, {"schema": COLOUR_SCHEMA, "cameras": cameras, **value})
+            known = chart_reflectance(config.chart.reference)
+            for name, fit in found.fits.items():
+                write_swatches(fit, known, folder / f"chart-{name}.png")
+        if found.lights is not None:
+            write_measured_lights(*found.lights, folder / LIGHTS)
+        write_json(
+            folder / NAME,
+            {
+                "schema": SCHEMA,
+                "source": source.facts,
+                "config": resolved,
+                "facts": found.facts,
+                "warnings": found.warnings,
+                "versions": versions(),
+            },
+        )
+    return out
+
+
+def headline(found: Calibration) -> str:
+    """The figures of a calibration on one line."""
+    said = []
+    if found.fits:
+        facts = [fit.facts for fit in found.fits.values()]
+        before = np.mean([each["delta_e"]["white_balance_alone"] for each in facts])
+        after = np.mean([each["delta_e"]["mean"] for each in facts])
+        bent = sum(each["used"] == "root_polynomial" for each in facts)
+        said.append(
+            f"colours of {len(facts)} cameras ({bent} by root-polynomial), Delta E 2000 "
+            f"{before:.2f} by white balance alone, {after:.2f} now"
+        )
+    if "grey" in found.facts:
+        said.append(f"grey ball within {100 * found.facts['grey']['largest_error']:.2f} %")
+    if "flat" in found.facts:
+        corners = [each["light_at_the_corner"] for each in found.facts["flat"].values()]
+        said.append(f"flats of {len(corners)} cameras, corners at {100 * min(corners):.1f} %")
+    if "dark" in found.facts:
+        hot = sum(each["hot_pixels"] for each in found.facts["dark"].values())
+        said.append(f"{hot} hot pixels in {len(found.facts['dark'])} cameras")
+    return ", ".join(said)
+
+
+def _colour_entry(correction: ColourCorrection, fit: ColourFit) -> dict[str, Any]:
+    """One camera's entry in colour.json."""
+    bent = correction.root_polynomial
+    keys = ("used", "held_out_delta_e", "delta_e", "reflectance_rms", "neutral_scale")
+    return {
+        "linear_from_raw": correction.matrix.tolist(),
+        "root_polynomial": None if bent is None else bent.tolist(),
+        "exposure": correction.exposure,
+        "facts": {key: fit.facts[key] for key in keys},
+    }
