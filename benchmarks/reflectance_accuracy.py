@@ -59,7 +59,7 @@ def measure(
         yield "own-mesh", case.result(case.refined_on_own_mesh(), own_mesh=True)
     if "peers" in methods:
         for how, peer, settings in kept:
-            yield how, case.result(peer.maps(case, settings))
+            yield how, case.result(peer.maps(case, settings), pictures=light == "reference")
     if "polarised" in methods and light == "direct" and known.name in POLARISED:
         through = Case(known, light, out / "polarised", sequence="binary-polarised", scale=scale)
         for settings in YARDSTICK.grid:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,16 +12,18 @@ from typing import Any
 import numpy as np
 
 from benchmarks.reflectance_people import NOISE, SCALE, Known, noisy, session
-from benchmarks.reflectance_relight import relit
+from benchmarks.reflectance_relight import Relighter, relit
 from benchmarks.reflectance_scores import (
     SURE,
     Maps,
     Samples,
+    TrueView,
     deciles,
     joined,
     read_maps,
     scores,
     sure_share,
+    true_view,
     view_samples,
 )
 from lightstage.formats.config import make_config
@@ -105,27 +108,40 @@ class Case:
         refine(self.session, self.out, RefineConfig())
         return self._maps()
 
+    @functools.cached_property
+    def true(self) -> dict[str, TrueView]:
+        """Camera id to its view's truth."""
+        rig = self.session.rig
+        return {name: true_view(self.truth, rig.camera(name)) for name in self.session.camera_ids()}
+
+    @functools.cached_property
+    def relighter(self) -> Relighter:
+        """Of the true mesh."""
+        return Relighter(read_ply(self.truth.base_mesh), self.session.rig)
+
     def samples(self, maps: Mapping[str, Maps]) -> Samples:
         """All views' maps held against truth."""
-        rig = self.session.rig
-        return joined(
-            [view_samples(view, self.truth, rig.camera(name)) for name, view in maps.items()]
-        )
+        return joined([view_samples(view, self.true[name]) for name, view in maps.items()])
 
-    def result(self, maps: Mapping[str, Maps], *, own_mesh: bool = False) -> Result:
-        """Errors of maps; they are re-rendered with the true mesh's shadows or our own mesh's."""
+    def result(
+        self, maps: Mapping[str, Maps], *, own_mesh: bool = False, pictures: bool = True
+    ) -> Result:
+        """Errors of maps.
+
+        Args:
+            maps: camera id to its maps.
+            own_mesh: re-rendered with the shadows of our own mesh instead of the true one.
+            pictures: whether they are re-rendered.
+        """
         samples = self.samples(maps)
         every = scores(samples)
-        folder = ProcessedFolder(self.out) if own_mesh else self.truth
-        pictures = relit(
-            maps,
-            read_ply(folder.base_mesh),
-            self.session.rig,
-            self.truth,
-            self.session.root,
-        )
-        every["psnr_db"] = pictures.psnr_db()
-        every["psnr_white_db"] = pictures.psnr_db(1.0)
+        if pictures:
+            relighter = self.relighter
+            if own_mesh:
+                mesh = read_ply(ProcessedFolder(self.out).base_mesh)
+                relighter = Relighter(mesh, self.session.rig)
+            shown = relit(maps, relighter, self.session.rig, self.true, self.session.root)
+            every["psnr_db"], every["psnr_white_db"] = shown.psnr_db(), shown.psnr_db(1.0)
         sure = samples.of(samples.confidence > SURE)
         return Result(
             every,

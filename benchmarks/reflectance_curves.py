@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.plots import Line, Panel, draw
 from benchmarks.record import record, table
 from benchmarks.reflectance_people import NOISE, benchmark_rig, noisy, person
-from benchmarks.reflectance_scores import joined, read_maps, scores, view_samples
+from benchmarks.reflectance_scores import joined, read_maps, scores, true_view, view_samples
 from lightstage.commands import quiet
 from lightstage.formats.config import make_config
 from lightstage.formats.exr import read_exr, write_exr
@@ -145,11 +145,14 @@ def measured(stage: Stage, setting: Setting) -> Iterator[tuple[str, dict[str, fl
         session, out = photographed(stage, setting, Path(name)), Path(name) / "out"
         decode(session, out, DecodeConfig())
         truth = ProcessedFolder(truth_path(session.root))
+        cameras = [session.rig.camera(camera_id) for camera_id in session.camera_ids()]
+        true = {camera.id: true_view(truth, camera) for camera in cameras}
 
         def errors() -> dict[str, float]:
             found = ProcessedFolder(out)
-            cameras = [session.rig.camera(camera_id) for camera_id in session.camera_ids()]
-            return scores(joined([view_samples(read_maps(found, c.id), truth, c) for c in cameras]))
+            return scores(
+                joined([view_samples(read_maps(found, c.id), true[c.id]) for c in cameras])
+            )
 
         def run(settings: Mapping[str, object]) -> None:
             separate(session, out, make_config(SeparateConfig, settings, "benchmark"))

@@ -17,10 +17,8 @@ import numpy as np
 
 from benchmarks.reflectance_case import Case
 from benchmarks.reflectance_people import new_lights, person
-from benchmarks.reflectance_relight import Relighter
-from benchmarks.reflectance_scores import FINE_SIGMA_MM, Maps, relief, scored_skin
+from benchmarks.reflectance_scores import FINE_SIGMA_MM, Maps, relief
 from lightstage.formats.files import atomic_path
-from lightstage.formats.mesh import read_ply
 from processing.colour import srgb_from_linear
 from processing.evaluate import angle_deg
 from processing.readings import px_per_mm
@@ -48,15 +46,13 @@ def sheet(case: Case, maps: Maps) -> np.ndarray:
     """Three rows of pictures, BGR: found, true, error."""
     camera = case.session.rig.camera(CAMERA)
     truth = case.truth
-    skin = truth.read_mask(CAMERA)
-    scored = scored_skin(truth, camera)
+    skin, scored = case.true[CAMERA].mask, case.true[CAMERA].skin
     sigma = FINE_SIGMA_MM * px_per_mm(camera)
     albedo, mirror, diffuse, specular = (
         truth.read_view(CAMERA, name)
         for name in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
     )
-    mesh = read_ply(truth.base_mesh)
-    rendered = Relighter(mesh, case.session.rig).render(maps, camera, skin)[LIGHT]
+    rendered = case.relighter.render(maps, camera, skin)[LIGHT]
     shown = new_lights(case.session.root, CAMERA)[LIGHT]
     fine, fine_true = (relief(n, skin, sigma) for n in (maps.specular_normal, specular))
     off = np.zeros(skin.shape)

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.reflectance_people import new_lights, new_rig
-from benchmarks.reflectance_scores import Maps, scored_skin
+from benchmarks.reflectance_scores import Maps, TrueView
 from lightstage.formats.mesh import Mesh, vertex_normals
-from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera, Rig
 from processing.interface import skin_interface
 from processing.lamps import Lamps
@@ -53,8 +52,26 @@ def single_lights(rig: Rig) -> PatternLights:
     return lights_of(lamps, tuple(f"new{k:02d}" for k in range(count)), np.eye(count))
 
 
+@dataclasses.dataclass(frozen=True)
+class Seen:
+    """What a camera sees of the mesh at the n pixels that are rendered.
+
+    Attributes:
+        mask: (h, w) bool with n true pixels.
+        found: (n,) bool, the mesh is seen; k of them.
+        points_mm, views: (k, 3).
+        shadows: of the new lights.
+    """
+
+    mask: np.ndarray
+    found: np.ndarray
+    points_mm: np.ndarray
+    views: np.ndarray
+    shadows: Shadows
+
+
 class Relighter:
-    """A mesh that casts the shadows in the pictures of a person's maps."""
+    """A mesh that casts the shadows in pictures of maps; its rays are cast once."""
 
     def __init__(self, mesh: Mesh, rig: Rig) -> None:
         """Prepare for rays.
@@ -67,16 +84,16 @@ class Relighter:
         self._rays = MeshRays(mesh.vertices, self._triangles)
         self._normals = vertex_normals(mesh.vertices, self._triangles)
         self._lights = single_lights(rig)
+        self._seen: dict[str, Seen] = {}
 
-    def render(self, maps: Maps, camera: Camera, mask: np.ndarray) -> np.ndarray:
-        """(lights, n, 3) of the mask's pixels, black where the mesh is not seen.
+    def seen(self, camera: Camera, mask: np.ndarray) -> Seen:
+        """What a camera sees at the pixels of a mask (h, w); the last mask's rays are kept."""
+        kept = self._seen.get(camera.id)
+        if kept is None or not np.array_equal(kept.mask, mask):
+            kept = self._seen[camera.id] = self._cast(camera, mask)
+        return kept
 
-        Args:
-            maps: of the view; the diffuse part is shaded by the diffuse normal, the mirror lobe by
-                the specular normal and the map of roughness.
-            camera: the view.
-            mask: (h, w) bool, pixels to render.
-        """
+    def _cast(self, camera: Camera, mask: np.ndarray) -> Seen:
         hits = self._rays.cast_camera(camera, mask)
         chosen = np.flatnonzero(mask.ravel())
         found = hits.face[chosen] >= 0
@@ -99,18 +116,36 @@ class Relighter:
             np.tile(np.array([[1, 0, 0]], np.float32), (count, 1)),
             visible.astype(np.uint8),
         )
-        picked = {f.name: getattr(maps, f.name)[mask][found] for f in dataclasses.fields(Maps)}
-        bare = np.einsum("nk,nk->n", picked["diffuse_normal"], picked["diffuse_normal"]) < 0.25
+        return Seen(mask, found, points, -toward, shadows)
+
+    def render(self, maps: Maps, camera: Camera, mask: np.ndarray) -> np.ndarray:
+        """(lights, n, 3) of the mask's pixels, black where the mesh is not seen.
+
+        Args:
+            maps: of the view; the diffuse part is shaded by the diffuse normal, the mirror lobe by
+                the specular normal and the map of roughness.
+            camera: the view.
+            mask: (h, w) bool, pixels to render.
+        """
+        seen = self.seen(camera, mask)
+        found = seen.found
+        normal, relief, albedo, specular, roughness = (
+            getattr(maps, name)[mask][found]
+            for name in (
+                "diffuse_normal", "specular_normal", "diffuse_albedo", "specular_albedo",
+                "roughness",
+            )
+        )  # fmt: skip
         e, lobe = (
             transport(
-                self._lights, points, picked[name], -toward, picked["roughness"], shadows,
+                self._lights, seen.points_mm, turned, seen.views, roughness, seen.shadows,
                 skin_interface(),
             )[part]
-            for part, name in enumerate(("diffuse_normal", "specular_normal"))
+            for part, turned in enumerate((normal, relief))
         )  # fmt: skip
-        light = e[:, :, None] * picked["diffuse_albedo"][:, None]
-        light += (lobe * picked["specular_albedo"][:, None])[:, :, None]
-        light[bare] = 0
+        light = e[:, :, None] * albedo[:, None]
+        light += (lobe * specular[:, None])[:, :, None]
+        light[np.einsum("nk,nk->n", normal, normal) < 0.25] = 0
         out = np.zeros((len(self._lights.patterns), len(found), 3), np.float32)
         out[:, found] = light.transpose(1, 0, 2)
         return out
@@ -118,29 +153,28 @@ class Relighter:
 
 def relit(
     maps: Mapping[str, Maps],
-    mesh: Mesh,
+    relighter: Relighter,
     rig: Rig,
-    truth: ProcessedFolder,
+    truth: Mapping[str, TrueView],
     session_path: Path,
 ) -> Relit:
     """Render every view of a person under the new lights and hold it against truth.
 
     Args:
         maps: camera id to its maps.
-        mesh: that casts the shadows.
+        relighter: of the mesh that casts the shadows.
         rig: the stage.
-        truth: the person's.
+        truth: camera id to the person's truth.
         session_path: whose truth holds the pictures.
     """
-    relighter = Relighter(mesh, rig)
     squared, values = 0.0, 0
     true = []
     for camera_id, view in maps.items():
-        camera = rig.camera(camera_id)
-        skin = scored_skin(truth, camera)
-        pictures = new_lights(session_path, camera_id)[:, skin[truth.read_mask(camera_id)]]
-        found = relighter.render(view, camera, skin)
-        squared += float(((found - pictures).astype(float) ** 2).sum())
+        skin, mask = truth[camera_id].skin, truth[camera_id].mask
+        pictures = new_lights(session_path, camera_id)[:, skin[mask]]
+        found = relighter.render(view, rig.camera(camera_id), skin)
+        found -= pictures
+        squared += float(np.square(found, out=found).sum(dtype=float))
         values += pictures.size
         true.append(pictures[:, ::4].reshape(-1))
     return Relit(squared, values, float(np.quantile(np.concatenate(true), PEAK_QUANTILE)))

@@ -87,44 +87,76 @@ def joined(parts: list[Samples]) -> Samples:
     )
 
 
-def scored_skin(truth: ProcessedFolder, camera: Camera) -> np.ndarray:
-    """(h, w) bool: skin that the camera sees at less than STEEPEST_DEG from its normal."""
-    toward = -camera.pixel_rays()[1]
-    cosine = np.einsum("hwk,hwk->hw", truth.read_view(camera.id, "specular_normal"), toward)
-    return truth.read_mask(camera.id) & (cosine >= np.cos(np.radians(STEEPEST_DEG)))
+@dataclasses.dataclass(frozen=True)
+class TrueView:
+    """One view's truth, read once for all methods.
 
-
-def view_samples(maps: Maps, truth: ProcessedFolder, camera: Camera) -> Samples:
-    """Compare one view's maps with truth.
-
-    Args:
-        maps: of the view.
-        truth: the person's.
-        camera: the view.
+    Attributes:
+        mask: (h, w) bool, all skin.
+        skin: (h, w) bool, the skin that is scored.
+        albedo: (n, 3) of the scored skin's pixels, as all that follow.
+        diffuse, specular: (n, 3) normals.
+        fine: (n, 3) the specular normal's fine band.
+        mirror, mirror_mean: (n,) specular albedo, and averaged over AVERAGE_MM.
+        per_mm: pixels a millimetre.
     """
-    skin = scored_skin(truth, camera)
-    per_mm = px_per_mm(camera)
-    albedo, mirror_true, diffuse, specular = (
+
+    mask: np.ndarray
+    skin: np.ndarray
+    albedo: np.ndarray
+    diffuse: np.ndarray
+    specular: np.ndarray
+    fine: np.ndarray
+    mirror: np.ndarray
+    mirror_mean: np.ndarray
+    per_mm: float
+
+
+def true_view(truth: ProcessedFolder, camera: Camera) -> TrueView:
+    """Read one view's truth."""
+    mask = truth.read_mask(camera.id)
+    albedo, mirror, diffuse, specular = (
         truth.read_view(camera.id, name)
         for name in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
     )
+    cosine = np.einsum("hwk,hwk->hw", specular, -camera.pixel_rays()[1])
+    skin = mask & (cosine >= np.cos(np.radians(STEEPEST_DEG)))
+    per_mm = px_per_mm(camera)
+    return TrueView(
+        mask,
+        skin,
+        albedo[skin],
+        diffuse[skin],
+        specular[skin],
+        relief(specular, skin, FINE_SIGMA_MM * per_mm)[skin],
+        mirror[skin],
+        averaged(mirror, skin, _side(per_mm)),
+        per_mm,
+    )
+
+
+def _side(per_mm: float) -> int:
+    return max(1, round(AVERAGE_MM * per_mm))
+
+
+def view_samples(maps: Maps, true: TrueView) -> Samples:
+    """Compare one view's maps with truth."""
+    skin = true.skin
     solved = skin & (np.einsum("hwk,hwk->hw", maps.diffuse_normal, maps.diffuse_normal) > 0.25)
-    sigma = FINE_SIGMA_MM * per_mm
-    fine_true = relief(specular, skin, sigma)
+    sigma = FINE_SIGMA_MM * true.per_mm
     fine = [relief(n, solved, sigma)[skin] for n in (maps.specular_normal, maps.diffuse_normal)]
-    off = [np.linalg.norm(found - fine_true[skin], axis=1) for found in (*fine, 0.0)]
-    side = max(1, round(AVERAGE_MM * per_mm))
+    off = [np.linalg.norm(found - true.fine, axis=1) for found in (*fine, 0.0)]
     return Samples(
         confidence=maps.confidence[skin],
         solved=solved[skin],
-        albedo=((maps.diffuse_albedo[skin].astype(float) - albedo[skin]) ** 2).mean(axis=1),
-        diffuse_deg=angle_deg(maps.diffuse_normal[skin], diffuse[skin]),
-        specular_deg=angle_deg(maps.specular_normal[skin], specular[skin]),
+        albedo=((maps.diffuse_albedo[skin].astype(float) - true.albedo) ** 2).mean(axis=1),
+        diffuse_deg=angle_deg(maps.diffuse_normal[skin], true.diffuse),
+        specular_deg=angle_deg(maps.specular_normal[skin], true.specular),
         fine_deg=np.degrees(np.stack(off, axis=1)),
         mirror=maps.specular_albedo[skin],
-        mirror_true=mirror_true[skin],
-        mirror_mean=averaged(maps.specular_albedo, skin, side),
-        mirror_mean_true=averaged(mirror_true, skin, side),
+        mirror_true=true.mirror,
+        mirror_mean=averaged(maps.specular_albedo, skin, _side(true.per_mm)),
+        mirror_mean_true=true.mirror_mean,
     )
 
 
