@@ -10,10 +10,10 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.frames import read_foreground, read_frames
 from processing.lights import PatternLights, pattern_lights
-from processing.methods.choice import METHODS, chosen_method
-from processing.methods.config import SeparateConfig
+from processing.methods.choice import chosen_method
+from processing.methods.config import SeparateConfig, normals_of, relief_of
+from processing.methods.view import separate_view
 from processing.pixels import write_maps
-from processing.readings import px_per_mm
 
 COLOUR_SPREAD = 0.02
 """Lights whose colours differ by more than this are worth a warning."""
@@ -42,10 +42,7 @@ def separate(
         frames = read_frames(out, camera_id)
         mask = read_foreground(out, camera_id)
         camera = session.rig.camera(camera_id)
-        views = -camera.pixel_rays()[1][mask]
-        maps = METHODS[method](
-            frames.pixels(mask), frames.valid[mask], views, mask, lights, px_per_mm(camera), config
-        )
+        maps = separate_view(method, frames, mask, camera, lights, config)
         write_maps(folder, camera_id, mask, maps)
         folder.write_mask(camera_id, mask)
         confidence[camera_id] = round(float(maps.confidence.mean()), 4)
@@ -53,6 +50,8 @@ def separate(
         progress(done + 1, len(cameras))
     return {
         "method": method,
+        "diffuse_normals": normals_of(method, config),
+        "specular_normals": relief_of(method, config),
         "lights": lights.source,
         "views": len(cameras),
         "pixels": pixels,

@@ -8,7 +8,7 @@ import numpy as np
 
 from processing.errors import ProcessingError
 from processing.lights import PatternLights, rank
-from processing.methods import colour, kampouris, ratios
+from processing.methods import colour, kampouris, linear, mux, polarised, ratios
 from processing.methods.config import SeparateConfig
 from processing.pixels import PixelMaps
 
@@ -22,7 +22,13 @@ METHODS: dict[str, Method] = {
     "colour": colour.separate_pixels,
     "kampouris": kampouris.separate_pixels,
     "ratios": ratios.separate_pixels,
+    "polarised": polarised.separate_pixels,
+    "linear": linear.separate_pixels,
+    "mux": mux.separate_pixels,
 }
+ONLY_NORMALS: dict[str, tuple[str, ...]] = {"mux": ()}
+ONLY_RELIEF: dict[str, tuple[str, ...]] = {"mux": ("diffuse",), "ratios": ("diffuse",)}
+"""Methods that have no choice of normals, and what they may be told."""
 
 
 def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
@@ -45,9 +51,8 @@ def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
             expected="patterns that light a face from three directions, such as `binary`",
             hint="Capture with `--sequence binary`.",
         )
-    if config.method == "auto":
-        return fitting[0]
-    if config.method not in fitting:
+    method = fitting[0] if config.method == "auto" else config.method
+    if method not in fitting:
         raise ProcessingError(
             "configuration",
             field="separate.method",
@@ -55,12 +60,38 @@ def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
             expected=f"auto, {', '.join(fitting)} for these patterns",
             hint="Leave the method to `auto`, or capture the sequence that it needs.",
         )
-    return config.method
+    for option, known in (("normals", ONLY_NORMALS), ("specular_normals", ONLY_RELIEF)):
+        asked = getattr(config, option)
+        if asked not in ("auto", *known.get(method, (asked,))):
+            raise ProcessingError(
+                "configuration",
+                field=f"separate.{option}",
+                found=asked,
+                expected=", ".join(("auto", *known[method])) + f" with the method {method}",
+                hint="It has no others.",
+            )
+    return method
 
 
 def fitting_methods(lights: PatternLights) -> list[str]:
     """Methods that can separate photographs under these lights, the best first."""
-    if lights.polarised or rank(lights) < 3:
+    names = lights.patterns
+    if lights.polarised:
+        banks = [
+            tuple(n for n in names if n.endswith(f"@{bank}")) for bank in ("cross", "parallel")
+        ]
+        whole = all(banks) and len(banks[0]) + len(banks[1]) == len(names)
+        return ["polarised"] if whole and rank(lights.of(banks[0])) == 3 else []
+    if rank(lights) < 3:
         return []
-    pairs = all(f"{axis}{sign}" in lights.patterns for axis in "xyz" for sign in "+-")
-    return ["colour", *(("kampouris", "ratios") if pairs else ())]
+    if mux_shots(lights):
+        return ["mux"]
+    if any(name.startswith("lin-") for name in names):
+        return ["linear", "colour"]
+    pairs = all(f"{axis}{sign}" in names for axis in "xyz" for sign in "+-")
+    return ["colour", "linear", *(("kampouris", "ratios") if pairs else ())]
+
+
+def mux_shots(lights: PatternLights) -> bool:
+    """Whether these are two shots whose colour channels hold three gradients of their own."""
+    return set(lights.patterns) == {"mux-1", "mux-2"}

@@ -6,6 +6,19 @@ import dataclasses
 from typing import Literal
 
 from processing.lobe import SKIN_F0
+from processing.methods.lobe_fit import LobeFitConfig
+
+OWN_NORMALS = {
+    "colour": "chroma",
+    "linear": "chroma",
+    "kampouris": "separated",
+    "ratios": "mean",
+    "polarised": "crossed",
+    "mux": "channels",
+}
+"""What each method takes its diffuse normals from by itself."""
+OWN_RELIEF = {"polarised": "mirror", "linear": "detail", "kampouris": "mirror"}
+"""What specular normals a method has by itself, the diffuse ones where it is not named."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +48,16 @@ class RatiosConfig:
 
 
 @dataclasses.dataclass(frozen=True)
+class MuxConfig:
+    """Two shots hold six numbers a pixel for six unknowns, so that gloss leans on its prior."""
+
+    specular_pool_mm: float = 6.0
+    """Sigma over which pixels share one specular albedo."""
+    specular_prior_share: float = 3.0
+    """Weight of the prior against the median pixel's evidence."""
+
+
+@dataclasses.dataclass(frozen=True)
 class SeparateConfig:
     """What `separate` may be told."""
 
@@ -56,5 +79,29 @@ class SeparateConfig:
     """Below this saturation colour tells nothing; from twice as much it is trusted."""
     dark_level: float = 0.004
     """A pixel whose brightest pattern stays below this tells nothing (1 = white under `full`)."""
+    specular_normals: Literal["auto", "mirror", "detail", "diffuse"] = "auto"
+    """Specular normals of `colour`, `linear` and `polarised`: from mirror directions, their relief
+    on the diffuse normals, or the diffuse normals themselves. `auto`: the best of each method."""
+    noise: float = 0.001
+    """Standard deviation of a reading I over sqrt(.25 + I), as a camera at base sensitivity has."""
+    half_trust_deg: float = 5.0
+    """Standard deviation of a normal that halves its confidence."""
     kampouris: KampourisConfig = dataclasses.field(default_factory=KampourisConfig)
     ratios: RatiosConfig = dataclasses.field(default_factory=RatiosConfig)
+    polarised: LobeFitConfig = dataclasses.field(default_factory=LobeFitConfig)
+    linear: LobeFitConfig = dataclasses.field(
+        default_factory=lambda: LobeFitConfig(specular_pool_mm=4.0, specular_prior_share=3.0)
+    )
+    mux: MuxConfig = dataclasses.field(default_factory=MuxConfig)
+
+
+def normals_of(method: str, config: SeparateConfig) -> str:
+    """What a method's diffuse normals are taken from, in a word."""
+    return OWN_NORMALS[method] if config.normals == "auto" else config.normals
+
+
+def relief_of(method: str, config: SeparateConfig) -> str:
+    """What a method's specular normals are: ``mirror``, ``detail`` or ``diffuse``."""
+    if config.specular_normals != "auto":
+        return config.specular_normals
+    return OWN_RELIEF.get(method, "diffuse")

@@ -14,7 +14,8 @@ from numba import njit, prange
 from processing.albedo import diffuse_light
 from processing.lights import PatternLights, far_field, no_shadows
 from processing.lobe import transport
-from processing.methods.config import KampourisConfig, SeparateConfig
+from processing.methods.config import KampourisConfig, SeparateConfig, relief_of
+from processing.methods.lobe_fit import with_detail
 from processing.methods.pairs import axis_pairs, full_reading
 from processing.methods.variants import normal_signal
 from processing.normals import blurred, ratio_normals, solve_far_normals
@@ -62,17 +63,27 @@ def separate_pixels(
     albedo = np.maximum(
         flat_albedo(rgb, lights, pairs, normal, views, specular, told.field, config.roughness), 0
     )
-    half = views + vector
-    length = np.linalg.norm(half, axis=1, keepdims=True)
-    mirrored = (length > 0.1) & (np.einsum("nk,nk->n", vector, vector) > 0.5)[:, None]
-    relief = np.where(mirrored, half / np.where(mirrored, length, 1), normal)
+    facets = normal
+    if (relief := relief_of("kampouris", config)) != "diffuse":
+        facets = _halved(views, vector, normal)
+    if relief == "detail":
+        sigma_px = config.linear.detail_mm * px_per_mm
+        facets = with_detail(normal, facets, solved, mask, sigma_px)
     facing = np.clip(np.einsum("nk,nk->n", normal, views) / 0.3, 0, 1)
-    maps = (normal, relief, albedo, specular, np.full(len(rgb), config.roughness))
-    normal, relief, albedo, specular, roughness = (
+    maps = (normal, facets, albedo, specular, np.full(len(rgb), config.roughness))
+    normal, facets, albedo, specular, roughness = (
         np.where(solved if x.ndim == 1 else solved[:, None], x, 0) for x in maps
     )
     confidence = np.where(solved, colourful * facing, 0)
-    return PixelMaps(normal, relief, albedo, specular, roughness, confidence)
+    return PixelMaps(normal, facets, albedo, specular, roughness, confidence)
+
+
+def _halved(views: np.ndarray, vector: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(n, 3) unit, halfway between the view and where the specular part comes from."""
+    half = views + vector
+    length = np.linalg.norm(half, axis=1, keepdims=True)
+    mirrored = (length > 0.1) & (np.einsum("nk,nk->n", vector, vector) > 0.5)[:, None]
+    return np.where(mirrored, half / np.where(mirrored, length, 1), normal)
 
 
 def published_parts(

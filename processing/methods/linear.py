@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from processing.lights import PatternLights, far_field
-from processing.methods.config import SeparateConfig
+from processing.lights import PatternLights
+from processing.methods.config import SeparateConfig, relief_of
 from processing.methods.lobe_fit import maps_by_lobe
-from processing.methods.trust import matte_trust
-from processing.methods.variants import normal_signal
-from processing.normals import solve_far_normals
+from processing.methods.matte import matte_normals
+from processing.methods.variants import noise_of, normal_signal
 from processing.pixels import PixelMaps
 from processing.readings import read_pixels
+from processing.surface import Sight
 
 
 def separate_pixels(
@@ -27,11 +27,17 @@ def separate_pixels(
     lights: PatternLights,
     px_per_mm: float,
     config: SeparateConfig,
+    *,
+    sight: Sight | None = None,
 ) -> PixelMaps:
     """Separation of one view by chroma and the lobe; arguments as of `colour.separate_pixels`.
 
     It takes any unpolarised patterns of three directions; `config.normals` other than ``auto`` and
     ``chroma`` take diffuse normals from a channel that holds the mirror reflection.
+
+    Args:
+        rgb, valid, views, mask, lights, px_per_mm, config: see there.
+        sight: what the camera sees of a mesh, None for lights far away and no shadows.
 
     Returns:
         PixelMaps; confidence 0 and zeros where a pixel is clipped, dark, grey or not finite.
@@ -40,10 +46,33 @@ def separate_pixels(
     """
     rgb, signal, saturation, usable = read_pixels(rgb, valid, lights.colour, config.dark_level)
     rgb /= lights.colour.astype(np.float32)
-    if config.normals not in ("auto", "chroma"):
-        signal = normal_signal(rgb, config.normals)
-    normal = solve_far_normals(signal, far_field(lights), views, config.iterations)
+    part = "chroma" if config.normals == "auto" else config.normals
+    if part != "chroma":
+        signal = normal_signal(rgb, part)
     colourful = np.clip(saturation / config.grey_saturation - 1, 0, 1)
-    normal[~(usable & (colourful > 0))] = 0
-    trust = colourful * matte_trust(signal, normal, views, lights, config)
-    return maps_by_lobe(rgb, normal, trust, lights, lights, views, mask, px_per_mm, config.linear)
+    usable &= colourful > 0
+    normal, trust = matte_normals(
+        signal,
+        rgb.mean(axis=2),
+        usable,
+        views,
+        lights,
+        noise_of(part, config.noise),
+        config,
+        sight,
+    )
+    trust *= colourful
+    return maps_by_lobe(
+        rgb,
+        normal,
+        trust,
+        lights,
+        lights,
+        views,
+        mask,
+        px_per_mm,
+        config.noise,
+        relief_of("linear", config),
+        config.linear,
+        sight,
+    )

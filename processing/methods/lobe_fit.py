@@ -7,17 +7,19 @@ pooled over neighbours; what the diffuse part leaves then says which way the fac
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from collections.abc import Callable
 
 import numpy as np
 
 from processing.albedo import Evidence, diffuse_albedo, diffuse_light, pooled, specular_evidence
-from processing.lights import PatternLights, no_shadows
+from processing.interface import BARE, Interface, skin_interface
+from processing.lights import PatternLights, Shadows, no_shadows
 from processing.lobe import SKIN_F0, transport
-from processing.methods.lobe_table import LobeTable, lobe_table, table_lobe
+from processing.methods.lobe_table import lobe_table, table_lobe
 from processing.methods.mirror import MirrorConfig, mirror_normals
 from processing.normals import blurred
 from processing.pixels import PixelMaps
+from processing.surface import Sight
 
 MOST_SPECULAR = 0.2
 """Reflectances above are metals, not faces."""
@@ -38,16 +40,39 @@ class LobeFitConfig:
     """Weight of the prior against the median pixel's evidence."""
     albedo_prior_power: float = 0.005
     """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
-    noise: float = 0.001
-    """Standard deviation of a reading I over sqrt(.25 + I)."""
     model_error: float = 0.02
     """What the diffuse part is wrong by, as a share of it."""
-    specular_normals: Literal["mirror", "detail", "diffuse"] = "mirror"
-    """From mirror directions as they are; their relief on the diffuse normals; or the diffuse ones.
-    """
     detail_mm: float = 2.0
     """Relief finer than this sigma is detail."""
     mirror: MirrorConfig = dataclasses.field(default_factory=MirrorConfig)
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where n pixels lie, and what light they get.
+
+    Attributes:
+        lights: of P patterns.
+        mirror: the same as mirror reflection shows them.
+        points_mm: (n, 3).
+        shadows: of the n points.
+        interface: that light passes on its way in and out.
+    """
+
+    lights: PatternLights
+    mirror: PatternLights
+    points_mm: np.ndarray
+    shadows: Shadows
+    interface: Interface
+
+    def irradiance(self, normal: np.ndarray, views: np.ndarray, m: float) -> np.ndarray:
+        """(n, P) E_k."""
+        seen = (self.points_mm, normal, views, m, self.shadows, self.interface)
+        return transport(self.lights, *seen)[0]
+
+    def lobe(self, normal: np.ndarray, views: np.ndarray, m: np.ndarray | float) -> np.ndarray:
+        """(n, P) B_k."""
+        return transport(self.mirror, self.points_mm, normal, views, m, self.shadows)[1]
 
 
 def maps_by_lobe(
@@ -59,7 +84,11 @@ def maps_by_lobe(
     views: np.ndarray,
     mask: np.ndarray,
     px_per_mm: float,
+    noise: float,
+    relief: str,
     config: LobeFitConfig,
+    sight: Sight | None = None,
+    shares: np.ndarray | None = None,
 ) -> PixelMaps:
     """Maps of one view's pixels.
 
@@ -72,7 +101,11 @@ def maps_by_lobe(
         views: (n, 3) unit, toward the camera.
         mask: (h, w) bool with n true pixels.
         px_per_mm: pixels a millimetre at the sphere's centre.
+        noise: standard deviation of a reading I over sqrt(.25 + I).
+        relief: what specular normals are: ``mirror``, ``detail`` or ``diffuse``.
         config: see there.
+        sight: what the camera sees of a mesh, None for lights far away and no shadows.
+        shares: (n, P) what the camera gets of the irradiance; None for all.
 
     Returns:
         PixelMaps, zero where there is no normal.
@@ -82,30 +115,40 @@ def maps_by_lobe(
         zeros = np.zeros_like(normal)
         nothing = np.zeros(len(normal))
         return PixelMaps(zeros, zeros, zeros, nothing, nothing, nothing)
-    sky = no_shadows(len(rgb), lights)
-    e = transport(lights, np.zeros_like(normal), normal, views, config.roughness[0], sky)[0]
+    place = Place(lights, mirror, np.zeros_like(normal), no_shadows(len(rgb), lights), BARE)
+    if sight is not None:
+        place = Place(lights, mirror, sight.points_mm, sight.shadows, skin_interface())
+    e = place.irradiance(normal, views, config.roughness[len(config.roughness) // 2])
+    if shares is not None:
+        e = e * shares
     table = lobe_table(mirror, views[solved].mean(axis=0), config.roughness)
     mean = rgb.mean(axis=2)
-    weight = 1 / np.sqrt(_variance(mean, mean, config))
-    roughness, specular = _gloss(
-        mean, e, weight, table, normal, views, solved, mask, px_per_mm, config
-    )
-    lobe = table_lobe(table, normal, views, roughness)
+    weight = 1 / np.sqrt(_variance(mean, mean, noise, config))
+    near = sight is not None
+
+    def lobe_of(m: np.ndarray | float) -> np.ndarray:
+        return place.lobe(normal, views, m) if near else table_lobe(table, normal, views, m)
+
+    roughness, specular = _gloss(mean, e, weight, lobe_of, solved, mask, px_per_mm, config)
+    lobe = lobe_of(roughness)
     lit, power = diffuse_light(rgb, e, lobe, specular)
     lit[~solved], power[~solved] = 0, 0
     albedo = diffuse_albedo(lit, power, mask, px_per_mm, config.albedo_prior_power)
-    relief = normal
-    if config.specular_normals != "diffuse":
-        matte = e * albedo.mean(axis=1)[:, None]
-        sigma = np.sqrt(_variance(mean, matte, config))
-        found = mirror_normals(mean - matte, sigma, table, normal, views, roughness, config.mirror)
-        relief = found.normal
-        if config.specular_normals == "detail":
-            relief = with_detail(normal, relief, solved, mask, config.detail_mm * px_per_mm)
+    matte = e * albedo.mean(axis=1)[:, None]
+    facets = normal
+    if relief != "diffuse":
+        apart = lobe - table_lobe(table, normal, views, roughness) if near else None
+        sigma = np.sqrt(_variance(mean, matte, noise, config))
+        found = mirror_normals(
+            mean - matte, sigma, table, normal, views, roughness, config.mirror, apart
+        )
+        facets = found.normal
+    if relief == "detail":
+        facets = with_detail(normal, facets, solved, mask, config.detail_mm * px_per_mm)
     flat = (specular, roughness, trust)
     specular, roughness, confidence = (np.where(solved, x, 0) for x in flat)
     albedo[~solved] = 0
-    return PixelMaps(normal, relief, albedo, specular, roughness, confidence)
+    return PixelMaps(normal, facets, albedo, specular, roughness, confidence)
 
 
 def with_detail(
@@ -128,19 +171,19 @@ def with_detail(
     return np.where(good, vector / np.where(good, length, 1), 0)
 
 
-def _variance(reading: np.ndarray, matte: np.ndarray, config: LobeFitConfig) -> np.ndarray:
+def _variance(
+    reading: np.ndarray, matte: np.ndarray, noise: float, config: LobeFitConfig
+) -> np.ndarray:
     """Variance of a reading's mean channel: of the sensor, and of what the model is wrong by."""
-    noise = config.noise**2 * (0.25 + np.maximum(reading, 0)) / 3
-    return np.asarray(noise + (config.model_error * np.maximum(matte, 0)) ** 2)
+    sensor = noise**2 * (0.25 + np.maximum(reading, 0)) / 3
+    return np.asarray(sensor + (config.model_error * np.maximum(matte, 0)) ** 2)
 
 
 def _gloss(
     mean: np.ndarray,
     e: np.ndarray,
     weight: np.ndarray,
-    table: LobeTable,
-    normal: np.ndarray,
-    views: np.ndarray,
+    lobe_of: Callable[[float], np.ndarray],
     solved: np.ndarray,
     mask: np.ndarray,
     px_per_mm: float,
@@ -151,16 +194,18 @@ def _gloss(
     layers = []
     left = []
     for m in config.roughness:
-        found = specular_evidence(
-            mean * weight, e * weight, table_lobe(table, normal, views, m) * weight
+        found = specular_evidence(mean * weight, e * weight, lobe_of(m) * weight)
+        found = Evidence(
+            *(np.where(solved, x, 0) for x in (found.weighed, found.weight, found.power))
         )
-        found = Evidence(*(np.where(solved, x, 0) for x in (found.weighed, found.weight, found.power)))
-        top, bottom, power = (pooled(x, mask, wide) for x in (found.weighed, found.weight, found.power))
+        top, bottom, power = (
+            pooled(x, mask, wide) for x in (found.weighed, found.weight, found.power)
+        )
         left.append(power - top**2 / np.maximum(bottom, 1e-30))
         layers.append(found)
-    roughness = _hollow(np.array(config.roughness), np.stack(left))
-    below = np.clip(np.searchsorted(table.roughness, roughness) - 1, 0, len(layers) - 2)
-    grid = table.roughness
+    grid = np.array(config.roughness)
+    roughness = _hollow(grid, np.stack(left))
+    below = np.clip(np.searchsorted(grid, roughness) - 1, 0, len(layers) - 2)
     part = (roughness - grid[below]) / (grid[below + 1] - grid[below])
     at = np.arange(len(mean))
     weighed, power = (

@@ -11,15 +11,16 @@ from __future__ import annotations
 import numpy as np
 
 from lightstage.rig import Camera
-from processing.lights import PatternLights, far_field
-from processing.methods.config import SeparateConfig
+from processing.lights import PatternLights
+from processing.methods.config import SeparateConfig, relief_of
 from processing.methods.lobe_fit import maps_by_lobe
-from processing.methods.polarisers import mirror_lights
-from processing.methods.trust import matte_trust
-from processing.methods.variants import normal_signal
-from processing.normals import solve_far_normals
+from processing.methods.lobe_table import lobe_table, table_lobe
+from processing.methods.matte import cells_of, matte_normals
+from processing.methods.polarisers import diffuse_shares, mirror_lights
+from processing.methods.variants import noise_of, normal_signal
 from processing.pixels import PixelMaps
 from processing.readings import read_pixels
+from processing.surface import Sight
 
 
 def separate_pixels(
@@ -32,6 +33,7 @@ def separate_pixels(
     config: SeparateConfig,
     *,
     camera: Camera | None = None,
+    sight: Sight | None = None,
 ) -> PixelMaps:
     """Separation of one view's polarised photographs; arguments as of `colour.separate_pixels`.
 
@@ -39,6 +41,7 @@ def separate_pixels(
         rgb, valid, views, mask, lights, px_per_mm, config: see there; patterns of both banks.
         camera: whose polariser it is. With it reflections are reckoned as the facets turn them;
             without it all of a parallel shot's reflection passes and none of a crossed one's.
+        sight: what the camera sees of a mesh, None for lights far away and no shadows.
 
     Returns:
         PixelMaps; confidence 0 and zeros where a pixel is clipped, dark or not finite.
@@ -51,10 +54,34 @@ def separate_pixels(
     part = "mean" if config.normals == "auto" else config.normals
     signal = np.ascontiguousarray(normal_signal(rgb, part)[:, crossed])
     banks = lights.of(tuple(np.array(lights.patterns)[crossed]))
-    normal = solve_far_normals(signal, far_field(banks), views, config.iterations)
-    normal[~usable] = 0
-    trust = matte_trust(signal, normal, views, banks, config)
+    brightness = rgb.mean(axis=2)[:, crossed]
+    filtered = None if camera is None else diffuse_shares(lights, camera)
     mirror = lights if camera is None else mirror_lights(lights, camera)
+    told = config.polarised
+
+    def solved(signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        noise = noise_of(part, config.noise)
+        shares = None if filtered is None else filtered[:, crossed]
+        return matte_normals(signal, brightness, usable, views, banks, noise, config, sight, shares)
+
+    normal, trust = solved(signal)
+    if camera is not None and part != "chroma" and usable.any():
+        # What facets turn of the reflection passes a crossed lens: a typical skin's is taken off.
+        table = lobe_table(mirror, views[usable].mean(axis=0), told.roughness)
+        leak = table_lobe(table, normal, views, config.roughness)[:, crossed]
+        normal, trust = solved(signal - np.float32(told.specular_prior) * leak)
     return maps_by_lobe(
-        rgb, normal, trust, lights, mirror, views, mask, px_per_mm, config.polarised
+        rgb,
+        normal,
+        trust,
+        lights,
+        mirror,
+        views,
+        mask,
+        px_per_mm,
+        config.noise,
+        relief_of("polarised", config),
+        told,
+        sight,
+        None if filtered is None else filtered[cells_of(normal)],
     )

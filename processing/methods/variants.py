@@ -27,3 +27,8 @@ def normal_signal(rgb: np.ndarray, part: str) -> np.ndarray:
     if part == "mean":
         return np.asarray(rgb.mean(axis=2), np.float32)
     return np.ascontiguousarray(rgb[:, :, ("red", "green", "blue").index(part)], np.float32)
+
+
+def noise_of(part: str, noise: float) -> float:
+    """Noise of `normal_signal`, where each channel has the noise given."""
+    return noise / float(np.sqrt(3)) if part == "mean" else noise

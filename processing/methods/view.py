@@ -1,0 +1,64 @@
+"""One view's photographs to its maps, by whichever method."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightstage.rig import Camera
+from processing.frames import Frames
+from processing.lights import PatternLights
+from processing.methods import colour, linear, polarised
+from processing.methods.choice import METHODS
+from processing.methods.config import SeparateConfig
+from processing.pixels import PixelMaps
+from processing.readings import px_per_mm
+
+
+def separate_view(
+    method: str,
+    frames: Frames,
+    mask: np.ndarray,
+    camera: Camera,
+    lights: PatternLights,
+    config: SeparateConfig,
+) -> PixelMaps:
+    """Separate one view.
+
+    Args:
+        method: of `choice.chosen_method`.
+        frames: the view's photographs.
+        mask: (h, w) bool of the whole picture, with n true pixels in the frames' window.
+        camera: the view's.
+        lights: of the frames' patterns.
+        config: see there.
+
+    Returns:
+        PixelMaps of the mask's pixels in row order.
+    """
+    if method == "colour" and _plain(config):
+        inner = np.ascontiguousarray(mask[frames.window.slices])
+        readings = colour.window_readings(
+            np.asarray(frames.half),
+            frames.scale,
+            inner,
+            np.asarray(frames.clipped) == 0,
+            (frames.window.top, frames.window.left),
+            camera,
+        )
+        return colour.separate_window(readings, lights, config)
+    rgb, valid = frames.pixels(mask), frames.valid[mask]
+    views = -camera.pixel_rays()[1][mask]
+    scale = px_per_mm(camera)
+    if method == "colour":
+        return linear.separate_pixels(rgb, valid, views, mask, lights, scale, config)
+    if method == "polarised":
+        return polarised.separate_pixels(
+            rgb, valid, views, mask, lights, scale, config, camera=camera
+        )
+    return METHODS[method](rgb, valid, views, mask, lights, scale, config)
+
+
+def _plain(config: SeparateConfig) -> bool:
+    """Whether `colour` is asked for what its one pass over the frames does."""
+    plain = config.specular_normals in ("auto", "diffuse")
+    return plain and config.normals in ("auto", "chroma")
