@@ -120,7 +120,10 @@ NOTE = (
     "Three views of 1504 x 1004, pixel noise .001 sqrt(.25 + I), default rig; all skin seen at "
     "less than 70 deg. `ours / peer` against the peer that is best in that row."
 )
-TUNED = "Tried on two people at 602 x 402, direct light; kept where best in some row for one."
+TUNED = (
+    "Tried on two people at 602 x 402, direct light; kept are the fewest settings that hold the "
+    "best of every row, within 5 %."
+)
 
 
 def tables(results: Results) -> list[tuple[str, Sequence[str], list[list[str]], str]]:

@@ -202,12 +202,12 @@ PEERS = (
         product(
             combine=("median", "maximum", "mean", "weighted"),
             field=("uniform", "lights"),
-            least_saturation=(0.02, 0.1),
+            least_saturation=(0.02,),
             most_specular=(0.05, 0.2),
             normals=("auto",),
         )
         + product(
-            combine=("median", "weighted"),
+            combine=("weighted",),
             field=("lights",),
             least_saturation=(0.02,),
             most_specular=(0.05,),

@@ -19,6 +19,8 @@ VARIES = 2.0
 RISE = 1.02
 """Errors of parts of one confidence differ by chance; more than this counts as a rise."""
 
+NO_GOAL = (float("nan"), float("nan"))
+
 
 @dataclasses.dataclass(frozen=True)
 class Target:
@@ -28,7 +30,7 @@ class Target:
         light: which the row is about.
         what: the row's words.
         key: of `scores`.
-        goal: for light and dark skin.
+        goal: for light and dark skin, NO_GOAL where the row is told beside the others.
         digits: printed.
         higher: whether more is better.
     """
@@ -49,6 +51,7 @@ TARGETS = (
     Target(
         "direct", "specular normal under 2 mm, nearer than n_d", "fine_gain", (0.2, 0.2), 3, True
     ),
+    Target("direct", "specular normal under 2 mm, RMS deg", "fine_deg", NO_GOAL, 2),
     Target("direct", "specular normal, mean deg", "specular_normal_deg", (4, 4), 2),
     Target("reference", "diffuse albedo RMSE", "albedo_rmse", (0.02, 0.015), 4),
     Target("reference", "specular over 2 mm, share of constant", "specular_2mm_share", (0.7, 0.7)),
@@ -111,6 +114,7 @@ def target_rows(results: Results, method: str) -> list[list[str]]:
                 continue
             value, worst, count = mine
             goal = target.goal[column]
+            aimed = np.isfinite(goal)
             met = value >= goal if target.higher else value <= goal
             peers = {
                 peer: found[0]
@@ -125,22 +129,32 @@ def target_rows(results: Results, method: str) -> list[list[str]]:
                     target.light,
                     target.what,
                     skin,
-                    f"{goal:g}",
+                    f"{goal:g}" if aimed else "",
                     f"{value:.{target.digits}f}",
                     f"{worst:.{target.digits}f}",
                     str(count),
-                    f"{value / goal:.2f}",
-                    "yes" if met else "NO",
+                    _against(target, value, goal) if aimed else "",
+                    ("yes" if met else "NO") if aimed else "",
                     f"{best} {peers[best]:.{target.digits}f}" if best else "",
-                    f"{value / peers[best]:.2f}" if best else "",
+                    _against(target, value, peers[best]) if best else "",
+                    _better(target, value, peers[best]) if best else "",
                 ]
             )
     return rows
 
 
+def _against(target: Target, value: float, other: float) -> str:
+    """The ratio of two figures; the difference of two that are no errors."""
+    return f"{value - other:+.{target.digits}f}" if target.higher else f"{value / other:.2f}"
+
+
+def _better(target: Target, value: float, other: float) -> str:
+    return "yes" if (value > other if target.higher else value < other) else "NO"
+
+
 TARGET_HEADER = (
     "light", "row", "skin", "target", "mean", "worst", "people", "mean / target", "met",
-    "best peer", "ours / peer",
+    "best peer", "ours / peer", "better",
 )  # fmt: skip
 
 

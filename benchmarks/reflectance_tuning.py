@@ -1,4 +1,4 @@
-"""Settings of the peers: tried on one light and one dark person, the best of each row kept."""
+"""Settings of the peers: tried on one light and one dark person, those best in some row kept."""
 
 from __future__ import annotations
 
@@ -24,6 +24,9 @@ ROWS = {
 }
 """Errors of `scores` that settings are chosen by, each smaller for the better."""
 
+NEAR = 1.05
+"""Settings whose error is this near to the best one's count as the best."""
+
 Kept = tuple[str, Peer, Settings]
 """Label, peer, settings."""
 
@@ -41,8 +44,8 @@ def tuned(peers: Sequence[Peer]) -> tuple[list[Kept], list[list[str]]]:
         peers: with their grids.
 
     Returns:
-        The settings that are best in some row for some person, and the grids' rows: what was tried,
-        errors of each person, and the rows in which it was kept.
+        The settings that are kept, and the grids' rows: what was tried, errors of each person, and
+        the rows for which it was kept.
     """
     errors: dict[str, dict[str, dict[str, float]]] = {}
     tried: dict[str, tuple[Peer, Settings]] = {}
@@ -58,10 +61,8 @@ def tuned(peers: Sequence[Peer]) -> tuple[list[Kept], list[list[str]]]:
     won: dict[str, list[str]] = {how: [] for how in tried}
     for peer in peers:
         own = [how for how, (whose, _) in tried.items() if whose is peer]
-        for name in PEOPLE:
-            for key, said in ROWS.items():
-                best = min(own, key=lambda how: errors[how][name][key])
-                won[best].append(f"{said} {name}")
+        for how, cells in chosen({how: errors[how] for how in own}).items():
+            won[how] = cells
     kept = [(how, *tried[how]) for how in tried if won[how]]
     rows = [
         [
@@ -77,5 +78,29 @@ def tuned(peers: Sequence[Peer]) -> tuple[list[Kept], list[list[str]]]:
     return kept, rows
 
 
+def chosen(errors: dict[str, dict[str, dict[str, float]]]) -> dict[str, list[str]]:
+    """The fewest settings that hold the best of every row for every person, within NEAR of it.
+
+    Args:
+        errors: of one peer, by settings, person and row.
+
+    Returns:
+        By settings that are kept, the rows that they are kept for.
+    """
+    cells = [(key, name) for key in ROWS for name in PEOPLE]
+    best = {(k, n): min(found[n][k] for found in errors.values()) for k, n in cells}
+    holds = {
+        how: {(k, n) for k, n in cells if found[n][k] <= NEAR * best[k, n]}
+        for how, found in errors.items()
+    }
+    kept: dict[str, list[str]] = {}
+    left = set(cells)
+    while left:
+        how = max(holds, key=lambda one: len(holds[one] & left))
+        kept[how] = [f"{ROWS[k]} {n}" for k, n in cells if (k, n) in holds[how] & left]
+        left -= holds[how]
+    return kept
+
+
 HEADER = ("peer and settings", *(f"{said}, {' / '.join(PEOPLE)}" for said in ROWS.values()),
-          "best in")  # fmt: skip
+          "kept for")  # fmt: skip
