@@ -21,6 +21,7 @@ CHANNELS = 3
 TOLD_SHARE = 0.5
 """The balls tell the exponent when they leave less than this share of its uncertainty."""
 FIXED = 1e-6
+CONVERGED = 1e-5
 QUADRATIC = 9
 """Terms of a function of a unit normal up to the second degree: its constant is in the squares."""
 
@@ -34,7 +35,7 @@ class Readings:
         levels: (P, L) that were driven.
         points_mm: (n, 3).
         normals: (n, 3) unit.
-        rgb: (n, P, 3) linear, ambient light taken off.
+        rgb: (n, P, 3) linear, finite, ambient light taken off.
         group: (n,) whose scale each is on: a camera's, in one pose.
     """
 
@@ -119,21 +120,20 @@ def solve_gains(
     log, prior = expected_gains(known_log, known_sigma, config)
     nominal = np.zeros(count)
     group_count = int(readings.group.max()) + 1
-    exponents, sigmas, found = np.zeros(CHANNELS), np.zeros(CHANNELS), np.zeros((count, CHANNELS))
-    spread = np.zeros((count, CHANNELS))
-    for c in range(CHANNELS):
-        solved = _solve(readings, c, lamps_mm, log[:, c], prior, group_count, config)
-        exponents[c], sigmas[c] = solved[2:]
-    weight = 1 / sigmas**2
-    exponent = float((exponents * weight).sum() / weight.sum())
-    if sigmas.min() > TOLD_SHARE * config.exponent_sigma:
+    found, spread = np.zeros((count, CHANNELS)), np.zeros((count, CHANNELS))
+    grey = readings.rgb.mean(axis=2)
+    _, _, exponent, sigma = _solve(
+        readings, grey, lamps_mm, log.mean(axis=1), prior, group_count, config
+    )
+    if sigma > TOLD_SHARE * config.exponent_sigma:
         # A ball in the middle sees every lamp along its axis, and would fit its own noise.
         exponent = config.exponent
     exponent = max(exponent, 0.0)
     fixed = dataclasses.replace(config, exponent=exponent, exponent_sigma=FIXED)
     for c in range(CHANNELS):
-        solved = _solve(readings, c, lamps_mm, log[:, c], prior, group_count, fixed)
-        found[:, c], spread[:, c] = solved[:2]
+        found[:, c], spread[:, c], _, _ = _solve(
+            readings, readings.rgb[:, :, c], lamps_mm, log[:, c], prior, group_count, fixed
+        )
     found -= np.log(np.exp(found).mean(axis=0))
     before = _misfit(readings, lamps_mm, np.tile(nominal[:, None], 3), config.exponent)
     after = _misfit(readings, lamps_mm, found, exponent)
@@ -143,7 +143,7 @@ def solve_gains(
         rgb=np.exp(found),
         sigma=spread.mean(axis=1),
         exponent=exponent,
-        exponent_sigma=float(sigmas.min()),
+        exponent_sigma=sigma,
         stray=stray,
         before=before,
         after=after,
@@ -186,45 +186,49 @@ def nominal_weights(lamps_mm: np.ndarray) -> np.ndarray:
 
 def _solve(
     readings: Readings,
-    channel: int,
+    value: np.ndarray,
     lamps_mm: np.ndarray,
     log: np.ndarray,
     prior: np.ndarray,
     groups: int,
     config: GreyConfig,
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """One channel: (L,) logarithms of gains, (L,) their sigma; exponent and its sigma."""
+    """(L,) logarithms of gains, (L,) their sigma; exponent and its sigma, by (n, P) readings."""
     count = len(lamps_mm)
-    value = readings.rgb[:, :, channel]
-    good = np.isfinite(value).all(axis=1)
-    points, normals, group = (
-        a[good] for a in (readings.points_mm, readings.normals, readings.group)
-    )
-    value = value[good]
+    points, normals, group = readings.points_mm, readings.normals, readings.group
     gain, exponent = log.copy(), config.exponent
     weights = nominal_weights(lamps_mm)
-    scale = np.ones(groups)
+    cells = np.eye(groups)[group].T  # (groups, n) which place is of which
+    light = fall = np.zeros((0, 0))
     normal = np.eye(count + groups + 1)
     for _ in range(SOLVES):
-        light, fall = lamp_readings(points, normals, lamps_mm, exponent)
-        strength = readings.levels * (weights * np.exp(gain))
+        if not light.size or config.exponent_sigma > FIXED:
+            light, fall = lamp_readings(points, normals, lamps_mm, exponent)
+        strength = readings.levels * (weights * np.exp(gain))  # (P, L)
         model = light @ strength.T  # (n, P)
-        for g in range(groups):
-            own = group == g
-            power = float((model[own] ** 2).sum())
-            scale[g] = (value[own] * model[own]).sum() / power if power > 0 else 1.0
-        own_scale = scale[group][:, None]
-        sigma = _sigma(own_scale * model, group, config)
-        left = (value - own_scale * model) / sigma
+        power, both = cells @ (model**2).sum(axis=1), cells @ (model * value).sum(axis=1)
+        scale = (both / np.where(power > 0, power, 1))[group]
+        # On the lamps' own scale an error weighs the same all over a group.
+        weight = (scale / _sigma(scale[:, None] * model, group, config)[:, 0]) ** 2
+        left = np.where(scale[:, None] != 0, value / np.where(scale, scale, 1)[:, None], 0) - model
+        by_exponent = fall @ strength.T
+        heavy = weight[:, None] * light
         normal = np.zeros((count + groups + 1,) * 2)
-        right = np.zeros(count + groups + 1)
-        for k in range(len(strength)):
-            rows = np.zeros((len(value), count + groups + 1))
-            rows[:, :count] = light * strength[k] * (own_scale / sigma)
-            rows[np.arange(len(value)), count + group] = (own_scale * model / sigma)[:, k]
-            rows[:, -1] = (fall @ strength[k]) * (own_scale / sigma)[:, 0]
-            normal += rows.T @ rows
-            right += rows.T @ left[:, k]
+        normal[:count, :count] = (light.T @ heavy) * (strength.T @ strength)
+        shared = np.stack([((own * weight)[:, None] * light).T @ model for own in cells])
+        normal[:count, count:-1] = np.einsum("glk,kl->lg", shared, strength)
+        normal[:count, -1] = np.einsum("lk,kl->l", heavy.T @ by_exponent, strength)
+        normal[count:-1, count:-1] = np.diag(cells @ (weight * (model**2).sum(axis=1)))
+        normal[count:-1, -1] = cells @ (weight * (model * by_exponent).sum(axis=1))
+        normal[-1, -1] = weight @ (by_exponent**2).sum(axis=1)
+        normal += np.triu(normal, 1).T * (np.arange(len(normal))[:, None] >= count)
+        right = np.concatenate(
+            [
+                np.einsum("lk,kl->l", heavy.T @ left, strength),
+                cells @ (weight * (model * left).sum(axis=1)),
+                [weight @ (by_exponent * left).sum(axis=1)],
+            ]
+        )
         normal[np.arange(count), np.arange(count)] += prior**-2
         right[:count] += (log - gain) * prior**-2
         # Scales are free; their own step is undone by the next round's, which is exact.
@@ -234,7 +238,7 @@ def _solve(
         step = np.linalg.solve(normal, right)
         gain += step[:count]
         exponent += float(step[-1])
-        if np.abs(step[:count]).max() < 1e-6:
+        if np.abs(step[:count]).max() < CONVERGED:
             break
     sigma_of = np.sqrt(np.diag(np.linalg.inv(normal)))
     return gain, sigma_of[:count], exponent, float(sigma_of[-1])
@@ -263,15 +267,13 @@ def _fitted(
     if stray:
         cells = np.array([stray[name] for name in readings.patterns])
         model += around * _quadratic(cells, readings.normals)
-    value = np.where(np.isfinite(readings.rgb), readings.rgb, 0)
-    held = np.isfinite(readings.rgb)
-    out = np.full(model.shape, np.nan)
+    out = np.zeros(model.shape)
     for g in range(int(readings.group.max()) + 1):
         own = readings.group == g
-        power = np.sum(np.where(held[own], model[own], 0) ** 2, axis=(0, 1))
-        both = np.sum(value[own] * model[own], axis=(0, 1))
-        scale = np.where(power > 0, both / np.where(power > 0, power, 1), np.nan)
-        out[own] = readings.rgb[own] / scale
+        power = np.sum(model[own] ** 2, axis=(0, 1))
+        both = np.sum(readings.rgb[own] * model[own], axis=(0, 1))
+        good = (power > 0) & (both > 0)
+        out[own] = readings.rgb[own] * np.where(good, power / np.where(good, both, 1), 0)
     return out, model, around
 
 
@@ -284,7 +286,7 @@ def _misfit(
 ) -> float:
     value, model, _ = _fitted(readings, lamps_mm, log, exponent, stray)
     left = value - model
-    return float(np.sqrt(np.nanmean(left**2)) / np.nanmedian(model.max(axis=1)))
+    return float(np.sqrt(np.mean(left**2)) / np.median(model.max(axis=1)))
 
 
 def _quadratic(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -310,13 +312,11 @@ def _stray(
         cells = np.zeros((3, 3, 4))
         for c in range(CHANNELS):
             left = (value[:, k, c] - model[:, k, c]) / max(around[k, c], 1e-12)
-            good = np.isfinite(left)
-            rows = terms[good]
-            noise = max(float(np.std(left[good])), 1e-6) if good.any() else 1.0
+            noise = max(float(np.std(left)), 1e-6)
             # Places next to each other share their errors: each counts for a tenth.
-            normal = rows.T @ rows / (10 * noise**2)
+            normal = terms.T @ terms / (10 * noise**2)
             normal[np.diag_indices(QUADRATIC)] += config.stray_share**-2
-            found = np.linalg.solve(normal, rows.T @ left[good] / (10 * noise**2))
+            found = np.linalg.solve(normal, terms.T @ left / (10 * noise**2))
             a, b, d, xy, yz, zx = found[3:]
             cells[c, :, :3] = [[a, xy / 2, zx / 2], [xy / 2, b, yz / 2], [zx / 2, yz / 2, d]]
             cells[c, :, 3] = found[:3]

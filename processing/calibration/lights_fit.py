@@ -101,9 +101,9 @@ def fit_lights(
     log, sigma = expected_gains(*known, config.grey)
     gains = Gains(np.exp(log), sigma, config.grey.exponent, config.grey.exponent_sigma, {}, 0, 0, 0)
     if grey:
-        readings = _joined([_readings(shots, rig, config, steps) for shots in grey])
+        readings = _joined([_readings(shots, config, steps) for shots in grey])
         gains = solve_gains(readings, position, *known, config.grey)
-        facts["grey"] = _grey_facts(readings, gains, position, rig, config)
+        facts["grey"] = _grey_facts(readings, gains, position, rig)
     rgb = gains.rgb / gains.rgb.mean(axis=0)
     facts["lights"] = {
         "gain_spread": round(float(rgb.mean(axis=1).std()), 4),
@@ -221,7 +221,7 @@ def _difference(plus: np.ndarray, minus: np.ndarray) -> np.ndarray:
     return np.where(total > 0, (plus - minus) / np.where(total > 0, total, 1), np.nan)
 
 
-def _readings(shots: BallShots, rig: Rig, config: LightsConfig, steps: _Steps) -> Readings:
+def _readings(shots: BallShots, config: LightsConfig, steps: _Steps) -> Readings:
     """Places of one pose of a grey ball."""
     whole = _whole(shots)
     pictures = {camera_id: shots.read(whole, camera_id) for camera_id in shots.cameras}
@@ -285,7 +285,7 @@ def _part(
     factor = max(1, int(size * np.sqrt(np.pi / config.places)))
     middle = camera.project(centre_mm[None])[0][0]
     side = int(np.ceil(size / factor)) + 1
-    left, top = (int(round(value - side * factor)) for value in middle)
+    left, top = (round(value - side * factor) for value in middle)
     wide = 2 * side * factor
     if left < 0 or top < 0 or left + wide > camera.width_px or top + wide > camera.height_px:
         return None
@@ -374,9 +374,7 @@ def _mirror_facts(placed: Placed, rig: Rig, poses: int) -> dict[str, Any]:
     }
 
 
-def _grey_facts(
-    readings: Readings, gains: Gains, position: np.ndarray, rig: Rig, config: LightsConfig
-) -> dict[str, Any]:
+def _grey_facts(readings: Readings, gains: Gains, position: np.ndarray, rig: Rig) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "places": len(readings.points_mm),
         "error_nominal_gains": round(gains.before, 5),
