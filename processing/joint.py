@@ -18,23 +18,52 @@ from processing.interface import Interface, let_through, row_of
 from processing.lights import PatternLights, Shadows
 from processing.lobe import FARTHEST_TAN, GRAZING, fresnel_table, shadowing
 
-UNKNOWNS = 6
-"""Two turns of the normal, the specular albedo, three channels of diffuse albedo."""
 LONGEST_TURN = 0.15
 """A step of Gauss-Newton turns the normal by at most this tangent: the lobe is some 20 deg wide."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """Variance of a reading I is read_noise^2 (0.25 + I) + (model I)^2: sensor's, and the model's.
+    """Variance of a reading I is sensor^2 (0.25 + I) + (model I)^2.
 
     Attributes:
-        sensor: of a reading of .75, a share of what a white under `full` reads.
-        model: what the model is wrong by, as a share of the reading.
+        sensor: standard deviation of a reading of .75.
+        model: what the model of light is wrong by, as a share of the reading.
     """
 
     sensor: float = 0.001
-    model: float = 0.01
+    model: float = 0.003
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where n pixels lie on the mesh.
+
+    Attributes:
+        points_mm: (n, 3).
+        views: (n, 3) unit, toward the camera.
+        shadows: lights that each sees.
+    """
+
+    points_mm: np.ndarray
+    views: np.ndarray
+    shadows: Shadows
+
+
+@dataclasses.dataclass(frozen=True)
+class Scattered:
+    """How light that wanders inside the skin calms what the relief does to diffuse light.
+
+    The irradiance of channel c is g . (kept_c n + rest_c): what leaves where it entered follows the
+    pixel's own normal, the rest follows its neighbours'.
+
+    Attributes:
+        kept: (3,) float64 share of each channel that leaves where it entered; 1 without scattering.
+        rest: (n, 3, 3) float32 by channel, what the neighbours' normals give; zero without.
+    """
+
+    kept: np.ndarray
+    rest: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,20 +72,15 @@ class Solved:
 
     Attributes:
         normal: (n, 3) float32 unit.
-        albedo: (n, 3) float32.
-        specular: (n,) float32.
-        evidence: (n,) float32 what the readings alone say of the specular albedo, as information
-            (one over variance) times value, with normal and albedo left free.
-        information: (n,) float32 one over its variance.
+        lit: (n, 3) float32 least squares of the diffuse albedo is lit / power.
+        power: (n, 3) float32 the sum of squared irradiance.
         misfit: (n,) float32 mean squared residual over its expected variance.
         certainty: (n,) float32 least information on a turn of the normal, one over rad^2.
     """
 
     normal: np.ndarray
-    albedo: np.ndarray
-    specular: np.ndarray
-    evidence: np.ndarray
-    information: np.ndarray
+    lit: np.ndarray
+    power: np.ndarray
     misfit: np.ndarray
     certainty: np.ndarray
 
@@ -64,48 +88,92 @@ class Solved:
 def solve_jointly(
     rgb: np.ndarray,
     lights: PatternLights,
-    points_mm: np.ndarray,
+    place: Place,
     normals: np.ndarray,
-    views: np.ndarray,
-    roughness: np.ndarray | float,
-    shadows: Shadows,
-    interface: Interface,
+    roughness: np.ndarray,
     specular: np.ndarray,
-    precision: np.ndarray,
+    interface: Interface,
+    scattered: Scattered,
     noise: Noise,
-    rounds: int = 1,
+    rounds: int = 2,
 ) -> Solved:
-    """Gauss-Newton from given normals.
+    """Normals and albedo of pixels whose gloss is known, by Gauss-Newton from given normals.
 
     Args:
-        rgb: (n, P, 3) readings in the lights' own colour; a pixel of zeros is left out.
+        rgb: (n, P, 3) readings in the lights' own colour.
         lights: of P patterns.
-        points_mm: (n, 3).
+        place: of the n pixels.
         normals: (n, 3) unit, to start from; zero where there is none.
-        views: (n, 3) unit, toward the camera.
-        roughness: Beckmann's m, one or (n,).
-        shadows: of the n points.
-        interface: that light passes.
-        specular: (n,) specular albedo that is expected, or where to start.
-        precision: (n,) one over the variance of what is expected, 0 for nothing.
+        roughness: (n,) Beckmann's m.
+        specular: (n,) reflectance at normal incidence.
+        interface: that light passes on its way into the diffuse layer and out.
+        scattered: inside the skin.
         noise: of the readings.
         rounds: steps.
     """
     count = len(rgb)
     out = Solved(
-        np.zeros((count, 3), np.float32),
-        np.zeros((count, 3), np.float32),
-        *(np.zeros(count, np.float32) for _ in range(5)),
+        *(np.zeros((count, 3), np.float32) for _ in range(3)),
+        *(np.zeros(count, np.float32) for _ in range(2)),
     )
     _solve(
-        np.ascontiguousarray(rgb, np.float32),
-        np.ascontiguousarray(points_mm, np.float32),
-        np.ascontiguousarray(normals, np.float32),
-        np.ascontiguousarray(views, np.float32),
-        np.ascontiguousarray(np.broadcast_to(np.asarray(roughness, np.float32), count)),
-        shadows.corners,
-        shadows.weights,
-        shadows.visible,
+        *_arguments(rgb, lights, place, normals, roughness, specular, interface, scattered, noise),
+        rounds,
+        out.normal,
+        out.lit,
+        out.power,
+        out.misfit,
+        out.certainty,
+    )
+    return out
+
+
+def gloss_evidence(
+    rgb: np.ndarray,
+    lights: PatternLights,
+    place: Place,
+    normals: np.ndarray,
+    roughness: np.ndarray,
+    specular: np.ndarray,
+    interface: Interface,
+    scattered: Scattered,
+    noise: Noise,
+) -> np.ndarray:
+    """What each pixel says of its specular albedo and roughness, normal and albedo left free.
+
+    Args:
+        rgb, lights, place, normals, interface, scattered, noise: as in `solve_jointly`.
+        roughness, specular: (n,) about which the lobe is taken as linear.
+
+    Returns:
+        (n, 5) float32: information on s, on s and m together, on m; its product with the offsets
+        of s and of m from the given ones that fit best. Sums over pixels of one gloss are that
+        gloss's. Zero where a pixel cannot be solved; outliers count little.
+    """
+    out = np.zeros((len(rgb), 5), np.float32)
+    given = (rgb, lights, place, normals, roughness, specular, interface, scattered, noise)
+    _evidence(*_arguments(*given), out)
+    return out
+
+
+def _arguments(
+    rgb: np.ndarray,
+    lights: PatternLights,
+    place: Place,
+    normals: np.ndarray,
+    roughness: np.ndarray,
+    specular: np.ndarray,
+    interface: Interface,
+    scattered: Scattered,
+    noise: Noise,
+) -> tuple[object, ...]:
+    """What both kernels take."""
+    given = (rgb, place.points_mm, normals, place.views, roughness, specular)
+    return (
+        *(np.ascontiguousarray(values, np.float32) for values in given),
+        place.shadows.corners,
+        place.shadows.weights,
+        place.shadows.visible,
         lights.position_mm.astype(np.float32),
         lights.radius_mm.astype(np.float32),
         lights.weight.astype(np.float32),
@@ -114,20 +182,11 @@ def solve_jointly(
         fresnel_table().astype(np.float32),
         interface.table,
         interface.mean,
-        np.ascontiguousarray(specular, np.float32),
-        np.ascontiguousarray(precision, np.float32),
+        np.ascontiguousarray(scattered.kept, np.float64),
+        np.ascontiguousarray(scattered.rest, np.float32),
         float(noise.sensor) ** 2,
         float(noise.model) ** 2,
-        rounds,
-        out.normal,
-        out.albedo,
-        out.specular,
-        out.evidence,
-        out.information,
-        out.misfit,
-        out.certainty,
     )
-    return out
 
 
 @njit(cache=True)
@@ -149,7 +208,7 @@ def _gather(
     mean: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Fill out (P, 8): E, its gradient (3), B, its gradient (3) at one point and normal."""
+    """Fill out (P, 9): E, its gradient (3), B, its gradient (3), B's slope over m."""
     out[:] = 0
     steps = len(table) - 1
     m2 = roughness * roughness
@@ -165,7 +224,7 @@ def _gather(
     first = 0
     for group in range(len(group_end)):
         gx = gy = gz = np.float32(0)
-        b = bx = by = bz = np.float32(0)
+        b = bx = by = bz = bm = np.float32(0)
         for j in range(first, group_end[group]):
             seen = (
                 weights[0] * visible[c0, j]
@@ -174,7 +233,11 @@ def _gather(
             )
             if seen <= 0:
                 continue
-            lx, ly, lz = position[j, 0] - point[0], position[j, 1] - point[1], position[j, 2] - point[2]
+            lx, ly, lz = (
+                position[j, 0] - point[0],
+                position[j, 1] - point[1],
+                position[j, 2] - point[2],
+            )
             nl = nx * lx + ny * ly + nz * lz
             if nl <= 0:
                 continue
@@ -204,6 +267,7 @@ def _gather(
             lobe *= table[below] * (1 - rest) + table[below + 1] * rest
             slope = lobe * (2 / (nh2 * nh * m2) - 4 / nh)
             b += lobe
+            bm += lobe * (2 * (1 - nh2) / (nh2 * m2) - 2)
             bx += slope * hx
             by += slope * hy
             bz += slope * hz
@@ -222,34 +286,149 @@ def _gather(
             out[k, 5] += level * bx
             out[k, 6] += level * by
             out[k, 7] += level * bz
+            out[k, 8] += level * bm / roughness
 
 
 @njit(cache=True)
-def _cholesky(a: np.ndarray, b: np.ndarray) -> bool:
-    """Solve a x = b in place (a symmetric, its lower triangle read); false where not definite."""
+def _solve_in_place(a: np.ndarray, b: np.ndarray) -> bool:
+    """Solve a x = b for (n, m) b, a symmetric (its lower triangle is read); false where singular.
+
+    Cholesky's way; a is destroyed.
+    """
     size = len(b)
     for i in range(size):
+        scale = a[i, i]
         for j in range(i + 1):
             total = a[i, j]
             for k in range(j):
                 total -= a[i, k] * a[j, k]
             if i == j:
-                if not total > 0:
+                if not total > 1e-12 * scale:
                     return False
                 a[i, i] = math.sqrt(total)
             else:
                 a[i, j] = total / a[j, j]
-    for i in range(size):
-        total = b[i]
-        for k in range(i):
-            total -= a[i, k] * b[k]
-        b[i] = total / a[i, i]
-    for i in range(size - 1, -1, -1):
-        total = b[i]
-        for k in range(i + 1, size):
-            total -= a[k, i] * b[k]
-        b[i] = total / a[i, i]
+    for c in range(b.shape[1]):
+        for i in range(size):
+            total = b[i, c]
+            for k in range(i):
+                total -= a[i, k] * b[k, c]
+            b[i, c] = total / a[i, i]
+        for i in range(size - 1, -1, -1):
+            total = b[i, c]
+            for k in range(i + 1, size):
+                total -= a[k, i] * b[k, c]
+            b[i, c] = total / a[i, i]
     return True
+
+
+@njit(cache=True)
+def _diffuse(light: np.ndarray, kept: np.ndarray, rest: np.ndarray, out: np.ndarray) -> None:
+    """Fill out (P, 3) with each channel's irradiance."""
+    for k in range(len(light)):
+        for c in range(3):
+            e = kept[c] * light[k, 0]
+            for x in range(3):
+                e += light[k, 1 + x] * rest[c, x]
+            out[k, c] = max(e, 0.0)
+
+
+@njit(cache=True)
+def _albedo(
+    light: np.ndarray,
+    diffuse: np.ndarray,
+    rgb: np.ndarray,
+    s: float,
+    rho: np.ndarray,
+    power: np.ndarray,
+) -> None:
+    """Fill (3,) the least squares of the albedo with the gloss s taken off, and its divisor."""
+    rho[:] = 0
+    power[:] = 0
+    for k in range(len(light)):
+        for c in range(3):
+            e = diffuse[k, c]
+            power[c] += e * e
+            rho[c] += e * (rgb[k, c] - s * light[k, 4])
+    for c in range(3):
+        if power[c] > 0:
+            rho[c] /= power[c]
+
+
+@njit(cache=True)
+def _across(n: np.ndarray, out: np.ndarray) -> None:
+    """Fill out (2, 3) with two unit directions across a unit normal."""
+    if abs(n[0]) < 0.6:
+        x, y, z = 0.0, n[2], -n[1]
+    else:
+        x, y, z = -n[2], 0.0, n[0]
+    length = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    out[0, 0], out[0, 1], out[0, 2] = x, y, z
+    out[1, 0] = n[1] * z - n[2] * y
+    out[1, 1] = n[2] * x - n[0] * z
+    out[1, 2] = n[0] * y - n[1] * x
+
+
+@njit(cache=True)
+def _weight(value: float, sensor2: float, model2: float) -> float:
+    """One over the variance of a reading."""
+    bright = max(value, 0.0)
+    return 1 / (sensor2 * (0.25 + bright) + model2 * bright * bright)
+
+
+@njit(cache=True)
+def _normal_equations(
+    light: np.ndarray,
+    diffuse: np.ndarray,
+    rgb: np.ndarray,
+    rho: np.ndarray,
+    s: float,
+    kept: np.ndarray,
+    across: np.ndarray,
+    sensor2: float,
+    model2: float,
+    a: np.ndarray,
+    b: np.ndarray,
+) -> float:
+    """Fill a (5, 5) and b (5, 3): two turns and three albedos against residual, B and dB/dm s.
+
+    Returns:
+        The weighted sum of squared residuals.
+    """
+    a[:] = 0
+    b[:] = 0
+    total = 0.0
+    for k in range(len(light)):
+        et = eu = bt = bu = 0.0
+        for x in range(3):
+            et += light[k, 1 + x] * across[0, x]
+            eu += light[k, 1 + x] * across[1, x]
+            bt += light[k, 5 + x] * across[0, x]
+            bu += light[k, 5 + x] * across[1, x]
+        gloss, wider = light[k, 4], s * light[k, 8]
+        for c in range(3):
+            e = diffuse[k, c]
+            w = _weight(rgb[k, c], sensor2, model2)
+            left = rgb[k, c] - rho[c] * e - s * gloss
+            total += w * left * left
+            t, u = rho[c] * kept[c] * et + s * bt, rho[c] * kept[c] * eu + s * bu
+            a[0, 0] += w * t * t
+            a[1, 0] += w * t * u
+            a[1, 1] += w * u * u
+            a[2 + c, 0] += w * e * t
+            a[2 + c, 1] += w * e * u
+            a[2 + c, 2 + c] += w * e * e
+            b[0, 0] += w * t * left
+            b[1, 0] += w * u * left
+            b[2 + c, 0] += w * e * left
+            b[0, 1] += w * t * gloss
+            b[1, 1] += w * u * gloss
+            b[2 + c, 1] += w * e * gloss
+            b[0, 2] += w * t * wider
+            b[1, 2] += w * u * wider
+            b[2 + c, 2] += w * e * wider
+    return total
 
 
 @njit(parallel=True, cache=True)
@@ -258,7 +437,8 @@ def _solve(
     points: np.ndarray,
     starts: np.ndarray,
     views: np.ndarray,
-    roughnesses: np.ndarray,
+    roughness: np.ndarray,
+    specular: np.ndarray,
     corners: np.ndarray,
     weights: np.ndarray,
     visible: np.ndarray,
@@ -270,16 +450,14 @@ def _solve(
     table: np.ndarray,
     through: np.ndarray,
     mean: np.ndarray,
-    expected: np.ndarray,
-    precision: np.ndarray,
+    kept: np.ndarray,
+    rests: np.ndarray,
     sensor2: float,
     model2: float,
     rounds: int,
     normals: np.ndarray,
-    albedos: np.ndarray,
-    speculars: np.ndarray,
-    evidences: np.ndarray,
-    informations: np.ndarray,
+    lit: np.ndarray,
+    powers: np.ndarray,
     misfits: np.ndarray,
     certainties: np.ndarray,
 ) -> None:
@@ -288,131 +466,145 @@ def _solve(
         n = starts[i].copy()
         if not n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5:
             continue
-        light = np.zeros((patterns, 8), np.float32)
-        a = np.zeros((UNKNOWNS, UNKNOWNS))
-        b = np.zeros(UNKNOWNS)
-        row = np.zeros(UNKNOWNS)
-        rho = np.zeros(3)
-        s = float(expected[i])
+        s = float(specular[i])
+        light = np.zeros((patterns, 9), np.float32)
+        across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+        diffuse = np.zeros((patterns, 3))
+        a, b = np.zeros((5, 5)), np.zeros((5, 3))
         good = True
-        information = evidence = least = 0.0
-        for step in range(rounds):
+        certainty = 0.0
+        for _ in range(rounds):
             _gather(
-                points[i], n, views[i], roughnesses[i], corners[i], weights[i], visible,
+                points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
                 position, radius, weight, levels, group_end, table, through, mean, light,
             )  # fmt: skip
-            # Albedo for the normal of this step: it weighs how the readings turn with the normal.
-            for c in range(3):
-                top = bottom = 0.0
-                for k in range(patterns):
-                    top += light[k, 0] * (rgb[i, k, c] - s * light[k, 4])
-                    bottom += light[k, 0] * light[k, 0]
-                rho[c] = top / bottom if bottom > 0 else 0.0
-            # Two directions across the normal.
-            if abs(n[0]) < 0.6:
-                tx, ty, tz = 0.0, n[2], -n[1]
-            else:
-                tx, ty, tz = -n[2], 0.0, n[0]
-            length = math.sqrt(tx * tx + ty * ty + tz * tz)
-            tx, ty, tz = tx / length, ty / length, tz / length
-            ux, uy, uz = n[1] * tz - n[2] * ty, n[2] * tx - n[0] * tz, n[0] * ty - n[1] * tx
-            a[:] = 0
-            b[:] = 0
-            for k in range(patterns):
-                et = light[k, 1] * tx + light[k, 2] * ty + light[k, 3] * tz
-                eu = light[k, 1] * ux + light[k, 2] * uy + light[k, 3] * uz
-                bt = light[k, 5] * tx + light[k, 6] * ty + light[k, 7] * tz
-                bu = light[k, 5] * ux + light[k, 6] * uy + light[k, 7] * uz
-                for c in range(3):
-                    value = rgb[i, k, c]
-                    bright = max(value, np.float32(0))
-                    w = 1 / (sensor2 * (0.25 + bright) + model2 * bright * bright)
-                    row[:] = 0
-                    row[0] = rho[c] * et + s * bt
-                    row[1] = rho[c] * eu + s * bu
-                    row[2] = light[k, 4]
-                    row[3 + c] = light[k, 0]
-                    for p in range(UNKNOWNS):
-                        if row[p] == 0:
-                            continue
-                        for q in range(p + 1):
-                            a[p, q] += w * row[p] * row[q]
-                        b[p] += w * row[p] * value
-            information, evidence, least = _marginal(a, b)
-            a[2, 2] += precision[i]
-            b[2] += precision[i] * expected[i]
-            # Unsolvable directions stay where they are instead of failing the pixel.
-            for p in range(UNKNOWNS):
-                a[p, p] *= 1 + 1e-9
-                a[p, p] += 1e-12
-            if not _cholesky(a, b):
+            _diffuse(light, kept, rests[i], diffuse)
+            _albedo(light, diffuse, rgb[i], s, rho, power)
+            _across(n, across)
+            _normal_equations(light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, a, b)
+            certainty = _least_turn(a)
+            if not _solve_in_place(a, b[:, :1]):
                 good = False
                 break
-            x, y = b[0], b[1]
+            x, y = b[0, 0], b[1, 0]
             turn = math.sqrt(x * x + y * y)
             if not turn < 1e9:
                 good = False
                 break
             if turn > LONGEST_TURN:
                 x, y = x * LONGEST_TURN / turn, y * LONGEST_TURN / turn
-            n[0] += x * tx + y * ux
-            n[1] += x * ty + y * uy
-            n[2] += x * tz + y * uz
-            length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-            n[0] /= length
-            n[1] /= length
-            n[2] /= length
-            s = b[2]
+            length = 0.0
             for c in range(3):
-                rho[c] = b[3 + c]
+                n[c] += x * across[0, c] + y * across[1, c]
+                length += n[c] * n[c]
+            n /= math.sqrt(length)
         if not good:
             continue
-        total = 0.0
-        for k in range(patterns):
-            for c in range(3):
-                value = rgb[i, k, c]
-                bright = max(value, np.float32(0))
-                left = value - rho[c] * light[k, 0] - s * light[k, 4]
-                total += left * left / (sensor2 * (0.25 + bright) + model2 * bright * bright)
+        _gather(
+            points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
+            position, radius, weight, levels, group_end, table, through, mean, light,
+        )  # fmt: skip
+        _diffuse(light, kept, rests[i], diffuse)
+        _albedo(light, diffuse, rgb[i], s, rho, power)
+        total = _normal_equations(
+            light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, a, b
+        )
+        if not (math.isfinite(total) and math.isfinite(power.sum())):
+            continue
         for c in range(3):
             normals[i, c] = n[c]
-            albedos[i, c] = rho[c]
-        speculars[i] = s
-        evidences[i] = evidence
-        informations[i] = information
-        misfits[i] = total / (3 * patterns - UNKNOWNS)
-        certainties[i] = least
+            lit[i, c] = rho[c] * power[c]
+            powers[i, c] = power[c]
+        misfits[i] = total / (3 * patterns - 5)
+        certainties[i] = certainty
+
+
+@njit(parallel=True, cache=True)
+def _evidence(
+    rgb: np.ndarray,
+    points: np.ndarray,
+    starts: np.ndarray,
+    views: np.ndarray,
+    roughness: np.ndarray,
+    specular: np.ndarray,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    visible: np.ndarray,
+    position: np.ndarray,
+    radius: np.ndarray,
+    weight: np.ndarray,
+    levels: np.ndarray,
+    group_end: np.ndarray,
+    table: np.ndarray,
+    through: np.ndarray,
+    mean: np.ndarray,
+    kept: np.ndarray,
+    rests: np.ndarray,
+    sensor2: float,
+    model2: float,
+    out: np.ndarray,
+) -> None:
+    patterns = rgb.shape[1]
+    for i in prange(len(rgb)):
+        n = starts[i]
+        if not n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5:
+            continue
+        s = float(specular[i])
+        light = np.zeros((patterns, 9), np.float32)
+        across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+        diffuse = np.zeros((patterns, 3))
+        a, b = np.zeros((5, 5)), np.zeros((5, 3))
+        _gather(
+            points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
+            position, radius, weight, levels, group_end, table, through, mean, light,
+        )  # fmt: skip
+        _diffuse(light, kept, rests[i], diffuse)
+        _albedo(light, diffuse, rgb[i], s, rho, power)
+        _across(n, across)
+        _normal_equations(light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, a, b)
+        free = b.copy()
+        if not _solve_in_place(a, free):
+            continue
+        ss = sm = mm = s_left = m_left = left2 = 0.0
+        for k in range(patterns):
+            gloss, wider = light[k, 4], s * light[k, 8]
+            for c in range(3):
+                e = diffuse[k, c]
+                w = _weight(rgb[i, k, c], sensor2, model2)
+                left = rgb[i, k, c] - rho[c] * e - s * gloss
+                ss += w * gloss * gloss
+                sm += w * gloss * wider
+                mm += w * wider * wider
+                s_left += w * gloss * left
+                m_left += w * wider * left
+                left2 += w * left * left
+        for p in range(5):
+            ss -= b[p, 1] * free[p, 1]
+            sm -= b[p, 1] * free[p, 2]
+            mm -= b[p, 2] * free[p, 2]
+            s_left -= b[p, 1] * free[p, 0]
+            m_left -= b[p, 2] * free[p, 0]
+            left2 -= b[p, 0] * free[p, 0]
+        # What no gloss explains is shadow, hair or motion: such a pixel has little to say.
+        outside = max(left2, 0.0) / (3 * patterns - 7)
+        trust = 1 / (1 + outside / 9) ** 2
+        if not (ss > 0 and mm >= 0 and math.isfinite(s_left + m_left + sm)):
+            continue
+        out[i, 0] = trust * ss
+        out[i, 1] = trust * sm
+        out[i, 2] = trust * mm
+        out[i, 3] = trust * s_left
+        out[i, 4] = trust * m_left
 
 
 @njit(cache=True)
-def _marginal(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
-    """Information and evidence on the specular albedo with all else free, least on a turn."""
-    rest = np.array([0, 1, 3, 4, 5])
-    inner = np.zeros((5, 5))
-    cross = np.zeros(5)
-    right = np.zeros(5)
-    for p in range(5):
-        for q in range(p + 1):
-            inner[p, q] = a[rest[p], rest[q]]
-        inner[p, p] = inner[p, p] * (1 + 1e-9) + 1e-12
-        cross[p] = a[max(rest[p], 2), min(rest[p], 2)]
-        right[p] = b[rest[p]]
-    solved = cross.copy()
-    if not _cholesky(inner, solved):
-        return 0.0, 0.0, 0.0
-    information, evidence = a[2, 2], b[2]
-    for p in range(5):
-        information -= solved[p] * cross[p]
-        evidence -= solved[p] * right[p]
-    # Turns with the albedos free: their block's Schur complement.
+def _least_turn(a: np.ndarray) -> float:
+    """Least information on a turn of the normal with the albedos free."""
     t00, t01, t11 = a[0, 0], a[1, 0], a[1, 1]
-    for c in range(3, 6):
+    for c in range(2, 5):
         if a[c, c] > 0:
             t00 -= a[c, 0] * a[c, 0] / a[c, c]
             t01 -= a[c, 0] * a[c, 1] / a[c, c]
             t11 -= a[c, 1] * a[c, 1] / a[c, c]
     middle = (t00 + t11) / 2
-    away = math.sqrt(((t00 - t11) / 2) ** 2 + t01 * t01)
-    if not (information > 0 and abs(evidence) < 1e300):
-        return 0.0, 0.0, max(middle - away, 0.0)
-    return information, evidence, max(middle - away, 0.0)
+    return max(middle - math.sqrt(((t00 - t11) / 2) ** 2 + t01 * t01), 0.0)
