@@ -3,24 +3,35 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import FormatError
-from lightstage.formats.exr import read_exr
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.scale import raw_scale
-from lightstage.formats.session import Frame, Session
-from processing.colour import read_colour
-from processing.completing import missing_patterns, said
+from lightstage.formats.session import Session
+from processing.completing import Recipe, missing_patterns, said
+from processing.decoding import (
+    CameraJob,
+    Look,
+    as_frames,
+    fill_draft,
+    first_look,
+    reaches_beyond,
+)
+from processing.drafts import NOT_A_NUMBER, Draft, new_frames
 from processing.errors import ProcessingError
-from processing.frames import Frames, write_foreground, write_frames
-from processing.masks import foreground
+from processing.frames import write_foreground
+from processing.masks import view_foreground
+from processing.photographs import exposure_factors, read_calibrations
 from processing.preparation import PrepareConfig, prepare_view, prepare_warnings
-from processing.raw import read_raw
+from processing.window import whole
+
+SAMPLED_ROWS = 64
+"""Rows of each photograph that tell whether what comes after the decode changed it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,8 +42,21 @@ class DecodeConfig:
     """Counts of at least this share of the white level are clipped."""
     foreground_share: float = 0.03
     """Foreground is brighter than this share of the picture's 99th percentile."""
+    crop: bool = True
+    """Develop only the window that holds the face, not the whole picture."""
     prepare: PrepareConfig = dataclasses.field(default_factory=PrepareConfig)
     """Motion, ambient light and flicker between the photographs."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Decoded:
+    """Facts of one camera: shares of the picture and of the foreground, photographs kept."""
+
+    foreground_share: float
+    clipped_share: float
+    window_share: float
+    kept: int
+    sums: dict[str, Any]
 
 
 def decode(
@@ -40,112 +64,153 @@ def decode(
 ) -> dict[str, Any]:
     """Decode every photograph of a session into OUT/work, and write the foreground masks.
 
-    A frame without light (pattern `dark`) is ambient light: it is taken off all others.
+    Only the window that holds the face is developed, and photographs that were decoded before are
+    kept as long as neither they nor anything that they depend on changed. A frame without light
+    (pattern `dark`) is ambient light: it is taken off all others.
 
     Returns:
         Facts: frames, cameras, clipped and foreground shares, warnings.
 
     Raises:
-        FormatError: a photograph that cannot be read or has another size than its camera.
+        FormatError: a photograph that cannot be read, has another size than its camera, or an
+            exposure that cannot be brought to the others'.
         ProcessingError: a camera in whose photographs nothing is lit.
     """
     cameras = session.camera_ids()
-    matrices, warnings = _colours(session, cameras)
+    raw = {frame.camera for frame in session.file.frames if frame.encoding == "raw"}
+    calibrations = read_calibrations(session, raw_scale(session) if raw else 1.0)
     recipes = missing_patterns(session)
-    sums: dict[str, dict[str, Any]] = {}
     lit = tuple(p for p in session.file.sequence if session.levels(p).max() > 0)
-    dark = [p for p in session.file.sequence if p not in lit]
+    dark = tuple(p for p in session.file.sequence if p not in lit)
     steps = len(cameras) * (len(lit) + len(dark))
-    done = 0
-    clipped: dict[str, float] = {}
-    covered: dict[str, float] = {}
-    folder = ProcessedFolder(out)
-    for camera in cameras:
-        shape = (session.rig.camera(camera).height_px, session.rig.camera(camera).width_px)
-        images = np.zeros((len(lit), *shape, 3), np.float32)
-        ambient = np.zeros((*shape, 3), np.float32)
-        valid = np.ones(shape, bool)
-        for pattern in (*dark, *(p for p in lit if p not in recipes[camera])):
-            frame = session.frame(pattern, camera)
-            rgb, good = read_frame(session, frame, matrices.get(camera), config.clip_share)
-            if rgb.shape[:2] != shape:
-                raise FormatError(
-                    session.frame_path(frame),
-                    found=f"{rgb.shape[1]} x {rgb.shape[0]} pixels",
-                    expected=f"{shape[1]} x {shape[0]} as {camera} has in rig.json",
-                )
-            valid &= good
-            if pattern in dark:
-                ambient += rgb / len(dark)
-            else:
-                images[lit.index(pattern)] = rgb - ambient
-            done += 1
-            progress(done, steps)
-        sums[camera] = prepare_view(
-            out, camera, lit, images, valid, session, config.prepare, recipes[camera]
-        )
-        images[:, ~valid] = 0
-        mask = foreground(images.max(axis=(0, 3)), config.foreground_share)
-        if not mask.any():
-            raise ProcessingError(
-                f"camera {camera}",
-                found="photographs in which nothing is lit",
-                expected="a face",
-                hint="Are the lights, the exposure and the lens cap as they should be?",
-            )
-        write_frames(out, camera, Frames.of(lit, images, valid))
-        write_foreground(out, camera, mask)
-        folder.write_mask(camera, mask)
-        clipped[camera] = round(float((~valid & mask).sum() / mask.sum()), 5)
-        covered[camera] = round(float(mask.mean()), 4)
+    warnings = [] if all(c.correction for c in calibrations.values()) else [UNCALIBRATED]
+    decoded: dict[str, Decoded] = {}
+    for number, camera in enumerate(cameras):
+        missing = recipes[camera]
+        frames = {p: session.frame(p, camera) for p in (*lit, *dark) if p not in missing}
+        calibrated = calibrations.get(camera)
+        correction = None if calibrated is None else calibrated.correction
+        wanted = None if correction is None else correction.exposure
+        factors = exposure_factors(session, frames, wanted)
+        if len(set(factors.values())) > 1:
+            warnings.append(f"{camera}: {_exposures(factors)}")
+        shares = config.clip_share, config.foreground_share
+        job = CameraJob(session, camera, frames, lit, dark, calibrated, factors, *shares)
+        done = _Steps(progress, number * (len(lit) + len(dark)), steps)
+        decoded[camera] = _decode_camera(job, out, config, missing, done)
+    sums = {camera: one.sums for camera, one in decoded.items()}
     return {
         "cameras": len(cameras),
         "frames": steps,
         "patterns": list(lit),
-        "ambient_from": dark,
-        "clipped_share_of_foreground": clipped,
-        "foreground_share_of_picture": covered,
+        "ambient_from": list(dark),
+        "frames_kept_from_the_last_run": sum(one.kept for one in decoded.values()),
+        "window_share_of_picture": {c: one.window_share for c, one in decoded.items()},
+        "clipped_share_of_foreground": {c: one.clipped_share for c, one in decoded.items()},
+        "foreground_share_of_picture": {c: one.foreground_share for c, one in decoded.items()},
         "sums": sums,
         "warnings": [*warnings, *said(recipes), *prepare_warnings(sums)],
     }
 
 
-def read_frame(
-    session: Session, frame: Frame, linear_from_raw: np.ndarray | None, clip_share: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """One photograph as linear RGB.
-
-    Args:
-        session: whose photograph it is.
-        frame: which.
-        linear_from_raw: (3, 3) colour matrix of the camera for `raw` frames; None takes the
-            camera's own neutral, on an unknown scale.
-        clip_share: see DecodeConfig.
-
-    Returns:
-        (h, w, 3) float32 finite, and (h, w) bool valid.
-    """
-    path = session.frame_path(frame)
-    if frame.encoding == "linear":
-        rgb = read_exr(path)
-        if rgb.ndim != 3:
-            raise FormatError(path, found="one channel", expected="R G B")
-        valid = np.isfinite(rgb).all(axis=2)
-        return np.where(valid[..., None], rgb, np.float32(0)), valid
-    picture = read_raw(path, clip_share)
-    matrix = np.diag(picture.neutral_from_raw) if linear_from_raw is None else linear_from_raw
-    return picture.rgb @ matrix.T.astype(np.float32), ~picture.clipped
+UNCALIBRATED = "No colour calibration: white balance from AsShotNeutral, albedo scale unknown."
 
 
-def _colours(session: Session, cameras: list[str]) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Colour matrices of the cameras with RAW frames, and what to warn of."""
-    raw = {frame.camera for frame in session.file.frames if frame.encoding == "raw"}
-    if not raw:
-        return {}, []
-    if session.file.calibration.colour is None:
-        said = "No colour calibration: white balance from AsShotNeutral, albedo scale unknown."
-        return {}, [said]
-    path = session.root / session.file.calibration.colour
-    colours = read_colour(path, [camera for camera in cameras if camera in raw])
-    scale = raw_scale(session)
-    return {camera: colour.matrix * scale for camera, colour in colours.items()}, []
+class _Steps:
+    """Tells progress photograph by photograph."""
+
+    def __init__(self, progress: ProgressCallback, done: int, total: int) -> None:
+        self.progress, self.first, self.done, self.total = progress, done, done, total
+
+    def __call__(self) -> None:
+        self.done += 1
+        self.progress(min(self.done, self.total), self.total)
+
+
+def _decode_camera(
+    job: CameraJob,
+    out: Path,
+    config: DecodeConfig,
+    missing: Mapping[str, Recipe],
+    step: _Steps,
+) -> Decoded:
+    """Decode one camera; again with the whole picture where the window was too small."""
+    look = first_look(job, out, crop=config.crop)
+    found = _decode_window(job, look, out, config, missing, step)
+    if found is None:
+        step.done = step.first
+        look = dataclasses.replace(look, window=whole(job.shape), opened={})
+        found = _decode_window(job, look, out, config, missing, step)
+        assert found is not None  # the whole picture leaves nothing outside
+    return found
+
+
+class _WindowTooSmallError(Exception):
+    """The mask goes on beyond the window: what was written is dropped."""
+
+
+def _decode_window(
+    job: CameraJob,
+    look: Look,
+    out: Path,
+    config: DecodeConfig,
+    missing: Mapping[str, Recipe],
+    step: Callable[[], None],
+) -> Decoded | None:
+    """Decode what `look` says; None where the mask goes on beyond its window."""
+    try:
+        with new_frames(out, job.camera, job.lit, look.scale, look.window, job.shape) as draft:
+            kept = fill_draft(job, out, look, draft, step)
+            sums = _prepare(job, out, draft, config.prepare, missing)
+            mask = view_foreground(as_frames(job, look, draft), config.foreground_share)
+            if reaches_beyond(mask, look.window, job.shape):
+                raise _WindowTooSmallError
+            if not mask.any():
+                raise ProcessingError(
+                    f"camera {job.camera}",
+                    found="photographs in which nothing is lit",
+                    expected="a face",
+                    hint="Are the lights, the exposure and the lens cap as they should be?",
+                )
+            clipped = float((mask & (draft.clipped != 0)).sum() / mask.sum())
+    except _WindowTooSmallError:
+        return None
+    whole_mask = look.window.placed(mask, job.shape)
+    write_foreground(out, job.camera, whole_mask)
+    ProcessedFolder(out).write_mask(job.camera, whole_mask)
+    pixels = job.shape[0] * job.shape[1]
+    return Decoded(
+        foreground_share=round(float(mask.sum()) / pixels, 4),
+        clipped_share=round(clipped, 5),
+        window_share=round(look.window.height * look.window.width / pixels, 4),
+        kept=kept,
+        sums=sums,
+    )
+
+
+def _prepare(
+    job: CameraJob,
+    out: Path,
+    draft: Draft,
+    config: PrepareConfig,
+    missing: Mapping[str, Recipe],
+) -> dict[str, Any]:
+    """Check and mend the photographs against each other; note which did not stay as decoded."""
+    every = max(1, draft.half.shape[1] // SAMPLED_ROWS)
+    before = np.array(draft.half[:, ::every])
+    usable = np.asarray(draft.clipped) == 0
+    sums = prepare_view(out, job.camera, job.lit, draft.half, usable, job.session, config, missing)
+    after = draft.half[:, ::every]
+    draft.told["changed_later"] = [
+        name for k, name in enumerate(job.lit) if not np.array_equal(before[k], after[k])
+    ]
+    draft.clipped[~usable & (draft.clipped == 0)] = NOT_A_NUMBER
+    return sums
+
+
+def _exposures(factors: Mapping[str, float]) -> str:
+    """What was done about unlike exposures, in words."""
+    usual = float(np.median(list(factors.values())))
+    odd = {n: f / usual for n, f in factors.items() if abs(f / usual - 1) > 1e-4}
+    told = ", ".join(f"{name} times {factor:.4g}" for name, factor in odd.items())
+    return f"unlike exposures in the files, brought to one: {told}"

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from numba import njit, prange
 
 from lightstage.errors import FormatError
-from lightstage.formats.files import atomic_folder, atomic_path, fsync_path, read_json
+from lightstage.formats.files import atomic_path
+from processing.drafts import CLIPPED, HALVES, NOT_A_NUMBER, frames_path, new_frames, read_told
 from processing.halves import half_value
 from processing.window import Window, whole
-
-SCHEMA = "processing.frames/1"
-FACTS, HALVES, CLIPPED = "frames.json", "half.npy", "clipped.npy"
-RED, GREEN, BLUE, NOT_A_NUMBER = 1, 2, 4, 8
-"""Bits of `Frames.clipped`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,67 +130,9 @@ def power_of_two(peak: float) -> float:
     return float(2.0 ** np.clip(np.ceil(np.log2(peak)), -100, 100))
 
 
-def frames_path(out: Path, camera_id: str) -> Path:
-    """The folder in which a camera's decoded photographs lie in a processed folder."""
-    return out / "work" / "frames" / camera_id
-
-
 def foreground_path(out: Path, camera_id: str) -> Path:
     """Where the mask that the photographs alone give lies: 255 where something was lit."""
     return out / "work" / "foreground" / f"{camera_id}.png"
-
-
-@dataclasses.dataclass(frozen=True)
-class Draft:
-    """Frames that are being written: mapped arrays to fill.
-
-    Attributes:
-        half: (P, h, w, 3) float16, zeros at first.
-        clipped: (h, w) uint8, zeros at first.
-    """
-
-    half: np.ndarray
-    clipped: np.ndarray
-
-
-@contextlib.contextmanager
-def new_frames(
-    out: Path,
-    camera_id: str,
-    patterns: Sequence[str],
-    scale: float,
-    window: Window,
-    shape: tuple[int, int],
-    told: Mapping[str, Any] | None = None,
-) -> Iterator[Draft]:
-    """Yield mapped arrays to fill; they take the place of the camera's frames when all is written.
-
-    Args:
-        out: processed folder.
-        camera_id: whose.
-        patterns: P names.
-        scale: what the half floats are multiplied by to be linear.
-        window: see Frames.
-        shape: rows and columns of the whole picture.
-        told: JSON-ready, kept beside the arrays (`frames_told`); read when all is filled.
-    """
-    with atomic_folder(frames_path(out, camera_id), FACTS) as beside:
-        size = (len(patterns), *window.shape, 3)
-        half = np.lib.format.open_memmap(beside / HALVES, "w+", np.float16, size)
-        clipped = np.lib.format.open_memmap(beside / CLIPPED, "w+", np.uint8, window.shape)
-        yield Draft(half, clipped)
-        del half, clipped
-        value = {
-            "schema": SCHEMA,
-            "patterns": list(patterns),
-            "scale": scale,
-            "window": dataclasses.asdict(window),
-            "shape": list(shape),
-            "told": dict(told or {}),
-        }
-        (beside / FACTS).write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
-        for name in (HALVES, CLIPPED, FACTS):
-            fsync_path(beside / name)
 
 
 def write_frames(out: Path, camera_id: str, frames: Frames) -> Path:
@@ -239,18 +174,6 @@ def read_frames(out: Path, camera_id: str) -> Frames:
             hint="Run the stage `decode` again: lightstage-processing run --until decode.",
         )
     return Frames(patterns, half, scale, window, shape, clipped)
-
-
-def read_told(folder: Path, camera_id: str) -> dict[str, Any]:
-    """What is written of a camera's frames beside their arrays; FormatError where missing."""
-    if not (folder / FACTS).is_file():
-        raise FormatError(
-            folder,
-            found="no such file",
-            expected=f"the decoded photographs of {camera_id}",
-            hint="Run the stage `decode` first: lightstage-processing run --until decode.",
-        )
-    return dict(read_json(folder / FACTS, SCHEMA))
 
 
 def write_foreground(out: Path, camera_id: str, mask: np.ndarray) -> Path:

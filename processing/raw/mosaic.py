@@ -15,6 +15,7 @@ import numpy as np
 from processing.raw.bayer import develop
 from processing.window import Window
 
+
 @dataclasses.dataclass(frozen=True)
 class Development:
     """How counts become linear colour.

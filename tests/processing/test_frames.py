@@ -12,16 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lightstage.errors import FormatError
-from processing.frames import (
-    HALVES,
-    NOT_A_NUMBER,
-    Frames,
-    frames_path,
-    new_frames,
-    power_of_two,
-    read_frames,
-    write_frames,
-)
+from processing.drafts import HALVES, NOT_A_NUMBER, frames_path, new_frames
+from processing.frames import Frames, power_of_two, read_frames, write_frames
 from processing.window import Window, box_of, whole
 
 PATTERNS = ("full", "x+", "x-")

@@ -1,0 +1,171 @@
+"""An opened photograph to linear half floats of a window of the upright picture."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from processing.calibration.flat_file import FlatField
+from processing.colour import ColourCorrection
+from processing.drafts import NOT_A_NUMBER
+from processing.halves import LARGEST
+from processing.raw.bayer import CLIP_REACH, REACH
+from processing.raw.file import RawFile
+from processing.raw.mosaic import develop_mosaic, development
+from processing.window import Window
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """What turns a camera's counts into light.
+
+    Attributes:
+        correction: from counts above black as a share of white to linear rgb.
+        factor: on the results: of the exposure, and 1 / scale of the half floats.
+        clip_share: counts of at least this share of the white level (above black) are clipped.
+        field: flat and dark; None where there is none.
+    """
+
+    correction: ColourCorrection
+    factor: float
+    clip_share: float
+    field: FlatField | None = None
+
+
+def develop(
+    raw: RawFile,
+    window: Window,
+    settings: Settings,
+    ambient: np.ndarray | None,
+    out: np.ndarray,
+    clipped: np.ndarray,
+) -> None:
+    """Develop a window of the upright picture; other threads run meanwhile.
+
+    Args:
+        raw: opened.
+        window: of the upright picture.
+        settings: see there.
+        ambient: (h, w, 3) float32 that is taken off what is written; None for nothing.
+        out: (h, w, 3) float16, overwritten.
+        clipped: (h, w) uint8; bits 1, 2, 4 are added where red, green, blue is clipped.
+    """
+    if not raw.turns:
+        _as_read(raw, window, settings, ambient, out, clipped)
+        return
+    inner = lying(window, raw.size, raw.turns)
+    lit, marks = np.zeros((*inner.shape, 3), np.float16), np.zeros(inner.shape, np.uint8)
+    dark = None if ambient is None else np.ascontiguousarray(np.rot90(ambient, -raw.turns))
+    _as_read(raw, inner, settings, dark, lit, marks)
+    out[:] = np.rot90(lit, raw.turns)
+    clipped |= np.rot90(marks, raw.turns)
+
+
+def lying(window: Window, size: tuple[int, int], turns: int) -> Window:
+    """A window of the upright picture in the rows and columns that the sensor reads.
+
+    Args:
+        window: of the picture after `turns` quarter turns against the clock.
+        size: rows and columns before them.
+        turns: how many.
+    """
+    rows, columns = size
+    top, left, height, width = window.top, window.left, window.height, window.width
+    if turns % 4 == 1:
+        return Window(left, columns - top - height, width, height)
+    if turns % 4 == 2:
+        return Window(rows - top - height, columns - left - width, height, width)
+    if turns % 4 == 3:
+        return Window(rows - left - width, top, width, height)
+    return window
+
+
+def _as_read(
+    raw: RawFile,
+    window: Window,
+    settings: Settings,
+    ambient: np.ndarray | None,
+    out: np.ndarray,
+    clipped: np.ndarray,
+) -> None:
+    """Develop a window of the picture as the sensor reads it."""
+    field, coefficients = settings.field, settings.correction.coefficients
+    flat = None if field is None else field.gain(window.shape, (window.top, window.left))
+    if raw.colours is None:
+        _three(raw, window, settings, flat, ambient, out, clipped)
+        return
+    black = raw.black
+    if field is not None:
+        if field.black_offset is not None:
+            black = black + field.black_offset.reshape(2, 2) * (raw.white - black)
+        _mend(raw, field.hot_pixels, window)
+    how = development(
+        raw.colours, black, raw.white, settings.clip_share, coefficients, settings.factor
+    )
+    develop_mosaic(raw.counts, raw.origin, raw.size, window, how, flat, ambient, out, clipped)
+
+
+def _mend(raw: RawFile, hot: np.ndarray, window: Window) -> None:
+    """Replace hot pixels by the median of the four nearest of their colour, in place."""
+    near = (
+        (hot[:, 0] >= window.top - REACH)
+        & (hot[:, 0] < window.top + window.height + REACH)
+        & (hot[:, 1] >= window.left - REACH)
+        & (hot[:, 1] < window.left + window.width + REACH)
+        & (hot < np.array(raw.size)).all(axis=1)
+    )
+    for row, column in hot[near]:
+        around = [
+            (row + down, column + right)
+            for down, right in ((-2, 0), (2, 0), (0, -2), (0, 2))
+            if 0 <= row + down < raw.size[0] and 0 <= column + right < raw.size[1]
+        ]
+        top, left = raw.origin
+        values = [raw.counts[top + r, left + c] for r, c in around]
+        if values:
+            raw.counts[top + row, left + column] = int(np.median(values))
+
+
+def _three(
+    raw: RawFile,
+    window: Window,
+    settings: Settings,
+    flat: np.ndarray | None,
+    ambient: np.ndarray | None,
+    out: np.ndarray,
+    clipped: np.ndarray,
+) -> None:
+    """Develop a window in which each pixel has three colours."""
+    reach = window.grown(CLIP_REACH, raw.size)
+    part = raw.counts[reach.slices].astype(np.float32)
+    share = (part - raw.black.astype(np.float32)) / (raw.white - raw.black).astype(np.float32)
+    side = 2 * CLIP_REACH + 1
+    top, left = window.top - reach.top, window.left - reach.left
+    inner = Window(top, left, *window.shape).slices
+    for colour in range(3):
+        full = (share[..., colour] >= settings.clip_share).astype(np.uint8)
+        spread = np.asarray(cv2.dilate(full, np.ones((side, side), np.uint8)), np.uint8)
+        clipped |= spread[inner] * np.uint8(1 << colour)
+    rgb = share[inner]
+    if flat is not None:
+        rgb = rgb * flat[..., None]
+    store(settings.correction.scaled(settings.factor).apply(rgb), ambient, out, clipped)
+
+
+def store(
+    rgb: np.ndarray, ambient: np.ndarray | None, out: np.ndarray, clipped: np.ndarray
+) -> None:
+    """Write (h, w, 3) float32 less `ambient` as halves; what is no number or too large is marked.
+
+    Args:
+        rgb: on the half floats' scale.
+        ambient: the same shape, or None.
+        out: (h, w, 3) float16, overwritten, finite.
+        clipped: (h, w) uint8, bit `NOT_A_NUMBER` is added.
+    """
+    less = rgb if ambient is None else rgb - ambient
+    good = np.abs(less) <= LARGEST  # false for NaN
+    out[:] = np.where(good, less, 0)
+    clipped |= np.where(good.all(axis=2), 0, NOT_A_NUMBER).astype(np.uint8)

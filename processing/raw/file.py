@@ -1,0 +1,171 @@
+"""Opening a camera's file: LibRaw unpacks the counts, nothing is developed.
+
+A Bayer mosaic keeps its counts. What has no 2 x 2 mosaic comes as three colours of each pixel: a
+linear DNG's own, a Foveon's own, and for X-Trans LibRaw's demosaic without colour, curve or white
+balance, on the same scale (values below black are lost there).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rawpy
+
+from lightstage.errors import FormatError
+
+LARGEST = 65535
+_TURNS = {0: 0, 3: 2, 5: 1, 6: 3}
+"""LibRaw's flip to quarter turns against the clock that bring the sensor's rows upright."""
+
+
+@dataclasses.dataclass
+class RawFile:
+    """An opened photograph.
+
+    Attributes:
+        path: of the file.
+        counts: (H', W') uint16 of a Bayer mosaic with its margins, or (h, w, 3) uint16 of others;
+            valid until `close`.
+        origin: row and column in `counts` of the picture's top left pixel.
+        size: rows and columns as the sensor reads them.
+        colours: (2, 2) which of R G B (0, 1, 2) the picture's top left places see; None where each
+            pixel has three colours.
+        black: (2, 2) counts without light of these places, or (3,) of R G B.
+        white: count at which the sensor is full.
+        neutral: (3,) gains that turn the camera's own white (AsShotNeutral) grey, green's 1.
+        exposure: seconds * ISO / f-number^2 as the file tells; None where it does not.
+        turns: quarter turns against the clock that bring the picture upright.
+    """
+
+    path: Path
+    counts: np.ndarray
+    origin: tuple[int, int]
+    size: tuple[int, int]
+    colours: np.ndarray | None
+    black: np.ndarray
+    white: float
+    neutral: np.ndarray
+    exposure: float | None
+    turns: int
+    handle: Any = dataclasses.field(default=None, repr=False)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the upright picture."""
+        return (self.size[1], self.size[0]) if self.turns % 2 else self.size
+
+    def close(self) -> None:
+        """Give LibRaw's memory back; `counts` is gone then."""
+        self.counts = np.zeros((0, 0), np.uint16)
+        if self.handle is not None:
+            self.handle.close()
+            self.handle = None
+
+
+def open_raw(path: Path) -> RawFile:
+    """Unpack a file; other threads run meanwhile.
+
+    Raises:
+        FormatError: missing, truncated, or neither a mosaic of red, green and blue nor three
+            colours of each pixel.
+    """
+    raw = rawpy.RawPy()
+    try:
+        raw.open_file(str(path))
+        raw.unpack()
+        return _opened(path, raw)
+    except (rawpy.LibRawError, OSError) as error:
+        raw.close()
+        raise _unreadable(path, error) from None
+    except FormatError:
+        raw.close()
+        raise
+
+
+def read_exposure(path: Path) -> float | None:
+    """Seconds * ISO / f-number^2 from a file's header; None where it does not tell them all.
+
+    Raises:
+        FormatError: missing or no camera file.
+    """
+    try:
+        with rawpy.RawPy() as raw:
+            raw.open_file(str(path))
+            return _exposure(raw)
+    except (rawpy.LibRawError, OSError) as error:
+        raise _unreadable(path, error) from None
+
+
+def _opened(path: Path, raw: Any) -> RawFile:
+    letters = raw.color_desc.decode("ascii", "replace")
+    sizes = raw.sizes
+    size = int(sizes.height), int(sizes.width)
+    blacks = np.array(raw.black_level_per_channel, float)
+    gains = np.array(raw.camera_whitebalance[:3], float)
+    if not (np.isfinite(gains).all() and (gains > 0).all()):
+        gains = np.ones(3)
+    black: np.ndarray
+    counts, origin, colours, white = raw.raw_image, (0, 0), None, float(raw.white_level)
+    pattern = raw.raw_pattern if raw.raw_type == rawpy.RawType.Flat else None
+    if raw.num_colors != 3 or set(letters) - set("RGB"):
+        raise FormatError(
+            path,
+            found=f"a sensor of {raw.num_colors} colours ({letters})",
+            expected="one of red, green and blue",
+        )
+    if pattern is not None and pattern.shape == (2, 2):
+        origin = int(sizes.top_margin), int(sizes.left_margin)
+        places = [raw.raw_color(origin[0] + i // 2, origin[1] + i % 2) for i in range(4)]
+        colours = np.array(["RGB".index(letters[place]) for place in places]).reshape(2, 2)
+        black = blacks[places].reshape(2, 2)
+        if sorted(colours.ravel().tolist()) != [0, 1, 1, 2] or colours[0, 0] == colours[1, 0]:
+            raise FormatError(
+                path,
+                found=f"mosaic {colours.tolist()}",
+                expected="one red, two green and one blue in 2 x 2",
+            )
+    elif raw.raw_type == rawpy.RawType.Stack:
+        counts, black = raw.raw_image_visible[..., :3], blacks[[0, 1, 2]]
+    else:
+        counts, black, white = _developed(raw), np.zeros(3), float(LARGEST)
+    if not white > black.max():
+        raise FormatError(path, found=f"white level {white:g}", expected=f"above {black.max():g}")
+    turns = _TURNS.get(int(sizes.flip), 0)
+    told = _exposure(raw), turns, raw
+    return RawFile(path, counts, origin, size, colours, black, white, gains / gains[1], *told)
+
+
+def _developed(raw: Any) -> np.ndarray:
+    """LibRaw's demosaic: (h, w, 3) uint16, 0 = black level, `LARGEST` = white level."""
+    return np.asarray(
+        raw.postprocess(
+            output_color=rawpy.ColorSpace.raw,
+            gamma=(1, 1),
+            no_auto_bright=True,
+            user_wb=[1, 1, 1, 1],
+            output_bps=16,
+            user_flip=0,
+            adjust_maximum_thr=0,
+        )
+    )
+
+
+def _exposure(raw: Any) -> float | None:
+    told = raw.other
+    time, iso, stop = float(told.shutter_speed), float(told.iso_speed), float(told.aperture)
+    if not all(np.isfinite(value) and value > 0 for value in (time, iso, stop)):
+        return None
+    return time * iso / stop**2
+
+
+def _unreadable(path: Path, error: Exception) -> FormatError:
+    said = error.args[0] if error.args else error
+    return FormatError(
+        path,
+        found=said.decode() if isinstance(said, bytes) else str(said),
+        expected="a whole RAW or DNG file",
+        hint="Is it truncated? Copy it from the camera again.",
+    )
