@@ -14,8 +14,9 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 
-STEPS = ((8.0, 0, 3), (4.0, 1, 3), (2.0, 2, 3), (1.0, 3, 4))
-"""Blur in cells of the small pictures, degree of the polynomials, and how often each is solved."""
+STEPS = ((8.0, 0, 3, 4), (4.0, 1, 3, 4), (2.0, 2, 3, 1), (1.0, 3, 4, 1))
+"""Blur in cells of the small pictures, degree of the polynomials, how often each is solved, and
+the step between the cells that are used."""
 SHADING_DEGREE = 2
 """A head that turns is lit otherwise: each part has a gain of this degree over the picture."""
 MOST_CELLS = 15_000
@@ -121,15 +122,18 @@ def solve_pair(
     coefficients: np.ndarray = np.zeros((1, 4))
     shade = monomials(x, y, SHADING_DEGREE)
     before = _left(parts, target, coefficients, 0, x, y, rows, columns, shade)
-    for sigma, degree, rounds in STEPS:
+    for sigma, degree, rounds, every in STEPS:
         if sigma * 4 > min(height, width):
             continue
         size = len(monomials(np.zeros(1), np.zeros(1), degree)[0])
         coefficients = np.vstack([coefficients, np.zeros((size - len(coefficients), 4))])
         basis = monomials(x, y, degree)
         smooth = [cv2.GaussianBlur(p, (0, 0), sigma) for p in (*parts, target)]
+        planes = [[p, *_slopes(p)] for p in smooth[:2]]
+        few = slice(None, None, every)
+        aim = smooth[2][rows[few], columns[few]]
         for _ in range(rounds):
-            step = _step(smooth, coefficients, basis, shade, rows, columns)
+            step = _step(planes, aim, coefficients, basis[few], shade[few], rows[few], columns[few])
             if step is None:
                 return None
             coefficients = coefficients + step
@@ -177,7 +181,8 @@ def warp(images: np.ndarray, rows: dict[int, Flow], usable: np.ndarray) -> None:
 
 
 def _step(
-    smooth: list[np.ndarray],
+    planes: list[list[np.ndarray]],
+    target: np.ndarray,
     coefficients: np.ndarray,
     basis: np.ndarray,
     shade: np.ndarray,
@@ -189,10 +194,9 @@ def _step(
     columns_of, readings = [], []
     for k in range(2):
         place = columns + flow[:, 2 * k], rows + flow[:, 2 * k + 1]
-        there = [_sampled(p, *place) for p in (smooth[k], *_slopes(smooth[k]))]
+        there = [_sampled(plane, *place) for plane in planes[k]]
         readings.append(there[0])
         columns_of += [basis * there[1][:, None], basis * there[2][:, None]]
-    target = smooth[2][rows, columns]
     design = np.hstack([*columns_of, *(shade * r[:, None] for r in readings)])
     left = target - readings[0] - readings[1]
     weight = np.ones(len(left), np.float32)
@@ -228,7 +232,9 @@ def _left(
     ]
     design = np.hstack([shade * reading[:, None] for reading in moved])
     left = target[rows, columns] - moved[0] - moved[1]
-    gains = np.linalg.lstsq(design, left, rcond=None)[0]
+    normal = design.T @ design
+    normal[np.diag_indices_from(normal)] *= 1 + RIDGE
+    gains = np.linalg.lstsq(normal, design.T @ left, rcond=None)[0]
     return float(np.abs(left - design @ gains).mean())
 
 

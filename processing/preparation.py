@@ -15,6 +15,7 @@ from processing.completing import Pair, Recipe, fill, pairs_of
 from processing.diagnosis import Diagnosis, write_diagnosis
 from processing.motion import Flow, solve_pair, warp
 from processing.readings import px_per_mm
+from processing.shrinking import shrunk
 from processing.sums import ambient_ratio, fit_sums, residual, wrong_patterns
 
 ALIKE = 0.5
@@ -164,16 +165,6 @@ class View:
         self.free = shrunk(self.usable.astype(np.float32), self.cell_px) > 0.999
         for name in names:
             self.small[name] = shrunk(self.images[self.names.index(name)], self.cell_px)
-
-
-def shrunk(picture: np.ndarray, cell: int) -> np.ndarray:
-    """Means over cells of `cell` pixels a side, float32, finite; what is left over is dropped."""
-    height, width = picture.shape[0] // cell, picture.shape[1] // cell
-    part = np.asarray(picture[: height * cell, : width * cell], np.float32)
-    part = np.nan_to_num(part, posinf=0, neginf=0)
-    if cell == 1:
-        return part
-    return np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_AREA))
 
 
 def _groups(

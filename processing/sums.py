@@ -18,7 +18,9 @@ from processing.completing import Pair
 
 LIT_SHARE = 0.05
 """A cell is lit above this share of the whole's 95th percentile."""
-ROUNDS = 6
+ROUNDS = 4
+MOST_CELLS = 40_000
+"""Cells that a fit of gains takes at most, evenly spread."""
 UNLIKE, UNLIKE_RATIO = 0.2, 1.5
 """A photograph shows another pattern when it is this far from its own and this many times nearer
 to the other."""
@@ -74,10 +76,12 @@ def fit_sums(
     lit = lit_cells(whole, free)
     if lit.sum() < 50:
         return None
-    target = whole[lit].mean(axis=1).astype(float)
+    some = slice(None, None, max(1, -(-int(lit.sum()) // MOST_CELLS)))
+    target = whole[lit][some].mean(axis=1).astype(float)
     gains: dict[str, float] = {}
     for pair in pairs:
-        parts = [small[name][lit].mean(axis=1).astype(float) for name in (pair.first, pair.second)]
+        both = (small[name][lit][some] for name in (pair.first, pair.second))
+        parts = [part.mean(axis=1).astype(float) for part in both]
         found = _gains(np.stack(parts, axis=1), target)
         gains |= dict(zip((pair.first, pair.second), map(float, found), strict=True))
     # Ambient light changes all gains alike, flicker those of single photographs.
