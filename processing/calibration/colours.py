@@ -185,13 +185,14 @@ def flattened(mosaic: Mosaic, field: FlatField | None) -> Mosaic:
     """A photograph with its black level mended and its vignetting undone."""
     if field is None:
         return mosaic
-    level = mosaic.level.copy()
+    read = mosaic.as_read()
+    level = read.level.copy()
     if field.black_offset is not None:
         for place, offset in enumerate(field.black_offset):
             level[place // 2 :: 2, place % 2 :: 2] -= np.float32(offset)
     height, width = level.shape
     level *= field.gain((height, width))
-    return dataclasses.replace(mosaic, level=level)
+    return dataclasses.replace(read, level=level).turned(mosaic.turns)
 
 
 def _look(pose: Pose, camera: Camera, field: FlatField | None, chart: ChartConfig) -> Seen | None:

@@ -20,7 +20,8 @@ class FlatField:
     """One camera's.
 
     Attributes:
-        size_px: width and height of the mosaic.
+        size_px: width and height of the mosaic as the sensor reads it, which a camera that is
+            mounted upright turns; so are all places below.
         centre_px: (2,) x, y of the principal point; the top left pixel's middle is (0.5, 0.5).
         radius_px: half the picture's diagonal.
         radial: (3,) k: 1 + k1 r^2 + k2 r^4 + k3 r^6 is the share of the light that arrives at a
@@ -40,14 +41,22 @@ class FlatField:
     hot_pixels: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2), int))
 
     @staticmethod
-    def even(camera: Camera) -> FlatField:
-        """A lens that loses nothing."""
-        return FlatField(
-            (camera.width_px, camera.height_px),
-            np.array([camera.cx_px, camera.cy_px]),
-            float(np.hypot(camera.width_px, camera.height_px) / 2),
-            np.zeros(3),
-        )
+    def even(camera: Camera, turns: int = 0) -> FlatField:
+        """A lens that loses nothing.
+
+        Args:
+            camera: of upright pictures.
+            turns: quarter turns against the clock that bring what its sensor reads upright.
+        """
+        width, height = camera.width_px, camera.height_px
+        x, y = camera.cx_px, camera.cy_px
+        size, centre = {
+            0: ((width, height), (x, y)),
+            1: ((height, width), (height - y, x)),
+            2: ((width, height), (width - x, height - y)),
+            3: ((height, width), (y, width - x)),
+        }[turns % 4]
+        return FlatField(size, np.array(centre), float(np.hypot(*size) / 2), np.zeros(3))
 
     def share(self, places_px: np.ndarray) -> np.ndarray:
         """(n,) share of the light that arrives at (n, 2) places x, y."""

@@ -61,7 +61,8 @@ def fit_flat(
     """
     for flat in flats:
         _require_usable(flat, camera, config, where)
-    field = FlatField.even(camera)
+    field = FlatField.even(camera, flats[0].turns)
+    flats = [flat.as_read() for flat in flats]
     side = max(config.grid_px // 2 * 2, 2)
     columns, rows = _square_middles(flats[0].level.shape, side)
     x, y = (
@@ -73,7 +74,7 @@ def fit_flat(
     radial, light, residual = _vignetting(seen, x, y)
     field = dataclasses.replace(field, radial=radial)
     corner = field.share(np.array([[0.0, 0.0]]))[0]
-    _require_falling(field, camera, where)
+    _require_falling(field, where)
     facts = {
         "flats": len(flats),
         "residual_rms": round(float(np.sqrt(np.mean(residual**2))), 6),
@@ -94,6 +95,7 @@ def read_darks(
     Raises:
         ProcessingError: light in them, or photographs of unlike size.
     """
+    darks = [dark.as_read() for dark in darks]
     if len({dark.level.shape for dark in darks}) != 1:
         raise ProcessingError(where, found="darks of unlike size", expected="one size")
     level = float(np.mean([dark.level.mean() for dark in darks]))
@@ -150,13 +152,13 @@ def _require_usable(flat: Mosaic, camera: Camera, config: FlatConfig, where: str
         )
 
 
-def _require_falling(field: FlatField, camera: Camera, where: str) -> None:
+def _require_falling(field: FlatField, where: str) -> None:
     """No lens sends a tenth of its light or three times as much to some part of the picture."""
     grid = np.stack(
         [
             a.ravel()
             for a in np.meshgrid(
-                np.linspace(0, camera.width_px, 33), np.linspace(0, camera.height_px, 33)
+                np.linspace(0, field.size_px[0], 33), np.linspace(0, field.size_px[1], 33)
             )
         ],
         axis=1,

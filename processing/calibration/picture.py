@@ -1,4 +1,4 @@
-"""A calibration photograph as its RAW file holds it: the mosaic, black taken off."""
+"""A calibration photograph as its RAW file holds it: the mosaic, upright, black taken off."""
 
 from __future__ import annotations
 
@@ -11,22 +11,41 @@ import rawpy
 from lightstage.errors import FormatError
 from lightstage.exif import read_exif
 
+_TURNS = {3: 2, 5: 1, 6: 3}
+"""LibRaw's flip to quarter turns against the clock that bring the sensor's rows upright."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Mosaic:
-    """One RAW photograph.
+    """One RAW photograph, upright as rig.json's cameras are.
 
     Attributes:
         level: (h, w) float32 counts above black as a share of the white level; even sides.
         clipped: (h, w) bool, at the white level.
         channels: (2, 2) which of R G B (0, 1, 2) the top left four pixels see.
         exposure: seconds * ISO / f-number^2 as the file tells; None where it does not.
+        turns: quarter turns against the clock by which what the sensor reads was brought upright.
     """
 
     level: np.ndarray
     clipped: np.ndarray
     channels: np.ndarray
     exposure: float | None
+    turns: int = 0
+
+    def turned(self, turns: int) -> Mosaic:
+        """The same, turned by quarters against the clock."""
+        return Mosaic(
+            np.ascontiguousarray(np.rot90(self.level, turns)),
+            np.ascontiguousarray(np.rot90(self.clipped, turns)),
+            np.rot90(self.channels, turns),
+            self.exposure,
+            (self.turns + turns) % 4,
+        )
+
+    def as_read(self) -> Mosaic:
+        """The same in the rows and columns that the sensor reads."""
+        return self.turned(-self.turns) if self.turns else self
 
     def cells(self) -> np.ndarray:
         """(h/2, w/2, 3) float32: each 2 x 2 cell is one pixel, its greens averaged."""
@@ -68,6 +87,7 @@ def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
                 )
             height, width = (side // 2 * 2 for side in counts.shape)
             level = counts[:height, :width].astype(np.float32)
+            turns = _TURNS.get(int(raw.sizes.flip), 0)
         exposure = exposure_of(path)
     except (rawpy.LibRawError, OSError, AttributeError) as error:
         raise FormatError(
@@ -76,7 +96,8 @@ def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
     for place, own in enumerate(black[colours.ravel()]):
         part = (slice(place // 2, None, 2), slice(place % 2, None, 2))
         level[part] = (level[part] - np.float32(own)) / np.float32(max(white - own, 1.0))
-    return Mosaic(level, level >= clip_share, channels, exposure)
+    mosaic = Mosaic(level, level >= clip_share, channels, exposure)
+    return mosaic.turned(turns) if turns else mosaic
 
 
 def exposure_of(path: Path) -> float | None:

@@ -10,6 +10,7 @@ import pytest
 
 from lightstage.errors import FormatError
 from lightstage.rig import default_rig
+from processing.calibration.colours import flattened
 from processing.calibration.flat_file import FlatField, read_flats, write_flats
 from processing.calibration.flats import FlatConfig, fit_flat, read_darks
 from processing.calibration.picture import Mosaic
@@ -148,3 +149,22 @@ def test_an_unusable_flat_is_named(tmp_path, change):
     assert set(read_flats(path, ["cam0"])) == {"cam0"}
     with pytest.raises(FormatError, match="no usable flat of cam1"):
         read_flats(path, ["cam0", "cam1"])
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+def test_a_camera_on_its_side_has_its_flat_where_the_sensor_reads_it(turns):
+    """Pictures are upright as in rig.json; what belongs to pixels belongs to the sensor's."""
+    read = mosaic(card(noise=0.0))
+    upright = read.turned(turns)
+    height, width = upright.level.shape
+    centre = {0: (251, 152), 1: (152, WIDTH - 251), 2: (WIDTH - 251, HEIGHT - 152)}
+    x, y = (centre | {3: (HEIGHT - 152, 251)})[turns]
+    camera = dataclasses.replace(CAMERA, width_px=width, height_px=height, cx_px=x, cy_px=y)
+    field, _ = fit_flat([upright], camera, FlatConfig(), "flat")
+    np.testing.assert_allclose(field.centre_px, [251, 152])
+    np.testing.assert_allclose(field.radial, TRUE.radial, atol=0.005)
+    darks = [dark(0, (1e-3, 0, 0, 0), [(7, 9)]).turned(turns)]
+    field, _ = read_darks(darks, field, FlatConfig(), "dark")
+    np.testing.assert_array_equal(field.hot_pixels, [(7, 9)])
+    even = flattened(upright, dataclasses.replace(field, black_offset=None)).cells()
+    np.testing.assert_allclose(even / even.mean(axis=(0, 1)), 1, atol=0.002)
