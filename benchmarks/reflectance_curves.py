@@ -14,7 +14,7 @@ import copy
 import dataclasses
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,14 @@ import numpy as np
 from benchmarks.plots import Line, Panel, draw
 from benchmarks.record import record, table
 from benchmarks.reflectance_people import NOISE, benchmark_rig, noisy, person
-from benchmarks.reflectance_scores import joined, read_maps, scores, true_view, view_samples
+from benchmarks.reflectance_scores import (
+    TrueView,
+    joined,
+    read_maps,
+    scores,
+    true_view,
+    view_samples,
+)
 from lightstage.commands import quiet
 from lightstage.formats.config import make_config
 from lightstage.formats.exr import read_exr, write_exr
@@ -38,7 +45,7 @@ from sim.light.lamps import LampConfig, lamps_of
 from sim.light.world import World
 from sim.people.subject import Subject
 from sim.people.subjects import load_subject
-from sim.session import SessionConfig, truth_path, write_direct
+from sim.session import SessionConfig, write_direct
 from sim.truth import write_truth
 
 SCALE = 0.1
@@ -93,19 +100,26 @@ Errors = dict[tuple[str, Setting, str], dict[str, float]]
 class Stage:
     """A person in the benchmark's stage; rays are cast anew only where the person changes."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, folder: Path) -> None:
+        """Load the person; `folder` is where truth is kept."""
         self.known = person(name)
         self.rig = benchmark_rig(SCALE)
         known = self.known
         self.subject = load_subject(known.name, known.seed, None, TEXTURE_ROWS, known.traits)
-        self._worlds: dict[tuple[float, float], World] = {}
+        self._folder = folder
+        self._who: tuple[float, float] | None = None
+        self._world: World | None = None
+        self._true: dict[str, TrueView] = {}
 
     def world(self, setting: Setting) -> World:
         """The person where the setting says, under the lamps that it says."""
         who = setting.off_centre_mm, setting.roughness
-        if who not in self._worlds:
-            self._worlds = {who: World(changed(self.subject, *who), self.rig)}
-        world = copy.copy(self._worlds[who])
+        if self._world is None or who != self._who:
+            self._who, self._world = who, World(changed(self.subject, *who), self.rig)
+            truth = ProcessedFolder(write_truth(self._world, self._folder / f"truth-{who}"))
+            self._true = {camera.id: true_view(truth, camera) for camera in self.rig.cameras}
+            self.base_mesh = truth.base_mesh
+        world = copy.copy(self._world)
         config = LampConfig(gain_spread=setting.gain_spread)
         lamps = lamps_of(self.rig, config, self.known.seed)
         dead = np.random.default_rng(self.known.seed).permutation(len(lamps.weights))
@@ -113,6 +127,13 @@ class Stage:
         weights[dead[: setting.missing]] = 0
         world.lamps = dataclasses.replace(lamps, weights=weights)
         return world
+
+    def errors(self, out: Path) -> dict[str, float]:
+        """Of the maps in a processed folder, against the truth of the last `world`."""
+        folder = ProcessedFolder(out)
+        return scores(
+            joined([view_samples(read_maps(folder, name), t) for name, t in self._true.items()])
+        )
 
 
 def changed(subject: Subject, off_centre_mm: float, roughness: float) -> Subject:
@@ -124,12 +145,11 @@ def changed(subject: Subject, off_centre_mm: float, roughness: float) -> Subject
 
 
 def photographed(stage: Stage, setting: Setting, folder: Path) -> Session:
-    """A session under a setting, its truth beside it, pixel noise added."""
+    """A session under a setting, pixel noise added."""
     world = stage.world(setting)
     sway = SwayConfig(sway_mm=setting.sway_mm, sway_deg=setting.sway_mm / 3)
     flaws = CaptureFlaws(room=RoomConfig(ambient=setting.ambient), sway=sway)
     root = folder / "session"
-    write_truth(world, truth_path(root))
     write_direct(world, root, SessionConfig(), stage.known.seed, quiet, flaws)
     session = load_session(root)
     rng = np.random.default_rng(stage.known.seed)
@@ -144,28 +164,13 @@ def measured(stage: Stage, setting: Setting) -> Iterator[tuple[str, dict[str, fl
     with tempfile.TemporaryDirectory() as name:
         session, out = photographed(stage, setting, Path(name)), Path(name) / "out"
         decode(session, out, DecodeConfig())
-        truth = ProcessedFolder(truth_path(session.root))
-        cameras = [session.rig.camera(camera_id) for camera_id in session.camera_ids()]
-        true = {camera.id: true_view(truth, camera) for camera in cameras}
-
-        def errors() -> dict[str, float]:
-            found = ProcessedFolder(out)
-            return scores(
-                joined([view_samples(read_maps(found, c.id), true[c.id]) for c in cameras])
-            )
-
-        def run(settings: Mapping[str, object]) -> None:
-            separate(session, out, make_config(SeparateConfig, settings, "benchmark"))
-
-        calls: dict[str, Callable[[], object]] = {
-            "kampouris": lambda: run(PUBLISHED),
-            "coarse": lambda: run({}),
-            "refine": lambda: refine(session, out, RefineConfig()),
-        }
-        shutil.copy(truth.base_mesh, ProcessedFolder(out).base_mesh)
-        for method, call in calls.items():
-            call()
-            yield method, errors()
+        separate(session, out, make_config(SeparateConfig, PUBLISHED, "benchmark"))
+        yield "kampouris", stage.errors(out)
+        separate(session, out, SeparateConfig())
+        yield "coarse", stage.errors(out)
+        shutil.copy(stage.base_mesh, ProcessedFolder(out).base_mesh)
+        refine(session, out, RefineConfig())
+        yield "refine", stage.errors(out)
 
 
 def settings_of(curve: Curve) -> list[Setting]:
@@ -227,13 +232,14 @@ def main() -> None:
     curves = tuple(curve for curve in CURVES if curve.field in wanted)
     errors: Errors = {}
     for name in PEOPLE:
-        stage = Stage(name)
-        settings = dict.fromkeys(s for curve in curves for s in settings_of(curve))
-        # People of one place and gloss one after another: their rays are cast once.
-        for setting in sorted(settings, key=lambda s: (s.off_centre_mm, s.roughness)):
-            for method, found in measured(stage, setting):
-                errors[name, setting, method] = found
-            print(f"  {name} {setting}", flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            stage = Stage(name, Path(folder))
+            settings = dict.fromkeys(s for curve in curves for s in settings_of(curve))
+            # People of one place and gloss one after another: their rays are cast once.
+            for setting in sorted(settings, key=lambda s: (s.off_centre_mm, s.roughness)):
+                for method, found in measured(stage, setting):
+                    errors[name, setting, method] = found
+                print(f"  {name} {setting}", flush=True)
     header = ("curve", "value", "method", *(f"{said}, light / dark" for said in ERRORS.values()))
     rows = table_rows(curves, errors)
     whole = curves == CURVES
