@@ -26,15 +26,14 @@ def calibrate_command(
     """Colours, flats and black level of every camera, and lamps, from photographed targets."""
     from lightstage.formats.config import make_config, read_toml
     from processing.calibration.folder import read_source
-    from processing.calibration.output import headline, write_calibration
-    from processing.calibration.stage import CalibrateConfig, calibrate
+    from processing.calibration.output import headline, make_calibration
+    from processing.calibration.stage import CalibrateConfig
 
     values = {} if config is None else read_toml(config)
     settings = make_config(CalibrateConfig, values, "defaults" if config is None else config)
     source = read_source(lab)
     with progress_bar("calibrate") as progress:
-        found = calibrate(source, settings, progress)
-    write_calibration(found, source, settings, out)
+        found = make_calibration(source, settings, out, progress)
     for warning in found.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     facts = {"out": str(out), **found.facts, "warnings": found.warnings}

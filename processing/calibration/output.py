@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import atomic_folder, write_json
 from lightstage.formats.lights import write_measured_lights
 from processing.calibration.chart_reference import chart_reflectance
 from processing.calibration.colour_fit import ColourFit
 from processing.calibration.flat_file import write_flats
 from processing.calibration.folder import Source
-from processing.calibration.stage import CalibrateConfig, Calibration
+from processing.calibration.stage import CalibrateConfig, Calibration, calibrate
 from processing.calibration.swatches import write_swatches
 from processing.colour import SCHEMA as COLOUR_SCHEMA
 from processing.colour import ColourCorrection
@@ -25,21 +26,19 @@ NAME = "calibration.json"
 COLOUR, FLATS, LIGHTS = "colour.json", "flats.json", "lights.json"
 
 
-def write_calibration(
-    found: Calibration, source: Source, config: CalibrateConfig, out: Path
-) -> Path:
-    """Write a calibration's folder: colour.json, flats.json, pictures, calibration.json.
+def make_calibration(
+    source: Source, config: CalibrateConfig, out: Path, progress: ProgressCallback = quiet
+) -> Calibration:
+    """Measure, and write colour.json, flats.json, lights.json, pictures and calibration.json.
 
-    All of it appears at once; one that is there already is replaced.
-
-    Returns:
-        `out`.
+    All of it appears at once; a calibration that is there already is replaced.
 
     Raises:
-        FormatError: `out` is something else.
+        FormatError: `out` is something else (said before anything is measured).
+        ProcessingError: see `stage.calibrate`.
     """
-    resolved = dataclasses.asdict(config)
     with atomic_folder(out, NAME) as folder:
+        found = calibrate(source, config, progress)
         if found.flats:
             write_flats(found.flats, folder / FLATS, {"source": source.facts})
         if found.colours and found.full_levels is not None:
@@ -59,13 +58,13 @@ def write_calibration(
             {
                 "schema": SCHEMA,
                 "source": source.facts,
-                "config": resolved,
+                "config": dataclasses.asdict(config),
                 "facts": found.facts,
                 "warnings": found.warnings,
                 "versions": versions(),
             },
         )
-    return out
+    return found
 
 
 def headline(found: Calibration) -> str:
@@ -88,6 +87,8 @@ def headline(found: Calibration) -> str:
     if "dark" in found.facts:
         hot = sum(each["hot_pixels"] for each in found.facts["dark"].values())
         said.append(f"{hot} hot pixels in {len(found.facts['dark'])} cameras")
+    if found.lights is not None:
+        said.append(f"{len(found.lights[1].lights)} lamps")
     return ", ".join(said)
 
 

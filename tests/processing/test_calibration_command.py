@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 
 from lightstage.errors import FormatError
 from lightstage.formats.environment import stage_lights
-from lightstage.formats.session import load_session
+from lightstage.formats.session import Calibration, load_session, save_session
 from lightstage.session import read_calibration
 from processing.__main__ import app
+from processing.calibration.ball import rays_through, sphere_hits
 from processing.calibration.chart import chart_places_mm, find_chart
 from processing.calibration.flat_file import read_flats
 from processing.calibration.folder import read_source
@@ -23,7 +24,9 @@ from processing.calibration.picture import read_mosaic
 from processing.calibration.stage import CalibrateConfig, calibrate
 from processing.calibration.white import white_at
 from processing.colour import read_colour
+from processing.decode import DecodeConfig, decode
 from processing.errors import ProcessingError
+from processing.frames import read_frames
 from sim.camera.flaws import PRESETS
 from sim.camera.optics import make_lens
 from sim.light.lamps import LampConfig, lamps_of
@@ -205,3 +208,31 @@ def test_what_cannot_be_calibrated_ends_with_2_and_writes_nothing(targets, tmp_p
     result = CliRunner().invoke(app, ["calibrate", str(targets), "--out", str(mine)])
     assert isinstance(result.exception, FormatError)
     assert [path.name for path in mine.iterdir()] == ["letter.txt"]
+
+
+def test_a_session_that_carries_the_calibration_decodes_to_absolute_albedo(targets, tmp_path):
+    """The whole way: through vignetting, and from another exposure than the chart's."""
+    lab = make_lab(targets, tmp_path / "LAB")
+    out = tmp_path / "CALIBRATION"
+    assert CliRunner().invoke(app, ["calibrate", str(lab), "--out", str(out)]).exit_code == 0
+    root = lab / "grey-20260101T000000Z/pose-01"
+    shutil.copytree(out, root / "calibration")
+    session = load_session(root)
+    kinds = {kind: f"calibration/{kind}.json" for kind in ("colour", "flats")}
+    save_session(root, session.file.model_copy(update={"calibration": Calibration(**kinds)}))
+    session = load_session(root)
+    facts = decode(session, tmp_path / "OUT", DecodeConfig())
+    assert facts["warnings"] == []
+    rig = session.rig
+    lights = stage_lights(rig, np.ones(len(rig.lights)), "all", np.ones(len(rig.lights)))
+    for camera in rig.cameras:
+        frames = read_frames(tmp_path / "OUT", camera.id)
+        seen = frames.valid
+        rows, columns = np.nonzero(seen)
+        rays = rays_through(camera, np.stack([columns, rows], axis=1) + 0.5)
+        points, hit = sphere_hits(np.zeros(3), 38.1, camera.centre_mm, rays)
+        normals = points / 38.1
+        front = hit & (-np.einsum("nk,nk->n", normals, rays) > 0.6)
+        albedo = frames.pixels(seen)[front, 0] / white_at(points[front], normals[front], lights)
+        assert front.sum() > 1000
+        np.testing.assert_allclose(np.median(albedo, axis=0), 0.18, rtol=0.01)
