@@ -9,6 +9,7 @@ reflection. The polarised yardstick is of the second kind: cross shots hold no m
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -24,7 +25,7 @@ from processing.interface import skin_interface
 from processing.lights import PatternLights, irradiance_vectors, pattern_lights
 from processing.lobe import SKIN_F0, transport
 from processing.normals import solve_normals
-from processing.surface import LitSurface, Sight, lit_surface, see
+from processing.surface import Sight, lit_surface, see
 
 SOLVES = 2
 MOST_FACES = 120_000
@@ -77,16 +78,11 @@ def on_mesh(case: Case, settings: Settings) -> dict[str, Maps]:
 
 
 def _on_mesh(case: Case, settings: Settings) -> Iterator[tuple[str, Maps]]:
-    surface: LitSurface | None = None
-    for camera_id in case.session.camera_ids():
-        frames = read_frames(case.out, camera_id)
-        lights = pattern_lights(case.session, frames.patterns)
-        surface = surface or true_surface(case, lights)
-        sight = see(
-            surface, case.session.rig.camera(camera_id), read_foreground(case.out, camera_id)
-        )
-        rgb = frames.pixels(sight.mask) / lights.colour.astype(np.float32)
-        constant, roughness = float(settings["specular"]), float(settings["roughness"])
+    lights, sights = true_sights(case)
+    constant, roughness = float(settings["specular"]), float(settings["roughness"])
+    for camera_id, sight in sights.items():
+        rgb = read_frames(case.out, camera_id).pixels(sight.mask)
+        rgb /= lights.colour.astype(np.float32)
         signal = rgb[:, :, CHANNELS[settings["channel"]]].mean(axis=2)
         normal = matte_normals(signal, sight, lights, constant, roughness)
         e, lobe = lit(sight, lights, normal, roughness)
@@ -95,9 +91,12 @@ def _on_mesh(case: Case, settings: Settings) -> Iterator[tuple[str, Maps]]:
         yield camera_id, placed(sight.mask, normal, found, power, mirror, roughness)
 
 
-def true_surface(case: Case, lights: PatternLights) -> LitSurface:
-    """The true mesh under the lights of patterns."""
-    return lit_surface(
+@functools.lru_cache(maxsize=1)
+def true_sights(case: Case) -> tuple[PatternLights, dict[str, Sight]]:
+    """A case's lights, and camera id to what it sees of the true mesh."""
+    cameras = case.session.camera_ids()
+    lights = pattern_lights(case.session, read_frames(case.out, cameras[0]).patterns)
+    surface = lit_surface(
         read_ply(case.truth.base_mesh),
         lights,
         offset_mm=SHADOW_OFFSET_MM,
@@ -105,6 +104,8 @@ def true_surface(case: Case, lights: PatternLights) -> LitSurface:
         directions=1,
         most_faces=MOST_FACES,
     )
+    rig, out = case.session.rig, case.out
+    return lights, {c: see(surface, rig.camera(c), read_foreground(out, c)) for c in cameras}
 
 
 def matte_normals(
@@ -167,16 +168,11 @@ def polarised(case: Case, settings: Settings) -> dict[str, Maps]:
 
 
 def _polarised(case: Case, settings: Settings) -> Iterator[tuple[str, Maps]]:
-    surface: LitSurface | None = None
     roughness = float(settings["roughness"])
-    for camera_id in case.session.camera_ids():
-        frames = read_frames(case.out, camera_id)
-        lights = pattern_lights(case.session, frames.patterns)
-        surface = surface or true_surface(case, lights)
-        sight = see(
-            surface, case.session.rig.camera(camera_id), read_foreground(case.out, camera_id)
-        )
-        rgb = frames.pixels(sight.mask) / lights.colour.astype(np.float32)
+    lights, sights = true_sights(case)
+    for camera_id, sight in sights.items():
+        rgb = read_frames(case.out, camera_id).pixels(sight.mask)
+        rgb /= lights.colour.astype(np.float32)
         through = np.array([name.endswith("@cross") for name in lights.patterns])
         cross, parallel = (
             lights.of(tuple(np.array(lights.patterns)[some].tolist()))
