@@ -6,6 +6,7 @@ import collections
 import concurrent.futures
 import dataclasses
 import os
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -182,7 +183,7 @@ def fill_draft(
     for name, marks in kept.items():
         draft.marks[name] = marks
         if before is not None and name in job.lit:
-            draft.half[job.lit.index(name)] = before.half[before.patterns.index(name)]
+            draft.write_row(job.lit.index(name), before.half[before.patterns.index(name)])
         step()
     ambient = None
     if job.dark and wanted:
@@ -253,16 +254,20 @@ def _in_threads(
     step: Callable[[], None],
 ) -> None:
     """Unpack and develop photographs, as many at a time as there are processors."""
+    own = threading.local()
 
     def develop(name: str) -> tuple[str, Marks]:
+        if not hasattr(own, "row"):
+            own.row = np.empty((*look.window.shape, 3), np.float16)
+            own.marks = np.empty(look.window.shape, np.uint8)
+        own.marks[:] = 0
         photograph = look.opened.get(name) or job.open(name)
-        marks = np.zeros(look.window.shape, np.uint8)
-        row = draft.half[job.lit.index(name)]
         try:
-            photograph.develop(look.window, look.scale, ambient, row, marks)
+            photograph.develop(look.window, look.scale, ambient, own.row, own.marks)
         finally:
             photograph.close()
-        return name, Marks.of(marks)
+        draft.write_row(job.lit.index(name), own.row)
+        return name, Marks.of(own.marks)
 
     threads = max(1, min(os.cpu_count() or 1, MOST_THREADS, len(wanted)))
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:

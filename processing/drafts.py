@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,10 +62,22 @@ class Draft:
         marks: pattern to its own clipped pixels, for the next run that decodes only some.
     """
 
-    half: np.ndarray
-    clipped: np.ndarray
+    half: np.memmap
+    clipped: np.memmap
     told: dict[str, Any] = dataclasses.field(default_factory=dict)
     marks: dict[str, Marks] = dataclasses.field(default_factory=dict)
+
+    def write_row(self, k: int, picture: np.ndarray) -> None:
+        """Write pattern `k`, (h, w, 3) float16: a file's new pages are cheaper written than mapped.
+
+        Other threads run meanwhile.
+        """
+        row = memoryview(np.ascontiguousarray(picture).view(np.uint8).data).cast("B")
+        place = self.half.offset + k * len(row)
+        with Path(str(self.half.filename)).open("r+b", buffering=0) as file:
+            while row:
+                written = os.pwrite(file.fileno(), row, place)
+                row, place = row[written:], place + written
 
 
 @contextlib.contextmanager

@@ -15,6 +15,7 @@ import numpy as np
 import rawpy
 
 from lightstage.errors import FormatError
+from lightstage.exif import read_exif
 
 LARGEST = 65535
 _TURNS = {0: 0, 3: 2, 5: 1, 6: 3}
@@ -36,7 +37,6 @@ class RawFile:
         black: (2, 2) counts without light of these places, or (3,) of R G B.
         white: count at which the sensor is full.
         neutral: (3,) gains that turn the camera's own white (AsShotNeutral) grey, green's 1.
-        exposure: seconds * ISO / f-number^2 as the file tells; None where it does not.
         turns: quarter turns against the clock that bring the picture upright.
     """
 
@@ -48,7 +48,6 @@ class RawFile:
     black: np.ndarray
     white: float
     neutral: np.ndarray
-    exposure: float | None
     turns: int
     handle: Any = dataclasses.field(default=None, repr=False)
 
@@ -89,14 +88,16 @@ def read_exposure(path: Path) -> float | None:
     """Seconds * ISO / f-number^2 from a file's header; None where it does not tell them all.
 
     Raises:
-        FormatError: missing or no camera file.
+        FormatError: it cannot be read.
     """
     try:
-        with rawpy.RawPy() as raw:
-            raw.open_file(str(path))
-            return _exposure(raw)
-    except (rawpy.LibRawError, OSError) as error:
+        told = read_exif(path)
+    except OSError as error:
         raise _unreadable(path, error) from None
+    time, iso, stop = told.exposure_s, told.iso, told.f_number
+    if time is None or iso is None or stop is None or not min(time, iso, stop) > 0:
+        return None
+    return float(time * iso / stop**2)
 
 
 def _opened(path: Path, raw: Any) -> RawFile:
@@ -134,8 +135,7 @@ def _opened(path: Path, raw: Any) -> RawFile:
     if not white > black.max():
         raise FormatError(path, found=f"white level {white:g}", expected=f"above {black.max():g}")
     turns = _TURNS.get(int(sizes.flip), 0)
-    told = _exposure(raw), turns, raw
-    return RawFile(path, counts, origin, size, colours, black, white, gains / gains[1], *told)
+    return RawFile(path, counts, origin, size, colours, black, white, gains / gains[1], turns, raw)
 
 
 def _developed(raw: Any) -> np.ndarray:
@@ -151,14 +151,6 @@ def _developed(raw: Any) -> np.ndarray:
             adjust_maximum_thr=0,
         )
     )
-
-
-def _exposure(raw: Any) -> float | None:
-    told = raw.other
-    time, iso, stop = float(told.shutter_speed), float(told.iso_speed), float(told.aperture)
-    if not all(np.isfinite(value) and value > 0 for value in (time, iso, stop)):
-        return None
-    return time * iso / stop**2
 
 
 def _unreadable(path: Path, error: Exception) -> FormatError:
