@@ -22,7 +22,12 @@ EDGE_POINTS = 400
 """Of a ball's outline in each camera."""
 LIT_SHARE = 0.25
 """A pixel of a grey ball is brighter than this share of the ball's typical one."""
+LEAST_FILLED = 0.6
+"""Of the box around a ball; a disc fills .785 of it."""
+BESIDE_SHARE = 0.15
+"""What is not the ball is darker than this share of it."""
 UNDISTORT_ROUNDS = 12
+BORDER_PX = 2.0
 SMALLEST_PX = 6.0
 """Radius of a ball below which nothing is measured."""
 
@@ -248,11 +253,17 @@ def _edge(picture: Picture, expected_px: float) -> tuple[np.ndarray, np.ndarray]
     if count < 2:
         return None
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    radius = float(np.sqrt(stats[largest, cv2.CC_STAT_AREA] / np.pi))
+    area = int(stats[largest, cv2.CC_STAT_AREA])
+    radius = float(np.sqrt(area / np.pi))
     if radius < SMALLEST_PX or not 0.5 * expected_px < radius < 2 * expected_px:
         return None
+    box = int(stats[largest, cv2.CC_STAT_WIDTH]) * int(stats[largest, cv2.CC_STAT_HEIGHT])
+    beside = float(np.median(np.abs(light[mask == 0]))) if area < light.size else 0.0
+    if area < LEAST_FILLED * box or beside > BESIDE_SHARE * typical:
+        return None
     middle = middles[largest] + 0.5
-    return middle, _crossings(light, middle, radius)
+    points = _crossings(light, middle, radius)
+    return (middle, points) if len(points) >= EDGE_POINTS / 4 else None
 
 
 def _crossings(light: np.ndarray, middle: np.ndarray, radius: float) -> np.ndarray:
@@ -281,4 +292,7 @@ def _crossings(light: np.ndarray, middle: np.ndarray, radius: float) -> np.ndarr
     wanted = 0.5 * inner[rows, first[good]]
     part = np.clip((before - wanted) / np.maximum(before - after, 1e-12), 0, 1)
     length = radius * reach[0] + step * (first[good] - 1 + part)
-    return np.asarray(middle + length[:, None] * way[rows])
+    found = middle + length[:, None] * way[rows]
+    # Where the picture ends the ball need not.
+    whole = (found > BORDER_PX) & (found < np.array(light.shape[::-1]) - BORDER_PX)
+    return np.asarray(found[whole.all(axis=1)])

@@ -34,7 +34,7 @@ class Readings:
         patterns: P names.
         levels: (P, L) that were driven.
         points_mm: (n, 3).
-        normals: (n, 3) unit.
+        normals: (n, 3) mean over each place, so a little shorter than 1.
         rgb: (n, P, 3) linear, finite, ambient light taken off.
         group: (n,) whose scale each is on: a camera's, in one pose.
     """

@@ -159,7 +159,8 @@ def _seen(shots: BallShots, pose: int, config: LightsConfig, steps: _Steps) -> l
         toward, signature = _gradients(shots, camera_id, found, reach, steps)
         lamp = np.full(len(toward), -1)
         level = shots.levels[whole]
-        out.append(Seen(pose, picture.camera, found, lamp, toward, signature, level))
+        apart = 2 * reach + 1
+        out.append(Seen(pose, picture.camera, found, lamp, toward, signature, level, apart))
     return out
 
 
@@ -191,7 +192,7 @@ def _single_highlights(
     found = Highlights(np.array(places).reshape(-1, 2), np.array(flux).reshape(-1, 3))
     unknown = np.full((len(lamps), 3), np.nan)
     signature = np.full((count, 3), np.nan)
-    return [Seen(pose, camera, found, np.array(lamps, int), unknown, signature, level)]
+    return [Seen(pose, camera, found, np.array(lamps, int), unknown, signature, level, 0.0)]
 
 
 def _gradients(
@@ -272,9 +273,7 @@ class _Part:
     def light(self, picture: Picture) -> np.ndarray:
         """(n, 3) mean light of the places; NaN where a pixel of them is not valid."""
         rgb = np.where(picture.valid[..., None], picture.rgb, np.nan)[self.rows, self.columns]
-        height, width = (side // self.factor for side in rgb.shape[:2])
-        small = rgb.reshape(height, self.factor, width, self.factor, 3).mean(axis=(1, 3))
-        return np.asarray(small[self.mask], float)
+        return np.asarray(_blocks(rgb, self.factor).mean(axis=(1, 3))[self.mask], float)
 
 
 def _part(
@@ -289,23 +288,28 @@ def _part(
     wide = 2 * side * factor
     if left < 0 or top < 0 or left + wide > camera.width_px or top + wide > camera.height_px:
         return None
-    binned = dataclasses.replace(
-        camera,
-        width_px=2 * side,
-        height_px=2 * side,
-        fx_px=camera.fx_px / factor,
-        fy_px=camera.fy_px / factor,
-        cx_px=(camera.cx_px - left) / factor,
-        cy_px=(camera.cy_px - top) / factor,
+    part = dataclasses.replace(
+        camera, width_px=wide, height_px=wide, cx_px=camera.cx_px - left, cy_px=camera.cy_px - top
     )
-    origin, rays = binned.pixel_rays()
+    origin, rays = part.pixel_rays()
     flat = rays.reshape(-1, 3)
     points, hit = sphere_hits(centre_mm, radius_mm, origin, flat)
     normals = (points - centre_mm) / radius_mm
     good = hit & (np.einsum("nk,nk->n", normals, -flat) > LEAST_FACING)
+    whole = np.asarray(_blocks(good.reshape(wide, wide), factor).all(axis=(1, 3)))
+    # Light is nearly linear in the normal: a place's mean light is that of its mean normal.
+    points, normals = (
+        _blocks(value.reshape(wide, wide, 3), factor).mean(axis=(1, 3))[whole]
+        for value in (points, normals)
+    )
     rows, columns = slice(top, top + wide), slice(left, left + wide)
-    mask = good.reshape(2 * side, 2 * side)
-    return _Part(rows, columns, factor, mask, points[good], normals[good])
+    return _Part(rows, columns, factor, whole, points, normals)
+
+
+def _blocks(values: np.ndarray, factor: int) -> np.ndarray:
+    """(h, w[, k]) values as (h / factor, factor, w / factor, factor[, k])."""
+    height, width = (side // factor for side in values.shape[:2])
+    return values.reshape(height, factor, width, factor, *values.shape[2:])
 
 
 def _ambient(
@@ -415,7 +419,7 @@ def normal_errors(readings: Readings, lamps: dict[str, Lamps]) -> dict[str, floa
     good = np.isfinite(ratios).all(axis=1)
     learn = good & (np.arange(len(ratios)) % 2 == 0)
     judge = good & ~learn
-    normals = readings.normals
+    normals = unit(readings.normals)
     found = {"plain": unit(ratios)}
     for degree, name in ((1, "affine"), (2, "quadratic")):
         found[name] = corrected(ratios, fit_ratios(ratios[learn], normals[learn], degree))

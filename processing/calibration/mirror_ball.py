@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lightstage.rig import Camera
 from processing.calibration.ball import nearest_point, rays_through
@@ -39,6 +40,7 @@ class Seen:
             linear gradients show it; NaN where unknown.
         signature: (L, 3) the same of each lamp's levels.
         level: (L,) of each lamp in the photograph.
+        apart_px: highlights nearer to each other than this cannot be told apart.
     """
 
     pose: int
@@ -48,6 +50,7 @@ class Seen:
     toward: np.ndarray
     signature: np.ndarray
     level: np.ndarray
+    apart_px: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -226,8 +229,8 @@ def _match(seen: list[Seen], state: _State, gate_px: float, config: MirrorConfig
         apart = each.found.place_px[:, None] - want[None]
         far = np.sqrt(np.sum(apart * apart, axis=2))
         chord = np.linalg.norm(each.toward[:, None] - each.signature[None], axis=2)
-        dark = (each.level <= 0)[None]
-        far = np.where(np.isnan(far) | (chord > DIRECTION_APART) | dark, np.inf, far)
+        lost = (each.level <= 0) | (_crowded(want, each) & (not known.any()))
+        far = np.where(np.isnan(far) | (chord > DIRECTION_APART) | lost[None], np.inf, far)
         index = np.arange(len(far))
         far[known] = np.where(
             np.arange(far.shape[1])[None] == each.lamp[known][:, None], far[known], np.inf
@@ -267,6 +270,15 @@ def _match(seen: list[Seen], state: _State, gate_px: float, config: MirrorConfig
         lamp.astype(int), pose.astype(int), group_.astype(int), origin, ray,
         np.moveaxis(side_, 1, 0) if rows else np.zeros((2, 0, 3)), flux,
     )  # fmt: skip
+
+
+def _crowded(want: np.ndarray, each: Seen) -> np.ndarray:
+    """(L,) bool: lamps whose highlights should run into another's, as near the poles of a rig."""
+    lit = np.flatnonzero(np.isfinite(want).all(axis=1) & (each.level > 0))
+    out = np.zeros(len(want), bool)
+    if len(lit) > 1:
+        out[lit] = np.asarray(cKDTree(want[lit]).query(want[lit], k=2)[0])[:, 1] < each.apart_px
+    return out
 
 
 @dataclasses.dataclass(frozen=True)
