@@ -1,24 +1,27 @@
 """Errors of reflectance on people whose truth is known: ours beside the published formulas.
 
 Run `python -m benchmarks.reflectance_accuracy` for the whole tables, which go into RESULTS.md, or
-with `--people tone3,tone6 --light direct --methods refine` for some, which are printed alone.
-Methods: `coarse` (the stage `separate`), `refine` (with the true mesh), `own-mesh` (with that of
-`reconstruct`), `peers` (their grids tried first) and `polarised` (the yardstick).
+with `--people tone3,tone6 --light direct --methods refine` for some, which are printed alone. A
+long run may be done in parts with `--results FILE`. Methods: `coarse` (the stage `separate`),
+`refine` (with the true mesh), `own-mesh` (with that of `reconstruct`), `peers` (their grids tried
+first) and `polarised` (the yardstick).
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from benchmarks.record import record, table
 from benchmarks.reflectance_case import Case, Result
-from benchmarks.reflectance_peers import PEERS, YARDSTICK
+from benchmarks.reflectance_peers import PEERS, YARDSTICK, Peer, Settings
 from benchmarks.reflectance_people import PEOPLE, SCALE, Known, person
+from benchmarks.reflectance_store import Store
 from benchmarks.reflectance_tables import (
     DECILE_HEADER,
     PEOPLE_HEADER,
@@ -29,18 +32,23 @@ from benchmarks.reflectance_tables import (
     target_rows,
 )
 from benchmarks.reflectance_tuning import HEADER as TUNING_HEADER
-from benchmarks.reflectance_tuning import Kept, label, tuned
+from benchmarks.reflectance_tuning import Kept, kept_of, label, tuned
 
 LIGHTS = ("direct", "reference")
+BINARY, THROUGH = "binary", "binary-polarised"
 METHODS = ("coarse", "refine", "own-mesh", "peers", "polarised")
 POLARISED = ("tone3", "tone6")
 """Who is photographed through polarisers, too; the simulator has them for direct light alone."""
 
 
-def measure(
+Measurement = tuple[str, Callable[[], Result]]
+"""A method and what measures it."""
+
+
+def measurements(
     known: Known, light: str, methods: Sequence[str], kept: Sequence[Kept], out: Path, scale: float
-) -> Iterator[tuple[str, Result]]:
-    """Errors of methods on one person.
+) -> Iterator[Measurement]:
+    """Methods on one person; photographs get their noise when the first is measured.
 
     Args:
         known: who.
@@ -50,20 +58,33 @@ def measure(
         out: an empty folder, or that of an earlier run.
         scale: of the pictures.
     """
-    case = Case(known, light, out / "binary", scale=scale)
+
+    @functools.cache
+    def case(sequence: str) -> Case:
+        return Case(known, light, out / sequence, sequence=sequence, scale=scale)
+
+    def of_peer(peer: Peer, settings: Settings, sequence: str, pictures: bool) -> Result:
+        maps = peer.maps(case(sequence), settings)
+        return case(sequence).result(maps, pictures=pictures)
+
     if "coarse" in methods:
-        yield "coarse", case.result(case.separated())
+        yield "coarse", lambda: case(BINARY).result(case(BINARY).separated())
     if "refine" in methods:
-        yield "refine", case.result(case.refined())
+        yield "refine", lambda: case(BINARY).result(case(BINARY).refined())
     if "own-mesh" in methods:
-        yield "own-mesh", case.result(case.refined_on_own_mesh(), own_mesh=True)
+        yield (
+            "own-mesh",
+            lambda: case(BINARY).result(case(BINARY).refined_on_own_mesh(), own_mesh=True),
+        )
     if "peers" in methods:
         for how, peer, settings in kept:
-            yield how, case.result(peer.maps(case, settings), pictures=light == "reference")
+            # Only re-rendered where a row asks for it.
+            pictures = light == "reference"
+            yield how, functools.partial(of_peer, peer, settings, BINARY, pictures)
     if "polarised" in methods and light == "direct" and known.name in POLARISED:
-        through = Case(known, light, out / "polarised", sequence="binary-polarised", scale=scale)
         for settings in YARDSTICK.grid:
-            yield label(YARDSTICK, settings), through.result(YARDSTICK.maps(through, settings))
+            how = label(YARDSTICK, settings)
+            yield how, functools.partial(of_peer, YARDSTICK, settings, THROUGH, True)
 
 
 @contextlib.contextmanager
@@ -83,6 +104,7 @@ def main() -> None:
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--scale", type=float, default=SCALE)
     parser.add_argument("--keep", type=Path, help="leave the processed folders here")
+    parser.add_argument("--results", type=Path, help="JSON: go on with what the same code left")
     parser.add_argument("--record", action="store_true", help="put the tables into RESULTS.md")
     told = parser.parse_args()
     whole = all(getattr(told, name) == parser.get_default(name)
@@ -91,27 +113,29 @@ def main() -> None:
     unknown = sorted({*methods} - {*METHODS} | {*lights} - {*LIGHTS})
     if unknown:
         parser.error(f"{', '.join(unknown)}: expected {', '.join((*METHODS, *LIGHTS))}")
-    kept, grid = tuned(PEERS) if "peers" in methods else ([], [])
-    if grid:
-        print("settings of the peers\n" + table(TUNING_HEADER, grid), flush=True)
-    results: Results = {}
+    store = Store(told.results, told.scale)
+    if "peers" in methods and not store.grid:
+        store.put_grid(tuned(PEERS))
+        print("settings of the peers\n" + table(TUNING_HEADER, store.grid), flush=True)
+    kept = kept_of(PEERS, store.grid)
     for light in lights:
         for name in told.people.split(","):
             with _folder(told.keep, f"{name}-{light}") as folder:
-                start = time.perf_counter()
-                for method, found in measure(
+                for method, call in measurements(
                     person(name), light, methods, kept, folder, told.scale
                 ):
-                    results[light, name, method] = found
+                    if (light, name, method) in store.results:
+                        continue
+                    start = time.perf_counter()
+                    store.put((light, name, method), call())
                     seconds = time.perf_counter() - start
                     print(f"  {name} {light} {method}: {seconds:.0f} s", flush=True)
-                    start = time.perf_counter()
-    titled = tables(results)
+    titled = tables(store.results)
     for title, header, rows, _ in titled:
         print(f"\n{title}\n" + table(header, rows))
     if whole or told.record:
-        if grid:
-            titled.append(("Reflectance: settings of the peers", TUNING_HEADER, grid, TUNED))
+        if store.grid:
+            titled.append(("Reflectance: settings of the peers", TUNING_HEADER, store.grid, TUNED))
         for title, header, rows, note in titled:
             record(title, header, rows, note)
 

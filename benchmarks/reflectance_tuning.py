@@ -37,34 +37,33 @@ def label(peer: Peer, settings: Settings) -> str:
     return f"{peer.name} ({said})"
 
 
-def tuned(peers: Sequence[Peer]) -> tuple[list[Kept], list[list[str]]]:
+def tuned(peers: Sequence[Peer]) -> list[list[str]]:
     """Try every peer's grid.
 
     Args:
         peers: with their grids.
 
     Returns:
-        The settings that are kept, and the grids' rows: what was tried, errors of each person, and
-        the rows for which it was kept.
+        The grids' rows: what was tried, errors of each person, and the rows for which it was kept,
+        empty where it was not.
     """
     errors: dict[str, dict[str, dict[str, float]]] = {}
-    tried: dict[str, tuple[Peer, Settings]] = {}
+    tried: dict[str, Peer] = {}
     for name in PEOPLE:
         with tempfile.TemporaryDirectory() as folder:
             case = Case(person(name), "direct", Path(folder), scale=SCALE)
             for peer in peers:
                 for settings in peer.grid:
                     how = label(peer, settings)
-                    tried[how] = peer, settings
+                    tried[how] = peer
                     found = scores(case.samples(peer.maps(case, settings)))
                     errors.setdefault(how, {})[name] = found
     won: dict[str, list[str]] = {how: [] for how in tried}
     for peer in peers:
-        own = [how for how, (whose, _) in tried.items() if whose is peer]
+        own = [how for how, whose in tried.items() if whose is peer]
         for how, cells in chosen({how: errors[how] for how in own}).items():
             won[how] = cells
-    kept = [(how, *tried[how]) for how in tried if won[how]]
-    rows = [
+    return [
         [
             how,
             *(
@@ -75,7 +74,12 @@ def tuned(peers: Sequence[Peer]) -> tuple[list[Kept], list[list[str]]]:
         ]
         for how in tried
     ]
-    return kept, rows
+
+
+def kept_of(peers: Sequence[Peer], rows: Sequence[Sequence[str]]) -> list[Kept]:
+    """The settings that `tuned`'s rows say were kept."""
+    tried = {label(peer, settings): (peer, settings) for peer in peers for settings in peer.grid}
+    return [(row[0], *tried[row[0]]) for row in rows if row[-1]]
 
 
 def chosen(errors: dict[str, dict[str, dict[str, float]]]) -> dict[str, list[str]]:
