@@ -19,8 +19,10 @@ NOISE = 0.002
 """Share of white below which differences along rows and along columns count as equally rough."""
 STRIP_PX = 1024
 """Columns that are done at a time, so that all buffers stay in the processor's cache."""
-_SIDE = 8
+SIDE = 8
+"""Columns beside a strip that are loaded with it, and pixels around a window that flats reach."""
 _LAST = 7  # row & _LAST is a row's place in a ring
+_LAST_MARKS = 15
 
 
 @njit(cache=True, nogil=True)
@@ -44,23 +46,24 @@ def develop(
     top, left, height, width = window
     for start in range(0, width, STRIP_PX):
         columns = min(STRIP_PX, width - start)
-        wide = columns + 2 * _SIDE
-        first = left + start - _SIDE
+        wide = columns + 2 * SIDE
+        first = left + start - SIDE
         levels, bits = _row_levels(colours, black, gain, limit, first, wide)
         x = np.zeros((8, wide), np.float32)
         along, across = np.zeros_like(x), np.zeros_like(x)
         rough_along, rough_across = np.zeros_like(x), np.zeros_like(x)
         raw_across, green, chroma = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
-        marks = np.zeros((8, wide), np.uint8)
+        marks = np.zeros((2 * len(x), wide), np.uint8)  # they wait longer: a larger ring
         line, rgb = np.zeros(wide, np.float32), np.zeros((3, columns), np.float32)
         line_marks = np.zeros(wide, np.uint8)
         for r in range(top - REACH, top + height + REACH):
             k = r & _LAST
             source = counts[origin[0] + _mirrored(r, size[0])]
             _load(source, origin[1], size[1], first, levels[r & 1], bits[r & 1], x[k], line_marks)
-            _spread(line_marks, marks[k])
+            _spread(line_marks, marks[r & _LAST_MARKS])
             if flat.size > 0:
-                _flatten(flat[min(max(r - top, 0), height - 1)], start - _SIDE, x[k])
+                row = _mirrored(r, size[0]) - max(top - SIDE, 0)
+                _flatten(flat[row], max(left - SIDE, 0), size[1], first, x[k])
             y = r - 2
             k = y & _LAST
             sign = levels[y & 1, 3]
@@ -157,11 +160,16 @@ def _spread(marks: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _flatten(gains: np.ndarray, start: int, x: np.ndarray) -> None:
-    """Multiply a row by a window's gains; beyond the window by those at its edge."""
-    last = len(gains) - 1
-    for i in range(len(x)):
-        x[i] *= gains[min(max(start + i, 0), last)]
+def _flatten(gains: np.ndarray, left: int, size: int, first: int, x: np.ndarray) -> None:
+    """Multiply a row by gains that begin at the picture's column `left`, mirrored at its sides."""
+    low, high = max(0, -first), min(len(x), size - first)
+    inside, row = gains[first + low - left : first + high - left], x[low:high]
+    for i in range(len(row)):
+        row[i] *= inside[i]
+    for i in range(low):
+        x[i] *= gains[_mirrored(first + i, size) - left]
+    for i in range(high, len(x)):
+        x[i] *= gains[_mirrored(first + i, size) - left]
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -272,11 +280,11 @@ def _three_colours(
     before, here, after = chroma[(y - 1) & _LAST], chroma[y & _LAST], chroma[(y + 1) & _LAST]
     level, middle = green[y & _LAST], rgb[1]
     for i in range(len(own)):
-        own[i] = level[i + _SIDE] - here[i + _SIDE]
-        middle[i] = level[i + _SIDE]
+        own[i] = level[i + SIDE] - here[i + SIDE]
+        middle[i] = level[i + SIDE]
     for i in range(len(other)):
-        mean = np.float32(0.5) * (before[i + _SIDE] + after[i + _SIDE])
-        other[i] = level[i + _SIDE] - mean
+        mean = np.float32(0.5) * (before[i + SIDE] + after[i + SIDE])
+        other[i] = level[i + SIDE] - mean
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -324,7 +332,8 @@ def _store(rgb: np.ndarray, out: np.ndarray) -> None:
 @njit(cache=True, nogil=True)
 def _mark(marks: np.ndarray, y: int, clipped: np.ndarray) -> None:
     """Add the clip bits of five rows."""
-    a, b, c = marks[(y - 2) & _LAST], marks[(y - 1) & _LAST], marks[y & _LAST]
-    d, e = marks[(y + 1) & _LAST], marks[(y + 2) & _LAST]
+    k = _LAST_MARKS
+    a, b, c = marks[(y - 2) & k], marks[(y - 1) & k], marks[y & k]
+    d, e = marks[(y + 1) & k], marks[(y + 2) & k]
     for i in range(len(clipped)):
-        clipped[i] |= a[i + _SIDE] | b[i + _SIDE] | c[i + _SIDE] | d[i + _SIDE] | e[i + _SIDE]
+        clipped[i] |= a[i + SIDE] | b[i + SIDE] | c[i + SIDE] | d[i + SIDE] | e[i + SIDE]

@@ -11,7 +11,7 @@ from processing.calibration.flat_file import FlatField
 from processing.colour import ColourCorrection
 from processing.drafts import NOT_A_NUMBER
 from processing.halves import LARGEST
-from processing.raw.bayer import CLIP_REACH, REACH
+from processing.raw.bayer import CLIP_REACH, REACH, SIDE
 from processing.raw.file import RawFile
 from processing.raw.mosaic import develop_mosaic, development
 from processing.window import Window
@@ -92,10 +92,11 @@ def _as_read(
 ) -> None:
     """Develop a window of the picture as the sensor reads it."""
     field, coefficients = settings.field, settings.correction.coefficients
-    flat = None if field is None else field.gain(window.shape, (window.top, window.left))
     if raw.colours is None:
-        _three(raw, window, settings, flat, ambient, out, clipped)
+        _three(raw, window, settings, ambient, out, clipped)
         return
+    wide = window.grown(SIDE, raw.size)
+    flat = None if field is None else field.gain(wide.shape, (wide.top, wide.left))
     black = raw.black
     if field is not None:
         if field.black_offset is not None:
@@ -132,7 +133,6 @@ def _three(
     raw: RawFile,
     window: Window,
     settings: Settings,
-    flat: np.ndarray | None,
     ambient: np.ndarray | None,
     out: np.ndarray,
     clipped: np.ndarray,
@@ -149,8 +149,8 @@ def _three(
         spread = np.asarray(cv2.dilate(full, np.ones((side, side), np.uint8)), np.uint8)
         clipped |= spread[inner] * np.uint8(1 << colour)
     rgb = share[inner]
-    if flat is not None:
-        rgb = rgb * flat[..., None]
+    if settings.field is not None:
+        rgb = rgb * settings.field.gain(window.shape, (window.top, window.left))[..., None]
     store(settings.correction.scaled(settings.factor).apply(rgb), ambient, out, clipped)
 
 

@@ -12,7 +12,7 @@ import dataclasses
 
 import numpy as np
 
-from processing.raw.bayer import develop
+from processing.raw.bayer import SIDE, develop
 from processing.window import Window
 
 
@@ -103,7 +103,7 @@ def develop_mosaic(
         size: rows and columns of the picture.
         window: of the picture.
         how: levels and colours; its 2 x 2 places begin at the picture's top left pixel.
-        flat: (h, w) float32 gains of the window's pixels; None for 1.
+        flat: float32 gains of the pixels of `window.grown(SIDE, size)`; None for 1.
         ambient: (h, w, 3) float32 that is taken off what is written; None for nothing.
         out: (h, w, 3) float16, overwritten.
         clipped: (h, w) uint8; bits 1, 2, 4 are added where red, green, blue is clipped.
@@ -112,6 +112,8 @@ def develop_mosaic(
         raise ValueError(f"a mosaic of {size} pixels")
     if not window.inside(size) or window.empty:
         raise ValueError(f"{window} in a picture of {size}")
+    if flat is not None and flat.shape != window.grown(SIDE, size).shape:
+        raise ValueError(f"gains of {flat.shape}, wanted {window.grown(SIDE, size).shape}")
     develop(
         np.ascontiguousarray(counts),
         origin,

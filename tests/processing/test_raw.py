@@ -1,4 +1,4 @@
-"""RAW decode against a mosaic whose colours are known."""
+"""RAW files of all kinds to linear values, upright, on one scale."""
 
 from __future__ import annotations
 
@@ -6,86 +6,189 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tifffile
 
 from lightstage.errors import FormatError
-from processing.raw import demosaic, linear_mosaic, read_raw
+from processing.calibration.flat_file import FlatField
+from processing.colour import ColourCorrection
+from processing.drafts import NOT_A_NUMBER
+from processing.raw.develop import Settings, develop, lying, store
+from processing.raw.file import open_raw, read_exposure
+from processing.window import Window, whole
+from sim.camera.tiff import BYTE, LONG, SHORT
+from tests.processing.made_raw import (
+    BLACK,
+    RGGB,
+    WHITE,
+    X_TRANS,
+    counts_of,
+    gradient,
+    write_dng,
+)
 
-BLACK, WHITE = 600, 15520
-
-
-def write_dng(path: Path, counts: np.ndarray) -> Path:
-    """An RGGB DNG that LibRaw reads."""
-    tags = [
-        (50706, "B", 4, (1, 4, 0, 0)),
-        (50707, "B", 4, (1, 1, 0, 0)),
-        (50708, "s", 0, "Test"),
-        (33421, "H", 2, (2, 2)),
-        (33422, "B", 4, (0, 1, 1, 2)),
-        (50710, "B", 3, (0, 1, 2)),
-        (50711, "H", 1, 1),
-        (50714, "H", 1, BLACK),
-        (50717, "I", 1, WHITE),
-        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)),
-        (50728, "2I", 3, (1, 2, 1, 1, 2, 3)),
-        (50778, "H", 1, 21),
-    ]
-    tifffile.imwrite(path, counts, photometric=32803, extratags=tags)
-    return path
+PLAIN = Settings(ColourCorrection(np.eye(3)), 1.0, 0.99)
 
 
-def gradient(height: int = 48, width: int = 64) -> np.ndarray:
-    rows, columns = np.mgrid[:height, :width]
-    return np.stack(
-        [0.3 + 0.2 * columns / width, 0.2 + 0.1 * rows / height, 0.1 + 0 * rows], axis=-1
-    )
+def read(
+    path: Path, settings: Settings = PLAIN, window: Window | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    raw = open_raw(path)
+    window = window or whole(raw.shape)
+    out, clipped = np.zeros((*window.shape, 3), np.float16), np.zeros(window.shape, np.uint8)
+    develop(raw, window, settings, None, out, clipped)
+    raw.close()
+    return out.astype(np.float32), clipped
 
 
-def mosaic_of(rgb: np.ndarray) -> np.ndarray:
-    mosaic = rgb[:, :, 1].copy()
-    mosaic[::2, ::2] = rgb[::2, ::2, 0]
-    mosaic[1::2, 1::2] = rgb[1::2, 1::2, 2]
-    return mosaic
-
-
-def counts_of(rgb: np.ndarray) -> np.ndarray:
-    return np.rint(BLACK + mosaic_of(rgb) * (WHITE - BLACK)).astype(np.uint16)
+def inner(picture: np.ndarray) -> np.ndarray:
+    return picture[8:-8, 8:-8]
 
 
 def test_a_dng_of_known_colours_is_decoded_to_them(tmp_path: Path) -> None:
     rgb = gradient()
-    picture = read_raw(write_dng(tmp_path / "a.dng", counts_of(rgb)), 0.99)
-    inner = (slice(3, -3), slice(3, -3))
-    np.testing.assert_allclose(picture.rgb[inner], rgb[inner], atol=2e-4)
-    np.testing.assert_allclose(picture.neutral_from_raw, [2.0, 1.0, 1.5], rtol=1e-3)
-    assert not picture.clipped.any()
-
-
-def test_a_clipped_count_marks_every_pixel_that_took_from_it(tmp_path: Path) -> None:
-    counts = counts_of(gradient())
-    counts[20, 30] = WHITE
-    clipped = read_raw(write_dng(tmp_path / "a.dng", counts), 0.99).clipped
-    assert clipped[18:23, 28:33].all()
-    assert clipped.sum() == 25
-
-
-def test_a_truncated_dng_is_refused_with_its_name(tmp_path: Path) -> None:
-    path = write_dng(tmp_path / "cut.dng", counts_of(gradient()))
-    path.write_bytes(path.read_bytes()[:900])
-    with pytest.raises(FormatError, match=r"cut\.dng"):
-        read_raw(path, 0.99)
-
-
-def test_noise_below_black_is_kept_so_that_the_dark_does_not_brighten() -> None:
-    rng = np.random.default_rng(3)
-    rgb = demosaic(rng.normal(0.0, 0.005, (200, 200)).astype(np.float32), "RGGB")
-    assert abs(float(rgb.mean())) < 1e-4
-    assert rgb.min() < -0.005
-
-
-def test_black_levels_differ_by_place_in_the_mosaic() -> None:
-    black = np.array([[100.0, 110.0], [120.0, 130.0]])
-    counts = np.tile(black, (3, 4))
-    mosaic, clipped = linear_mosaic(counts, black, 1000.0, 0.99)
-    np.testing.assert_array_equal(mosaic, 0)
+    path = write_dng(tmp_path / "a.dng", counts_of(rgb))
+    found, clipped = read(path)
+    np.testing.assert_allclose(inner(found), inner(rgb), atol=3e-4)
     assert not clipped.any()
+    raw = open_raw(path)
+    np.testing.assert_allclose(raw.neutral, [2.0, 1.0, 1.5], rtol=1e-3)
+    raw.close()
+    assert read_exposure(path) == pytest.approx(100 / 60 / 64, rel=1e-4)
+
+
+@pytest.mark.parametrize("mosaic", [X_TRANS, None], ids=["X-Trans", "linear DNG"])
+def test_other_sensors_come_on_the_same_scale(tmp_path: Path, mosaic: np.ndarray | None) -> None:
+    rgb = gradient(600, 640)
+    rgb[300:320, 300:320, 0] = 1.2
+    path = write_dng(tmp_path / "a.dng", counts_of(rgb, mosaic), mosaic)
+    found, clipped = read(path)
+    far = np.ones(rgb.shape[:2], bool)
+    far[285:335, 285:335] = False
+    np.testing.assert_allclose(inner(found)[inner(far)], inner(rgb)[inner(far)], atol=5e-4)
+    assert (clipped[300:320, 300:320] & 1).all()
+    assert not clipped[far].any()
+    window = Window(101, 50, 200, 301)
+    part, marks = read(path, PLAIN, window)
+    np.testing.assert_array_equal(part, found[window.slices])
+    np.testing.assert_array_equal(marks, clipped[window.slices])
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])
+def test_pictures_stand_upright_however_the_camera_was_held(
+    tmp_path: Path, orientation: int, turns: int
+) -> None:
+    rgb = gradient()
+    rgb[10, 12] = 1.1
+    path = write_dng(tmp_path / "a.dng", counts_of(rgb), more={274: (SHORT, orientation)})
+    found, clipped = read(path)
+    raw = open_raw(path)
+    assert raw.turns == turns
+    assert raw.shape == np.rot90(rgb, turns).shape[:2]
+    raw.close()
+    lying_down, marks = read(write_dng(tmp_path / "b.dng", counts_of(rgb)))
+    np.testing.assert_array_equal(found, np.rot90(lying_down, turns))
+    np.testing.assert_array_equal(clipped, np.rot90(marks, turns))
+    window = Window(7, 5, 30, 21)
+    part, _ = read(path, PLAIN, window)
+    np.testing.assert_array_equal(part, found[window.slices])
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_a_lying_window_shows_the_same_pixels(turns: int) -> None:
+    picture = np.arange(11 * 17).reshape(11, 17)
+    upright = np.rot90(picture, turns)
+    window = Window(2, 3, 5, 7)
+    part = picture[lying(window, picture.shape, turns).slices]
+    np.testing.assert_array_equal(np.rot90(part, turns), upright[window.slices])
+
+
+def test_black_levels_of_four_places_and_margins_are_the_files_own(tmp_path: Path) -> None:
+    counts = counts_of(gradient(60, 80)).astype(int)
+    offsets = np.array([[0, 7], [40, 90]])
+    counts += np.tile(offsets, (30, 40))
+    tags = {
+        50713: (SHORT, (2, 2)),
+        50714: (SHORT, tuple((BLACK + offsets).ravel())),
+        50829: (LONG, (4, 6, 56, 78)),
+    }
+    raw = open_raw(write_dng(tmp_path / "a.dng", counts.astype(np.uint16), more=tags))
+    assert raw.origin == (4, 6)
+    assert raw.size == (52, 72)
+    np.testing.assert_array_equal(raw.black, BLACK + offsets)
+    raw.close()
+    found, _ = read(tmp_path / "a.dng")
+    exact = gradient(60, 80)[4:56, 6:78]
+    np.testing.assert_allclose(inner(found), inner(exact), atol=2e-3)
+
+
+def test_flats_black_offsets_and_hot_pixels_are_undone(tmp_path: Path) -> None:
+    field = FlatField(
+        (96, 64),
+        np.array([48.0, 32.0]),
+        float(np.hypot(96, 64) / 2),
+        np.array([-0.3, 0.05, 0.0]),
+        black_offset=np.array([0.01, 0.0, 0.02, 0.03]),
+        hot_pixels=np.array([[20, 31], [0, 0], [63, 95]]),
+    )
+    rgb = np.full((64, 96, 3), 0.4) / field.gain((64, 96))[..., None]
+    counts = counts_of(rgb).astype(float)
+    raised = np.tile(field.black_offset.reshape(2, 2), (32, 48))
+    counts = np.rint(counts * (1 - raised) + raised * WHITE).astype(np.uint16)
+    counts[tuple(field.hot_pixels.T)] = 15000
+    path = write_dng(tmp_path / "a.dng", counts)
+    for window in (whole((64, 96)), Window(11, 23, 40, 50)):
+        found, clipped = read(path, Settings(ColourCorrection(np.eye(3)), 1.0, 0.99, field), window)
+        np.testing.assert_allclose(found, 0.4, atol=6e-3)  # hot corners: their neighbours' light
+        assert not clipped.any()
+
+
+def test_root_polynomials_are_applied(tmp_path: Path) -> None:
+    rgb = gradient()
+    bent = np.concatenate([np.eye(3), 0.2 * np.ones((3, 3))], axis=1)
+    correction = ColourCorrection(np.eye(3), bent)
+    path = write_dng(tmp_path / "a.dng", counts_of(rgb))
+    found, _ = read(path, Settings(correction, 2.0, 0.99))
+    np.testing.assert_allclose(inner(found), inner(2 * correction.apply(rgb)), atol=3e-3)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.9, 0.999])
+def test_a_truncated_dng_is_refused_with_its_name(tmp_path: Path, share: float) -> None:
+    path = write_dng(tmp_path / "cut.dng", counts_of(gradient()))
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(FormatError, match=r"cut\.dng"):
+        open_raw(path)
+    with pytest.raises(FormatError, match=r"gone\.dng"):
+        open_raw(tmp_path / "gone.dng")
+
+
+def test_sensors_without_red_green_and_blue_are_refused(tmp_path: Path) -> None:
+    grey = write_dng(tmp_path / "grey.dng", counts_of(gradient()), more={262: (SHORT, 34892)})
+    with pytest.raises(FormatError, match=r"grey\.dng.*expected"):
+        open_raw(grey)
+    odd = write_dng(tmp_path / "odd.dng", counts_of(gradient()), more={33422: (BYTE, (0, 1, 0, 2))})
+    with pytest.raises(FormatError, match=r"odd\.dng"):
+        open_raw(odd)
+
+
+def test_a_file_that_tells_no_exposure_says_so(tmp_path: Path) -> None:
+    path = write_dng(tmp_path / "a.dng", counts_of(gradient()), exposure=None)
+    assert read_exposure(path) is None
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, 1e6])
+def test_what_no_half_float_holds_is_marked_and_zero(wild: float) -> None:
+    rgb = np.full((3, 4, 3), 0.5, np.float32)
+    rgb[1, 2, 0] = wild
+    out, clipped = np.ones((3, 4, 3), np.float16), np.zeros((3, 4), np.uint8)
+    store(rgb, None, out, clipped)
+    assert np.isfinite(out).all()
+    assert out[1, 2, 0] == 0
+    assert clipped[1, 2] == NOT_A_NUMBER
+    assert clipped.sum() == NOT_A_NUMBER
+
+
+def test_patterns_of_the_mosaic_follow_the_file(tmp_path: Path) -> None:
+    rgb = gradient()
+    for turned in (RGGB, RGGB[:, ::-1], RGGB[::-1], RGGB[::-1, ::-1]):
+        found, _ = read(write_dng(tmp_path / "a.dng", counts_of(rgb, turned), turned))
+        np.testing.assert_allclose(inner(found), inner(rgb), atol=3e-4)
