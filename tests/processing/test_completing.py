@@ -90,7 +90,7 @@ def test_driven_levels_of_a_rebuilt_pattern_are_what_full_leaves(session: Path) 
 
 
 @pytest.mark.parametrize("lost", [("x+", "x-"), ("full", "y+", "y-", "x+")])
-def test_two_of_one_axis_are_an_error(session: Path, tmp_path: Path, lost: tuple[str]) -> None:
+def test_two_of_one_axis_are_an_error(session: Path, tmp_path: Path, lost: tuple[str, ...]) -> None:
     lose(session, *(f"{name}/cam1" for name in lost))
     with pytest.raises(LightstageError, match=rf"{lost[1][0]}\+ by cam1") as error:
         separated(session, tmp_path / "out")

@@ -334,7 +334,7 @@ def test_albedo_in_float32_is_that_in_float64(scale: float, seed: int) -> None:
     rgb = scale * (e[..., None] * [0.55, 0.33, 0.22] + 0.03 * lobe[..., None])
     single = [x.astype(np.float32) for x in (rgb, e, lobe)]
     specular = np.full(30, 0.03 * scale)
-    lit, power = diffuse_light(*single, specular)
+    lit, power = diffuse_light(single[0], single[1], single[2], specular)
     np.testing.assert_allclose(
         lit / power[:, None], np.tile(scale * np.array([0.55, 0.33, 0.22]), (30, 1)), rtol=1e-4
     )
