@@ -22,9 +22,9 @@ from processing.methods.far_tables import far_tables
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 
-RAY_STEP_PX = 16
-"""The camera's rays are found at every so many pixels and interpolated."""
-SETTLED = 1e-8
+RAY_STEP_RAD = 1e-3
+"""The camera's rays are found at steps of this angle and interpolated."""
+SETTLED = 1e-7
 """A normal is found when a solve moves it by less than this, squared."""
 
 
@@ -88,7 +88,7 @@ def separate_pixels(
     return separate_window(readings, lights, config)
 
 
-def camera_rays(camera: Camera, step_px: int = RAY_STEP_PX) -> np.ndarray:
+def camera_rays(camera: Camera, step_px: int) -> np.ndarray:
     """(gh, gw, 3) float32 directions of a camera's rays through every `step_px`th pixel's centre,
     and beyond the picture's end by one step.
     """
@@ -113,9 +113,10 @@ def window_readings(
     camera: Camera,
 ) -> Readings:
     """Readings of a window of one camera's picture; see Readings for the arguments."""
-    rays = camera_rays(camera)
+    step_px = max(1, int(RAY_STEP_RAD * camera.fx_px))
+    rays = camera_rays(camera, step_px)
     where, fine = camera.centre_mm, px_per_mm(camera)
-    return Readings(values, scale, mask, valid, origin, rays, RAY_STEP_PX, where, fine)
+    return Readings(values, scale, mask, valid, origin, rays, step_px, where, fine)
 
 
 def separate_window(readings: Readings, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
@@ -163,7 +164,7 @@ def separate_window(readings: Readings, lights: PatternLights, config: SeparateC
         tables.leaving,
         tables.lobe.shape[1],
         np.float32(tables.radius_mm),
-        lights.colour.astype(np.float32),
+        np.append(lights.colour, lights.colour / np.linalg.norm(lights.colour)).astype(np.float32),
         _part(config.normals, lights.colour),
         _limits(config),
         block,

@@ -11,6 +11,7 @@ from processing.interface import skin_interface
 from processing.lights import PatternLights
 from processing.lobe import SKIN_F0
 from processing.methods.config import SeparateConfig
+from processing.methods.far_tables import CELLS, ROWS, FarTables
 from tests.processing.lit_ball import exact_fresnel, smith
 
 
@@ -103,11 +104,12 @@ def separate(
     signal = np.einsum("npc,nc->np", rgb, across)
     points = camera_mm - (views @ camera_mm)[:, None] * views
     normals = views.copy()
-    for _ in range(12):
+    for _ in range(8):
         vectors, _ = light(lights, points, normals, views, config.roughness, solve=True)
-        for i in np.flatnonzero(solved):
-            found = np.linalg.lstsq(vectors[i], signal[i], rcond=None)[0]
-            normals[i] = found / np.linalg.norm(found)
+        system = np.einsum("npi,npj->nij", vectors, vectors)[solved]
+        right = np.einsum("npi,np->ni", vectors, signal)[solved]
+        found = np.linalg.solve(system, right[..., None])[..., 0]
+        normals[solved] = found / np.linalg.norm(found, axis=1, keepdims=True)
     e, mirror = light(lights, points, normals, views, config.roughness)
     rgb = rgb / lights.colour
     power = (e * e).sum(axis=1)
@@ -130,6 +132,62 @@ def separate(
     none = ~solved
     albedo[none], normals[none], specular[none] = 0, 0, 0
     return Twin(normals, albedo, specular, solved)
+
+
+def tabulated(
+    rgb: np.ndarray,
+    views: np.ndarray,
+    lights: PatternLights,
+    tables: FarTables,
+    config: SeparateConfig,
+    camera_mm: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normals and lit over power of good pixels by the same tables as the compiled loop, float64.
+
+    Returns:
+        (n, 3) normals; (n, 3) diffuse albedo with all mirror reflection left in; (n,) the cells
+        of the normals, -1 where they do not settle in one.
+    """
+    diffuse = tables.diffuse.astype(float).swapaxes(1, 2).reshape(len(tables.diffuse), ROWS, -1)
+    count = len(lights.patterns)
+    rgb = rgb.astype(float)
+    unit = lights.colour / np.linalg.norm(lights.colour)
+    total = rgb.sum(axis=1)
+    across = total - (total @ unit)[:, None] * unit
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    signal = np.einsum("npc,nc->np", rgb, across)
+    points = camera_mm - (views @ camera_mm)[:, None] * views
+    b = np.zeros_like(views)
+    n = views.copy()
+    cell = np.zeros(len(n), int)
+    for _ in range(40):
+        last, cell = cell, cells(n)
+        rows = diffuse[cell][:, :, :count]
+        b = np.einsum("njk,nk->nj", rows[:, :3], signal - _moved(rows, b, points))
+        n = b / np.linalg.norm(b, axis=1, keepdims=True)
+    e = np.einsum("njk,nj->nk", rows[:, 3:6], n) + _moved(rows, n, points)
+    nv = np.clip((n * views).sum(axis=1), 0.05, 1)
+    line = tables.leaving.astype(float)
+    e = np.maximum(e, 0) * np.interp(nv, np.linspace(0, 1, len(line)), line)[:, None]
+    power = (e * e).sum(axis=1)
+    albedo = np.einsum("np,npc->nc", e, rgb / lights.colour) / power[:, None]
+    return n, albedo, np.where((cell == last) & (cell == cells(n)), cell, -1)
+
+
+def cells(n: np.ndarray) -> np.ndarray:
+    """Cells of the octahedral grid."""
+    u, v = (n[:, :2] / np.abs(n).sum(axis=1, keepdims=True)).T
+    below = n[:, 2] < 0
+    folded = (1 - np.abs(v)) * np.where(u >= 0, 1, -1), (1 - np.abs(u)) * np.where(v >= 0, 1, -1)
+    u, v = np.where(below, folded[0], u), np.where(below, folded[1], v)
+    i, j = (np.minimum(CELLS - 1, ((w + 1) / 2 * CELLS).astype(int)) for w in (u, v))
+    return np.asarray(i * CELLS + j)
+
+
+def _moved(rows: np.ndarray, n: np.ndarray, p: np.ndarray) -> np.ndarray:
+    form = [n[:, i] * p[:, i] for i in range(3)]
+    form += [n[:, i] * p[:, j] + n[:, j] * p[:, i] for i, j in ((0, 1), (0, 2), (1, 2))]
+    return np.einsum("njk,jn->nk", rows[:, 6:], np.array(form))
 
 
 def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
