@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
+from lightstage.patterns import pattern_levels
 from processing.interface import BARE, skin_interface
-from processing.lights import PatternLights, far_field
+from processing.lamps import nominal_lamps
+from processing.lights import PatternLights, far_field, lights_of
 from processing.methods.colour import (
     Readings,
     camera_rays,
@@ -37,12 +39,12 @@ from processing.methods.lanes import (
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 from tests.processing import coarse_twin, lit_ball
-from tests.processing.lit_ball import Ball, angle_deg
-from tests.processing.test_reflectance import lights_of
+from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 
 RIG = lit_ball.small_rig(factor=0.02)
 CAMERA = RIG.cameras[0]
-LIGHTS = lights_of(RIG)
+DRIVEN = np.stack([pattern_levels(name, RIG) for name in PATTERNS])
+LIGHTS = lights_of(nominal_lamps(RIG), PATTERNS, DRIVEN)
 BALL = Ball(coated=True)
 SIGHT = lit_ball.see(BALL, CAMERA)
 INNER = (SIGHT.normals * SIGHT.views).sum(axis=1) > 0.3

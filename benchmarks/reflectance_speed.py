@@ -1,0 +1,237 @@
+"""Speed of reflectance at 24 megapixels: one view from RAW to all maps, and nine views.
+
+Run `python -m benchmarks.reflectance_speed`; the data is made where it is missing. Every row runs
+in a process of its own, once to compile and once to be measured, files being in the system's cache.
+Processor seconds stand beside wall seconds: on a machine that does other work besides they are the
+ones to compare.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import resource
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numba import njit, prange
+
+from benchmarks.record import record
+from benchmarks.reflectance_24mp import CAMERA, WHO, large_session
+from benchmarks.reflectance_naive import all_developed, printed_formula
+from benchmarks.reflectance_people import person, session
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import Session, load_session
+from processing.decode import DecodeConfig, decode
+from processing.frames import read_foreground, read_frames
+from processing.lights import pattern_lights
+from processing.methods.config import SeparateConfig
+from processing.methods.view import separate_view
+from processing.parallel import over_views, workers
+from processing.pixels import PixelMaps, write_maps
+from processing.refine import RefineConfig, refine
+
+R = TypeVar("R")
+VIEWS = 9
+
+
+@dataclasses.dataclass(frozen=True)
+class Cost:
+    """Seconds of one call, wall and processor, and its process's peak in GiB."""
+
+    wall_s: float
+    own_s: float
+    peak_gib: float
+
+    def plus(self, other: Cost) -> Cost:
+        """One after the other."""
+        peak = max(self.peak_gib, other.peak_gib)
+        return Cost(self.wall_s + other.wall_s, self.own_s + other.own_s, peak)
+
+
+def timed(call: Callable[[], object], times: int = 3) -> Cost:
+    """Least of some calls, after one that compiles."""
+    call()
+    walls, owns = [], []
+    for _ in range(times):
+        wall, own = time.perf_counter(), time.process_time()
+        call()
+        walls.append(time.perf_counter() - wall)
+        owns.append(time.process_time() - own)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return Cost(min(walls), min(owns), peak)
+
+
+def naive(root: Path, out: Path, threads: int) -> Cost:
+    """LibRaw's linear demosaic of all seven, then the printed formula where the face is."""
+    opened = load_session(root)
+    patterns = opened.file.sequence
+    paths = [opened.frame_path(opened.frame(name, CAMERA)) for name in patterns]
+    mask = read_foreground(out, CAMERA)
+    return timed(lambda: printed_formula(all_developed(paths, threads), patterns, mask), 2)
+
+
+def formula(root: Path, out: Path) -> Cost:
+    """The printed formula alone, pictures at hand."""
+    opened = load_session(root)
+    patterns = opened.file.sequence
+    paths = [opened.frame_path(opened.frame(name, CAMERA)) for name in patterns]
+    pictures, mask = all_developed(paths, 2), read_foreground(out, CAMERA)
+    return timed(lambda: printed_formula(pictures, patterns, mask))
+
+
+def decoded(root: Path, out: Path) -> Cost:
+    """The stage `decode`, nothing kept from the last run."""
+    del out
+    opened = load_session(root)
+    with tempfile.TemporaryDirectory() as name:
+        target = Path(name) / "out"
+
+        def anew() -> None:
+            shutil.rmtree(target, ignore_errors=True)
+            decode(opened, target, DecodeConfig())
+
+        return timed(anew, 2)
+
+
+def maps_of(opened: Session, out: Path, method: str) -> PixelMaps:
+    """One view's maps by a method, its frames mapped from the disk."""
+    frames, mask = read_frames(out, CAMERA), read_foreground(out, CAMERA)
+    lights = pattern_lights(opened, frames.patterns)
+    config = SeparateConfig()
+    return separate_view(method, frames, mask, opened.rig.camera(CAMERA), lights, config)
+
+
+def coarse(root: Path, out: Path, method: str) -> Cost:
+    """One view's maps from mapped half floats."""
+    opened = load_session(root)
+    return timed(lambda: maps_of(opened, out, method), 3 if method == "colour" else 1)
+
+
+def written(root: Path, out: Path) -> Cost:
+    """Writing the six maps and the mask."""
+    opened = load_session(root)
+    maps, mask = maps_of(opened, out, "colour"), read_foreground(out, CAMERA)
+    with tempfile.TemporaryDirectory() as name:
+        folder = ProcessedFolder(Path(name))
+        return timed(lambda: write_maps(folder, CAMERA, mask, maps), 1)
+
+
+def refined(root: Path, out: Path) -> Cost:
+    """The stage `refine` on the one view with the true mesh, what it writes included."""
+    opened = load_session(root)
+    truth = ProcessedFolder(session(person(WHO)).with_name("session.truth"))
+    with tempfile.TemporaryDirectory() as name:
+        target = Path(name) / "out"
+        shutil.copytree(out, target)
+        shutil.copy(truth.base_mesh, ProcessedFolder(target).base_mesh)
+        return timed(lambda: refine(opened, target, RefineConfig()), 1)
+
+
+def nine(root: Path, out: Path) -> Cost:
+    """Nine views to maps on the disk, as many at once as fit: each reads one camera's frames."""
+    opened = load_session(root)
+    mask = read_foreground(out, CAMERA)
+    with tempfile.TemporaryDirectory() as name:
+        folder = ProcessedFolder(Path(name))
+
+        def one(view: str) -> int:
+            maps = maps_of(opened, out, "colour")
+            write_maps(folder, view, mask, maps)
+            return len(maps.confidence)
+
+        views = [f"view{k}" for k in range(VIEWS)]
+        at_once = workers(bytes_of_view(mask))
+        return timed(lambda: list(over_views(one, views, at_once)), 1)
+
+
+def bytes_of_view(mask: np.ndarray) -> int:
+    """What a view's maps and one picture being written take at most."""
+    return int(mask.sum()) * 9 * 4 + mask.size * 3 * (4 + 2) * 2
+
+
+def moved_bytes(out: Path) -> int:
+    """Bytes that the coarse pass must read and write once: readings, masks, maps, maps again."""
+    frames, mask = read_frames(out, CAMERA), read_foreground(out, CAMERA)
+    pixels = int(mask.sum())
+    readings = pixels * len(frames.patterns) * 3 * 2
+    maps = pixels * 4 * (3 + 3 + 1 + 1 + 1)
+    again = pixels * 4 * 2 * (3 + 1 + 1)
+    return readings + maps + again + 3 * frames.window.height * frames.window.width
+
+
+@njit(parallel=True)
+def _triad(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
+    for i in prange(len(a)):
+        a[i] = b[i] + np.float32(1.5) * c[i]
+
+
+def bandwidth(root: Path, out: Path) -> float:
+    """GB/s that a = b + 1.5 c moves on all cores, arrays far larger than any cache."""
+    del root, out
+    a, b, c = (np.ones(50_000_000, np.float32) for _ in range(3))
+    return 3 * a.nbytes / timed(lambda: _triad(a, b, c), 5).wall_s / 1e9
+
+
+def apart(call: Callable[..., R], *args: object) -> R:
+    """A call in a process of its own, so that its peak of memory is its own."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(call, *args).result()
+
+
+def main() -> None:
+    """Measure all rows."""
+    root = large_session()
+    with tempfile.TemporaryDirectory() as name:
+        out = Path(name) / "out"
+        decode(load_session(root), out, DecodeConfig())
+        mask = read_foreground(out, CAMERA)
+        window = read_frames(out, CAMERA).window
+        costs: dict[str, Cost] = {}
+        plain = apart(naive, root, out, 1)
+        costs["naive: rawpy linear, one after the other, + printed formula"] = plain
+        costs["naive, its files in two threads"] = apart(naive, root, out, 2)
+        costs["the printed formula alone, pictures at hand"] = apart(formula, root, out)
+        ours_raw = apart(decoded, root, out)
+        ours_maps = apart(coarse, root, out, "colour")
+        costs["decode: RAW to half floats of the window, mask, checks"] = ours_raw
+        costs["coarse: half floats to all maps"] = ours_maps
+        costs["RAW to all coarse maps"] = ours_raw.plus(ours_maps)
+        for method in ("kampouris", "ratios", "linear"):
+            costs[f"plain arrays: method {method}"] = apart(coarse, root, out, method)
+        costs["writing the maps (EXR)"] = apart(written, root, out)
+        costs["refine, true mesh, maps written"] = apart(refined, root, out)
+        costs["nine views, coarse, maps written"] = apart(nine, root, out)
+        memory = apart(bandwidth, root, out)
+        moved = moved_bytes(out)
+    rows = [
+        [
+            name,
+            f"{cost.wall_s:.2f}",
+            f"{cost.own_s:.2f}",
+            f"{plain.wall_s / cost.wall_s:.2f}",
+            f"{plain.own_s / cost.own_s:.2f}",
+            f"{cost.peak_gib:.2f}",
+        ]
+        for name, cost in costs.items()
+    ]
+    rate = moved / ours_maps.wall_s / 1e9
+    record(
+        "Reflectance: speed at 24 megapixels",
+        ["what", "s", "processor s", "times faster than the first", "by processor s", "peak GiB"],
+        rows,
+        f"One view of 4016 x 6016, seven DNG files, {mask.mean():.0%} of it face (window "
+        f"{window.width} x {window.height}). The coarse pass moves {moved / 1e9:.2f} GB at "
+        f"{rate:.2f} GB/s, {rate / memory:.0%} of the {memory:.1f} GB/s of a plain triad: "
+        "it is bound by arithmetic. Peaks hold mapped files and the compiler.",
+    )
+
+
+if __name__ == "__main__":
+    main()
