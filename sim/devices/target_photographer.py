@@ -79,7 +79,7 @@ class TargetPhotographer:
         return {
             camera.id: {
                 "iso": str(self._sensors[camera.id].config.iso),
-                "shutter": f"{self._sensors[camera.id].exposure_s:.6g}",
+                "shutter": _plain(self._sensors[camera.id].exposure_s),
                 "aperture": f"f/{self._lenses[camera.id].config.f_number:g}",
             }
             for camera in self.rig.cameras
@@ -132,6 +132,11 @@ class TargetPhotographer:
         )
         place = np.array(places[self.pose % len(places)], float)
         return Ball(place, self._config.ball_radius_mm, reflectance)
+
+
+def _plain(seconds: float) -> str:
+    """A time of six digits, without an exponent, which cameras do not write."""
+    return np.format_float_positional(seconds, precision=6, fractional=False, trim="-")
 
 
 def _raw(sensor: Sensor, light: np.ndarray) -> float:
