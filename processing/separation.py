@@ -13,8 +13,12 @@ from processing.lights import PatternLights, pattern_lights
 from processing.methods.choice import chosen_method
 from processing.methods.config import SeparateConfig, normals_of, relief_of
 from processing.methods.view import separate_view
+from processing.parallel import over_views, workers
 from processing.pixels import write_maps
 
+BYTES_A_PIXEL, BYTES_OF_ARRAYS = 50, 400
+"""What a view takes at most for a pixel of its picture: by the one pass of `colour`, and by methods
+that make arrays of all readings."""
 COLOUR_SPREAD = 0.02
 """Lights whose colours differ by more than this are worth a warning."""
 
@@ -38,16 +42,23 @@ def separate(
     lights = pattern_lights(session, read_frames(out, cameras[0]).patterns)
     method = chosen_method(lights, config)
     warnings += _warnings(lights, method)
-    for done, camera_id in enumerate(cameras):
+
+    def one(camera_id: str) -> tuple[float, int]:
         frames = read_frames(out, camera_id)
         mask = read_foreground(out, camera_id)
         camera = session.rig.camera(camera_id)
         maps = separate_view(method, frames, mask, camera, lights, config)
         write_maps(folder, camera_id, mask, maps)
         folder.write_mask(camera_id, mask)
-        confidence[camera_id] = round(float(maps.confidence.mean()), 4)
-        pixels += len(maps.confidence)
-        progress(done + 1, len(cameras))
+        return float(maps.confidence.mean()), len(maps.confidence)
+
+    sizes = [session.rig.camera(c).width_px * session.rig.camera(c).height_px for c in cameras]
+    each = BYTES_A_PIXEL if method == "colour" else BYTES_OF_ARRAYS
+    at_once = workers(each * max(sizes))
+    for camera_id, (mean, count) in over_views(one, cameras, at_once):
+        confidence[camera_id] = round(mean, 4)
+        pixels += count
+        progress(len(confidence), len(cameras))
     return {
         "method": method,
         "diffuse_normals": normals_of(method, config),
