@@ -7,6 +7,7 @@ import concurrent.futures
 import dataclasses
 import os
 import threading
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -224,7 +225,7 @@ def _kept(job: CameraJob, out: Path, keys: Mapping[str, str]) -> dict[str, Marks
     try:
         read_frames(out, job.camera)
         return read_marks(frames_path(out, job.camera), same)
-    except (FormatError, OSError, ValueError, KeyError):
+    except (FormatError, OSError, ValueError, KeyError, zipfile.BadZipFile):
         return {}
 
 
