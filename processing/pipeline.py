@@ -150,8 +150,10 @@ def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:
     """
     session = job.session
     files = [session.root / "session.json", session.root / "rig.json"]
-    if session.file.calibration.colour is not None:
-        files.append(session.root / session.file.calibration.colour)
+    named = session.file.calibration.model_dump().values()
+    for path in [session.root / name for name in named if isinstance(name, str)]:
+        # Gains of single pixels lie beside the flats that name them.
+        files += [path, *sorted(path.parent.glob(f"{path.stem}-*.npz"))]
     landmarks = session.root / "landmarks.json"
     before = hash_of(code_version(), [sha256_file(path) for path in files])
     keys = {}
