@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from lightstage.commands import ProgressCallback
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
 from lightstage.formats.session import Session
@@ -63,6 +64,23 @@ class BallShots:
     levels: Mapping[str, np.ndarray]
     cameras: tuple[str, ...]
     read: Callable[[str, str], Picture]
+
+
+class Steps:
+    """Counts photographs."""
+
+    def __init__(self, progress: ProgressCallback, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+
+    def one(self) -> None:
+        """One more is read."""
+        self._done += 1
+        self._progress(self._done, self._total)
+
+
+def whole_pattern(shots: BallShots) -> str:
+    """The pattern of most light."""
+    return max(shots.levels, key=lambda name: float(shots.levels[name].sum()))
 
 
 def ball_shots(

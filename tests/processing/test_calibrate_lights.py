@@ -15,6 +15,7 @@ from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.patterns.names import BINARY, LINEAR
 from lightstage.rig import Camera, Rig, default_rig
 from processing.calibration.ball import Picture, find_ball, rays_through
+from processing.calibration.flux import Flux, intensities
 from processing.calibration.grey_ball import (
     GreyConfig,
     Readings,
@@ -24,7 +25,7 @@ from processing.calibration.grey_ball import (
 )
 from processing.calibration.highlights import expected_px, find_highlights, mirrored
 from processing.calibration.lights_fit import LightsConfig, fit_lights, normal_errors
-from processing.calibration.mirror_ball import Flux, MirrorConfig, intensities, solve_lamps
+from processing.calibration.mirror_ball import MirrorConfig, solve_lamps
 from processing.errors import ProcessingError
 from processing.lamps import nominal_lamps
 from sim.light.lamps import LampConfig, lamps_of
@@ -143,7 +144,8 @@ def test_highlights_of_a_picture_lie_where_optics_has_them_and_are_alike_in_ligh
     levels = np.zeros(COUNT)
     levels[some] = 1
     light, _ = photograph_mirror(ball, camera, lamps, levels, np.zeros(3))
-    picture = Picture(light / light.max(), np.ones(light.shape[:2]) > 0, camera)
+    whole: np.ndarray = np.ones(light.shape[:2], dtype=bool)
+    picture = Picture(light / light.max(), whole, camera)
     found = find_highlights(picture, 4.0, 0.04, 8.0)
     known = camera.project(highlights_mm(ball, camera, RIG.positions_mm[some]))[0]
     far = np.linalg.norm(found.place_px[:, None] - known[None], axis=2).min(axis=1)
@@ -167,7 +169,7 @@ def test_pictures_of_anything_give_finite_highlights_or_none(
     rgb = rng.random((40, 50, 3)).astype(np.float32)
     where = rng.random((40, 50)) < share
     rgb[where] = odd
-    valid = np.isfinite(rgb).all(axis=2)
+    valid = np.asarray(np.isfinite(rgb).all(axis=2))
     found = find_highlights(Picture(rgb, valid, RIG.cameras[0]), 3.0, 0.05, 5.0)
     assert np.isfinite(found.place_px).all()
     assert len(found.flux) == len(found.place_px)
