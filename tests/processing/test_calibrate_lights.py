@@ -10,11 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lightstage.errors import FormatError
+from lightstage.formats.files import sha256_file, write_bytes
 from lightstage.formats.lights import read_measured_lights, write_measured_lights
+from lightstage.formats.session import Frame, Session, SessionFile
 from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.patterns.names import BINARY, LINEAR
 from lightstage.rig import Camera, Rig, default_rig
-from processing.calibration.ball import Picture, find_ball, rays_through
+from processing.calibration.ball import Picture, ball_shots, find_ball, rays_through
 from processing.calibration.flux import Flux, intensities
 from processing.calibration.grey_ball import (
     GreyConfig,
@@ -28,6 +31,7 @@ from processing.calibration.lights_fit import LightsConfig, fit_lights, normal_e
 from processing.calibration.mirror_ball import MirrorConfig, solve_lamps
 from processing.errors import ProcessingError
 from processing.lamps import nominal_lamps
+from sim.devices.target_photographer import TargetPhotographer
 from sim.light.lamps import LampConfig, lamps_of
 from sim.targets.ball import Ball, highlights_mm, photograph_mirror
 from tests.processing.balls_in_stage import RADIUS_MM, displaced, sightings, small_rig, take
@@ -253,6 +257,39 @@ def test_a_grey_balls_outline_tells_where_it_is() -> None:
         find_ball(dark, RADIUS_MM, Path("here"))
     with pytest.raises(ProcessingError, match="lit ball in 0"):
         find_ball(pictures, 4 * RADIUS_MM, Path("here"))
+
+
+def test_raw_photographs_read_in_cells_show_the_ball_where_it_stands(tmp_path: Path) -> None:
+    rig = small_rig(2, 0.08)
+    photographer = TargetPhotographer(rig, "grey", 0)
+    frames = []
+    for camera in rig.cameras:
+        data = photographer.photograph(camera, np.ones(COUNT))
+        path = write_bytes(tmp_path / f"{camera.id}.dng", data)
+        frames.append(
+            Frame(
+                pattern="full",
+                camera=camera.id,
+                path=path.name,
+                sha256=sha256_file(path),
+                encoding="raw",
+            )
+        )
+    file = SessionFile(
+        id="a",
+        created_utc="2026-01-01T00:00:00+00:00",
+        subject="none",
+        expression="none",
+        sequence=["full"],
+        frames=frames,
+    )
+    shots = ball_shots(Session(tmp_path, file, rig))
+    found = find_ball([shots.read("full", c.id) for c in rig.cameras], RADIUS_MM, tmp_path)
+    np.testing.assert_allclose(found.centre_mm, 0, atol=0.3)
+    assert found.radius_mm == pytest.approx(RADIUS_MM, rel=0.015)
+    wrong = dataclasses.replace(rig, cameras=tuple(c.scaled(0.5) for c in rig.cameras))
+    with pytest.raises(FormatError, match=r"in rig\.json"):
+        ball_shots(Session(tmp_path, file, wrong)).read("full", rig.cameras[0].id)
 
 
 def test_a_grey_balls_photographs_give_normals_ten_times_better_than_corrected_ratios() -> None:
