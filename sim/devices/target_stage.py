@@ -120,6 +120,7 @@ class TargetStage:
             if line.endswith("q stops: "):
                 child.stdin.write((left.pop(0) if left else "") + "\n")
                 child.stdin.flush()
+                line = ""  # what is answered here ends no line there
         out = child.stdout.read()
         child.stdin.close()
         return subprocess.CompletedProcess(child.args, child.wait(), out, said)

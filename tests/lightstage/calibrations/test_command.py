@@ -38,6 +38,12 @@ def taken(rig, tmp_path_factory):
         yield stage, desk, asked, done, dark_after
 
 
+def test_the_target_is_held_toward_each_camera_in_turn(taken, rig):
+    stage, _, _, done, _ = taken
+    assert done.returncode == 0, done.stderr
+    assert stage.photographer.pose == len(rig.cameras) - 1
+
+
 def capture(stage, desk, out, *more):
     (desk / "config.toml").write_text(CONFIG)
     command = [
