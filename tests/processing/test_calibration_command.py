@@ -236,3 +236,21 @@ def test_a_session_that_carries_the_calibration_decodes_to_absolute_albedo(targe
         albedo = frames.pixels(seen)[front, 0] / white_at(points[front], normals[front], lights)
         assert front.sum() > 1000
         np.testing.assert_allclose(np.median(albedo, axis=0), 0.18, rtol=0.01)
+
+
+def test_a_photograph_on_its_side_is_read_upright(targets, tmp_path):
+    """The same counts, told by EXIF to want a quarter turn: the same chart, in its order."""
+    path = targets / "frames/chart-00/cam0.dng"
+    entry = bytes([0x12, 0x01, 3, 0, 1, 0, 0, 0])  # tag 274, SHORT, one value
+    data = path.read_bytes()
+    assert data.count(entry + b"\x01\x00") == 1
+    side = tmp_path / "side.dng"
+    side.write_bytes(data.replace(entry + b"\x01\x00", entry + b"\x06\x00"))
+    read, turned = read_mosaic(path), read_mosaic(side)
+    assert turned.turns == 3
+    np.testing.assert_array_equal(turned.level, np.rot90(read.level, -1))
+    np.testing.assert_array_equal(turned.as_read().level, read.level)
+    np.testing.assert_array_equal(turned.as_read().channels, read.channels)
+    upright = find_chart(read.cells(), read.clipped_cells())
+    found = find_chart(turned.cells(), turned.clipped_cells())
+    np.testing.assert_allclose(found.rgb, upright.rgb, rtol=0.03, atol=1e-4)
