@@ -4,7 +4,7 @@ Run `python -m benchmarks.reflectance_accuracy` for the whole tables, which go i
 with `--people tone3,tone6 --light direct --methods refine` for some, which are printed alone. A
 long run may be done in parts with `--results FILE`. Methods: `coarse` (the stage `separate`),
 `refine` (with the true mesh), `own-mesh` (with that of `reconstruct`), `peers` (their grids tried
-first) and `polarised` (the yardstick).
+first), `polarised` (the yardstick) and `ceiling` (truth's own maps, re-rendered).
 """
 
 from __future__ import annotations
@@ -36,10 +36,11 @@ from benchmarks.reflectance_tuning import Kept, kept_of, label, tuned
 
 LIGHTS = ("direct", "reference")
 BINARY, THROUGH = "binary", "binary-polarised"
-METHODS = ("coarse", "refine", "own-mesh", "peers", "polarised")
+METHODS = ("coarse", "refine", "own-mesh", "peers", "polarised", "ceiling")
 POLARISED = ("tone3", "tone6")
 """Who is photographed through polarisers, too; the simulator has them for direct light alone."""
 
+CEILING_ROUGHNESS = 0.28
 
 Measurement = tuple[str, Callable[[], Result]]
 """A method and what measures it."""
@@ -85,6 +86,11 @@ def measurements(
         for settings in YARDSTICK.grid:
             how = label(YARDSTICK, settings)
             yield how, functools.partial(of_peer, YARDSTICK, settings, THROUGH, True)
+    if "ceiling" in methods:
+        yield (
+            f"true maps, roughness {CEILING_ROUGHNESS:g} everywhere",
+            lambda: case(BINARY).result(case(BINARY).true_maps(CEILING_ROUGHNESS)),
+        )
 
 
 @contextlib.contextmanager

@@ -48,15 +48,14 @@ class Result:
     """Errors of one method on one person.
 
     Attributes:
-        every: `scores` of all visible skin, and `psnr_db` and `psnr_white_db` of re-rendering.
+        every: `scores` of all visible skin; `sure_share`, how much of it has a confidence above SURE;
+            `psnr_db` and `psnr_white_db` of re-rendering.
         sure: `scores` where confidence is above SURE; empty where it nowhere is.
-        sure_share: how much of the skin that is.
         deciles: of confidence.
     """
 
     every: dict[str, float]
     sure: dict[str, float]
-    sure_share: float
     deciles: list[tuple[float, float, float, float]]
 
 
@@ -101,6 +100,20 @@ class Case:
         refine(self.session, self.out, config)
         return self._maps()
 
+    def true_maps(self, roughness: float) -> dict[str, Maps]:
+        """Truth's own maps, which tell no roughness: what re-rendering can reach at best."""
+        maps = {}
+        for name in self.session.camera_ids():
+            mask = self.true[name].mask.astype(np.float32)
+            told = {
+                field: self.truth.read_view(name, field)
+                for field in (
+                    "diffuse_normal", "specular_normal", "diffuse_albedo", "specular_albedo",
+                )
+            }  # fmt: skip
+            maps[name] = Maps(**told, roughness=mask * roughness, confidence=mask)
+        return maps
+
     def refined_on_own_mesh(self) -> dict[str, Maps]:
         """Maps of `refine` with the mesh of `reconstruct`, from these few views."""
         self.separated()
@@ -134,7 +147,7 @@ class Case:
             pictures: whether they are re-rendered.
         """
         samples = self.samples(maps)
-        every = scores(samples)
+        every = scores(samples) | {"sure_share": sure_share(samples)}
         if pictures:
             relighter = self.relighter
             if own_mesh:
@@ -146,7 +159,6 @@ class Case:
         return Result(
             every,
             scores(sure) if len(sure.confidence) else {},
-            sure_share(samples),
             deciles(samples),
         )
 

@@ -64,4 +64,4 @@ class Store:
 
 def _result(found: Mapping[str, Any]) -> Result:
     parts = [tuple(row) for row in found["deciles"]]
-    return Result(found["every"], found["sure"], found["sure_share"], parts)
+    return Result(found["every"], found["sure"], parts)

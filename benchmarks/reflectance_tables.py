@@ -12,7 +12,7 @@ from benchmarks.reflectance_people import person
 
 OURS = ("coarse", "refine", "own-mesh")
 """Methods of our own; all others are peers, the yardstick apart."""
-YARDSTICKS = "polarised"
+YARDSTICKS = ("polarised", "true maps")
 """How the names of yardsticks begin."""
 VARIES = 2.0
 """Specular share counts for people whose specular albedo varies by this factor over the face."""
@@ -53,6 +53,8 @@ TARGETS = (
     ),
     Target("direct", "specular normal under 2 mm, RMS deg", "fine_deg", NO_GOAL, 2),
     Target("direct", "specular normal, mean deg", "specular_normal_deg", (4, 4), 2),
+    Target("direct", "confidence above .5, share of skin", "sure_share", (0.9, 0.9), 3, True),
+    Target("reference", "confidence above .5, share of skin", "sure_share", (0.9, 0.9), 3, True),
     Target("reference", "diffuse albedo RMSE", "albedo_rmse", (0.02, 0.015), 4),
     Target("reference", "specular over 2 mm, share of constant", "specular_2mm_share", (0.7, 0.7)),
     Target("reference", "20 new lights, PSNR dB", "psnr_db", (34, 34), 2, True),
@@ -69,7 +71,7 @@ def people_rows(results: Results, light: str) -> list[list[str]]:
         if where != light:
             continue
         for label, found, share in (("all", result.every, 1.0),
-                                    ("sure", result.sure, result.sure_share)):  # fmt: skip
+                                    ("sure", result.sure, result.every["sure_share"])):  # fmt: skip
             if not found:
                 rows.append([name, method, label, f"{100 * share:.1f}", *[""] * 11])
                 continue
