@@ -48,7 +48,7 @@ class Result:
     """Errors of one method on one person.
 
     Attributes:
-        every: `scores` of all visible skin; `sure_share`, how much of it has a confidence above SURE;
+        every: `scores` of all visible skin; `sure_share`, the part of confidence above SURE;
             `psnr_db` and `psnr_white_db` of re-rendering.
         sure: `scores` where confidence is above SURE; empty where it nowhere is.
         deciles: of confidence.
