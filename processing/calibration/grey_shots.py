@@ -20,6 +20,7 @@ from processing.calibration.ball import (
 from processing.calibration.grey_ball import LEAST_FACING, GreyConfig, Readings
 from processing.errors import ProcessingError
 
+LEAST_PLACES = 40
 SUMS_TO = 1e-3
 """Levels of a pair may differ from those of the whole by this and still sum to it."""
 
@@ -50,6 +51,8 @@ def read_grey_ball(shots: BallShots, config: GreyConfig, steps: Steps) -> Readin
             steps.one()
             shown.append(part.light(picture))
         parts.append((part, np.stack(shown, axis=1), np.full(len(part.points), index)))
+    if not parts:
+        raise _too_few(shots, 0)
     points, normals = (
         np.concatenate([getattr(p[0], k) for p in parts]) for k in ("points", "normals")
     )
@@ -57,8 +60,20 @@ def read_grey_ball(shots: BallShots, config: GreyConfig, steps: Steps) -> Readin
     levels = np.stack([shots.levels[name] for name in patterns])
     rgb = rgb - _ambient(rgb, normals, group, patterns, levels, whole)
     good = np.isfinite(rgb).all(axis=(1, 2))
+    if good.sum() < LEAST_PLACES:
+        raise _too_few(shots, int(good.sum()))
     group = np.unique(group[good], return_inverse=True)[1]
     return Readings(patterns, levels, points[good], normals[good], rgb[good].astype(float), group)
+
+
+def _too_few(shots: BallShots, count: int) -> ProcessingError:
+    return ProcessingError(
+        shots.where,
+        field="grey",
+        found=f"{count} places of the grey ball that no photograph clips",
+        expected=f"{LEAST_PLACES} at least, the whole ball in the picture",
+        hint="Expose for `full`, and set the ball in the middle of the stage.",
+    )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -369,6 +369,14 @@ def test_nothing_photographed_and_a_ball_of_another_radius_are_refused() -> None
     shots = take(rig, lamps_of(rig), "grey", (0.0, 0.0, 0.0), ("full",), radius_mm=45.0)
     with pytest.raises(ProcessingError, match="a grey ball of 45"):
         fit_lights(rig, [], [shots], FEW)
+    whole = take(rig, lamps_of(rig), "grey", (0.0, 0.0, 0.0), ("full",))
+
+    def clipped(name: str, camera_id: str) -> Picture:
+        picture = whole.read(name, camera_id)
+        return dataclasses.replace(picture, valid=picture.rgb.mean(axis=2) < 0.3)
+
+    with pytest.raises(ProcessingError, match="0 places of the grey ball"):
+        fit_lights(rig, [], [dataclasses.replace(whole, read=clipped)], FEW)
 
 
 def test_ratios_on_the_default_rig_are_as_wrong_as_known_and_lamps_are_not() -> None:

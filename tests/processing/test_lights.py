@@ -163,6 +163,22 @@ def test_measured_lights_light_as_the_plain_sum_over_lamps_says(tmp_path: Path) 
                 assert vectors[i, k] @ normals[i] == pytest.approx(want[c], abs=2e-6)
 
 
+def test_transport_has_the_irradiance_of_the_vectors_off_the_centre_too(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    stray = {name: rng.normal(size=(3, 3, 4)) * 0.02 for name in BINARY}
+    lights = pattern_lights(session_with(tmp_path, measured(rng, stray)), BINARY)
+    points = rng.normal(size=(50, 3)) * 80
+    normals = rng.normal(size=(50, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    vectors = irradiance_vectors(lights, points, normals, no_shadows(50, lights))
+    e, lobe = transport(lights, points, normals, normals, 0.3, no_shadows(50, lights))
+    np.testing.assert_allclose(e, np.einsum("npk,nk->np", vectors, normals), atol=3e-6)
+    wide = dataclasses.replace(lights, exponent=0.0)
+    _, brighter = transport(wide, points, normals, normals, 0.3, no_shadows(50, lights))
+    assert (lobe <= brighter * (1 + 1e-5)).all()
+    assert (lobe[:, 0] < brighter[:, 0]).all()
+
+
 def test_a_white_that_faces_the_front_reads_one_in_each_channel(tmp_path: Path) -> None:
     lights = pattern_lights(session_with(tmp_path, measured(np.random.default_rng(4))), BINARY)
     front = np.array([[0.0, 0.0, 1.0]])
