@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import cv2
 import numpy as np
@@ -77,7 +78,8 @@ def diffuse_albedo(
     reading into an albedo of forty.
 
     Args:
-        lit, power: of `diffuse_light`, for the mask's pixels in row order; 0 where not to be used.
+        lit, power: (n, 3), and (n,) or (n, 3), of `diffuse_light`, for the mask's pixels in row
+            order; 0 where not to be used.
         mask: (h, w) bool with n true pixels.
         sigma_px: over which neighbours are averaged.
         prior_power: the neighbours count as much as this squared irradiance.
@@ -86,14 +88,18 @@ def diffuse_albedo(
         (n, 3) float64, at least 0.
     """
     near = np.stack([pooled(lit[:, c], mask, sigma_px) for c in range(3)], axis=1)
-    total = pooled(power, mask, sigma_px)[:, None]
+    power = power.reshape(len(lit), -1)
+    total = np.stack([pooled(column, mask, sigma_px) for column in power.T], axis=1)
     prior = np.where(total > 0, near / np.where(total > 0, total, 1), 0)
-    albedo = (lit + prior_power * prior) / (power[:, None] + prior_power)
+    albedo = (lit + prior_power * prior) / (power + prior_power)
     return np.maximum(albedo, 0)
 
 
 def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
     """Gaussian sums of per-pixel values over their neighbours in a mask.
+
+    A wide Gaussian is made of means over blocks of a quarter of its sigma, off by less than 1 % of
+    the largest sum.
 
     Args:
         values: (n,) of the mask's pixels in row order.
@@ -103,10 +109,19 @@ def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
     Returns:
         (n,) float64 weighted sums (not divided by the weight inside the mask).
     """
-    image = np.zeros(mask.shape)
-    image[mask] = values
-    blurred = cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(blurred[mask], float)
+    block = max(1, int(sigma_px / 4))
+    rows, columns = (-(-side // block) * block for side in mask.shape)
+    image = np.zeros((rows, columns), np.float64)
+    image[: mask.shape[0], : mask.shape[1]][mask] = values
+    if block == 1:
+        blurred = cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(blurred[: mask.shape[0], : mask.shape[1]][mask], float)
+    few = cv2.resize(image, (columns // block, rows // block), interpolation=cv2.INTER_AREA)
+    # Means over blocks and lines between them blur, too: a quarter of a block squared.
+    left = math.sqrt((sigma_px / block) ** 2 - 0.25)
+    few = cv2.GaussianBlur(few, (0, 0), left, borderType=cv2.BORDER_CONSTANT)
+    blurred = cv2.resize(few, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(blurred[: mask.shape[0], : mask.shape[1]][mask], float)
 
 
 def shrunk(

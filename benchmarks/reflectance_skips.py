@@ -1,0 +1,135 @@
+"""What each skip of the reflectance path saves, and whether the result is the same.
+
+Run `python -m benchmarks.reflectance_skips`: one view of 24 megapixels, seven DNGs. Seconds are
+processor seconds of a second call.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from benchmarks.record import record
+from benchmarks.reflectance_24mp import CAMERA, large_session
+from lightstage.formats.session import load_session
+from processing.decode import DecodeConfig, decode
+from processing.frames import Frames, read_foreground, read_frames
+from processing.lights import pattern_lights
+from processing.methods.config import SeparateConfig
+from processing.methods.view import separate_view
+from processing.pixels import PixelMaps
+
+R = TypeVar("R")
+
+
+def timed(call: Callable[[], R]) -> tuple[R, float]:
+    """Result and processor seconds of a second call; the first one compiles and fills caches."""
+    call()
+    start = time.process_time()
+    found = call()
+    return found, time.process_time() - start
+
+
+def decode_rows(root: Path, folder: Path) -> list[list[str]]:
+    """The window of the face, and photographs that did not change."""
+    opened = load_session(root)
+    out = folder / "skips"
+
+    def fresh(config: DecodeConfig) -> Frames:
+        shutil.rmtree(out, ignore_errors=True)
+        decode(opened, out, config)
+        return read_frames(out, CAMERA)
+
+    whole, whole_s = timed(lambda: fresh(DecodeConfig(crop=False)))
+    full = np.asarray(whole.half[0]).astype(np.float32) * whole.scale
+    window, window_s = timed(lambda: fresh(DecodeConfig()))
+    inside = np.asarray(window.half[0]).astype(np.float32) * window.scale
+    away = float(np.abs(full[window.window.slices] - inside).max())
+    kept, kept_s = timed(lambda: (decode(opened, out, DecodeConfig()), read_frames(out, CAMERA))[1])
+    again = np.asarray(kept.half[0]).astype(np.float32) * kept.scale
+    return [
+        row("pixels outside the face's window (decode)", whole_s, window_s, away, "reading"),
+        row(
+            "photographs unchanged since the last run (decode)",
+            window_s,
+            kept_s,
+            float(np.abs(again - inside).max()),
+            "reading",
+        ),
+    ]
+
+
+def coarse_rows(root: Path, out: Path) -> list[list[str]]:
+    """Pixels outside the mask, and solves that change nothing more."""
+    opened = load_session(root)
+    frames, mask = read_frames(out, CAMERA), read_foreground(out, CAMERA)
+    lights = pattern_lights(opened, frames.patterns)
+    camera = opened.rig.camera(CAMERA)
+
+    def maps(where: np.ndarray, config: SeparateConfig) -> PixelMaps:
+        return separate_view("colour", frames, where, camera, lights, config)
+
+    usual, usual_s = timed(lambda: maps(mask, SeparateConfig()))
+    whole = frames.window.placed(np.ones(frames.window.shape, bool), frames.shape)
+    full, full_s = timed(lambda: maps(whole, SeparateConfig()))
+    inside = mask[whole]
+    normals = full.diffuse_normal[inside]
+    long = dataclasses.replace(SeparateConfig(), iterations=30)
+    most, most_s = timed(lambda: maps(mask, long))
+    return [
+        row(
+            "pixels outside the face (coarse)",
+            full_s,
+            usual_s,
+            median_away(normals, usual.diffuse_normal),
+            "normal, median",
+        ),
+        row(
+            "solves after a normal moved by less than .0003, or five (coarse)",
+            most_s,
+            usual_s,
+            median_away(most.diffuse_normal, usual.diffuse_normal),
+            "normal, median",
+        ),
+    ]
+
+
+def median_away(a: np.ndarray, b: np.ndarray) -> float:
+    """Median over pixels of how far two maps are apart."""
+    return float(np.median(np.abs(a - b).max(axis=1)))
+
+
+def row(what: str, before: float, after: float, away: float, of: str) -> list[str]:
+    """A row of the table."""
+    return [
+        what,
+        f"{before:.2f}",
+        f"{after:.2f}",
+        f"{1 - after / before:.0%}",
+        f"{away:.2g} ({of})",
+    ]
+
+
+def main() -> None:
+    """Measure all skips."""
+    root = large_session()
+    with tempfile.TemporaryDirectory() as name:
+        rows = decode_rows(root, Path(name))
+        rows += coarse_rows(root, Path(name) / "skips")
+    record(
+        "Reflectance: what each skip saves",
+        ["skipped", "processor s without", "processor s with", "saved", "results apart"],
+        rows,
+        "One view of 24 megapixels, seven DNG files.",
+    )
+
+
+if __name__ == "__main__":
+    main()

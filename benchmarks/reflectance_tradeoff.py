@@ -1,0 +1,177 @@
+"""Run time against error of every method of reflectance and some of their settings.
+
+Run `python -m benchmarks.reflectance_tradeoff`; it writes a picture beside the table. Seconds are
+processor seconds for a megapixel of face; errors are those of one light and one dark person at 1.5
+megapixels under direct light with the benchmarks' noise, all visible skin up to 70 degrees.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.record import RESULTS, record
+from benchmarks.reflectance_people import CAMERAS, Known, noisy, person, session
+from benchmarks.scatter import Panel, draw
+from lightstage.formats.exr import read_exr
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import Session, load_session
+from processing.frames import Frames, read_frames, write_foreground, write_frames
+from processing.lights import pattern_lights
+from processing.masks import foreground
+from processing.methods.config import KampourisConfig, RatiosConfig, SeparateConfig
+from processing.methods.view import separate_view
+from processing.refine import RefineConfig, refine
+
+WHO = ("tone3", "tone6")
+PICTURE = RESULTS.with_name("reflectance_tradeoff.png")
+STEEPEST_DEG = 70.0
+MAPS = ("diffuse_normal", "diffuse_albedo", "specular_albedo")
+
+Maps = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Normal, diffuse and specular albedo of a mask's pixels."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """A person's session, its decoded frames and masks in a processed folder, and the truth."""
+
+    opened: Session
+    out: Path
+    masks: dict[str, np.ndarray]
+    truth: ProcessedFolder
+
+
+def prepared(known: Known, out: Path) -> Case:
+    """Noisy frames of all cameras as `decode` would leave them."""
+    opened = load_session(session(known))
+    rng = np.random.default_rng(known.seed)
+    masks = {}
+    for camera in CAMERAS:
+        frames = [opened.frame(name, camera) for name in opened.file.sequence]
+        images = noisy(np.stack([read_exr(opened.frame_path(frame)) for frame in frames]), rng)
+        masks[camera] = foreground(images.max(axis=(0, 3)), 0.03)
+        valid = np.ones(masks[camera].shape, bool)
+        write_frames(out, camera, Frames.of(opened.file.sequence, images, valid))
+        write_foreground(out, camera, masks[camera])
+    truth = ProcessedFolder(session(known).with_name("session.truth"))
+    return Case(opened, out, masks, truth)
+
+
+def coarse(method: str, config: SeparateConfig) -> Callable[[Case], tuple[Maps, np.ndarray, float]]:
+    """The frontal view's maps, their mask and the processor seconds."""
+
+    def run(case: Case) -> tuple[Maps, np.ndarray, float]:
+        camera = CAMERAS[0]
+        frames, mask = read_frames(case.out, camera), case.masks[camera]
+        lights = pattern_lights(case.opened, frames.patterns)
+        args = (method, frames, mask, case.opened.rig.camera(camera), lights, config)
+        separate_view(*args)
+        start = time.process_time()
+        maps = separate_view(*args)
+        seconds = time.process_time() - start
+        return (maps.diffuse_normal, maps.albedo, maps.specular), mask, seconds
+
+    return run
+
+
+def with_mesh(case: Case) -> tuple[Maps, np.ndarray, float]:
+    """The stage `refine` with the true mesh: a view's share of all three's seconds."""
+    out = case.out
+    shutil.copy(case.truth.base_mesh, ProcessedFolder(out).base_mesh)
+    start = time.process_time()
+    refine(case.opened, out, RefineConfig())
+    seconds = (time.process_time() - start) / len(CAMERAS)
+    folder = ProcessedFolder(out)
+    mask = folder.read_mask(CAMERAS[0])
+    normal, albedo, specular = (folder.read_view(CAMERAS[0], name)[mask] for name in MAPS)
+    return (normal, albedo, specular), mask, seconds
+
+
+def errors(case: Case, maps: Maps, mask: np.ndarray) -> tuple[float, float, float]:
+    """Mean normal error in deg, albedo RMSE, specular RMSE as a share of the best constant's."""
+    camera = case.opened.rig.camera(CAMERAS[0])
+    views = -camera.pixel_rays()[1][mask]
+    known = [case.truth.read_view(CAMERAS[0], name)[mask] for name in MAPS]
+    facing = np.einsum("nk,nk->n", known[0], views)
+    scored = case.truth.read_mask(CAMERAS[0])[mask] & (facing > np.cos(np.radians(STEEPEST_DEG)))
+    cosine = np.einsum("nk,nk->n", maps[0], known[0])[scored]
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()
+    albedo = np.sqrt(((maps[1] - known[1])[scored] ** 2).mean())
+    left = np.sqrt(((maps[2] - known[2])[scored] ** 2).mean()) / known[2][scored].std()
+    return float(angle), float(albedo), float(left)
+
+
+def settings() -> dict[str, Callable[[Case], tuple[Maps, np.ndarray, float]]]:
+    """What is compared, by name."""
+    base = SeparateConfig()
+
+    def change(**values: object) -> SeparateConfig:
+        return dataclasses.replace(base, **values)  # type: ignore[arg-type]
+
+    return {
+        "colour": coarse("colour", base),
+        "colour, 1 solve": coarse("colour", change(iterations=1)),
+        "colour, 3 solves": coarse("colour", change(iterations=3)),
+        "colour, prior 10": coarse("colour", change(specular_prior_share=10.0)),
+        "colour, m .3": coarse("colour", change(roughness=0.3)),
+        "colour, red normals": coarse("colour", change(normals="red")),
+        "colour, blue normals": coarse("colour", change(normals="blue")),
+        "linear (arrays)": coarse("linear", base),
+        "kampouris, printed": coarse("kampouris", base),
+        "kampouris, weighted, lights": coarse(
+            "kampouris", change(kampouris=KampourisConfig(combine="weighted", field="lights"))
+        ),
+        "ratios, printed": coarse("ratios", base),
+        "ratios, lights": coarse("ratios", change(ratios=RatiosConfig(field="lights"))),
+        "refine, true mesh": with_mesh,
+    }
+
+
+def main() -> None:
+    """Run all on both people; write the table and the picture."""
+    found: dict[str, list[tuple[float, ...]]] = {}
+    for name in WHO:
+        with tempfile.TemporaryDirectory() as folder:
+            case = prepared(person(name), Path(folder))
+            for setting, call in settings().items():
+                maps, mask, seconds = call(case)
+                megapixels = mask.sum() / 1e6
+                row = (seconds / megapixels, *errors(case, maps, mask))
+                found.setdefault(setting, []).append(row)
+    titles = ("normal, mean deg", "diffuse albedo RMSE", "specular, share of constant")
+    panels = [
+        Panel(
+            f"{person(who).skin} skin: {title}",
+            [(rows[k][0], rows[k][1 + column]) for rows in found.values()],
+        )
+        for k, who in enumerate(WHO)
+        for column, title in enumerate(titles)
+    ]
+    draw(panels, list(found), "processor s a megapixel of face", PICTURE, columns=len(titles))
+    table = [
+        [
+            setting,
+            f"{np.mean([row[0] for row in rows]):.2f}",
+            *(f"{rows[k][1 + column]:.3f}" for k in range(len(WHO)) for column in range(3)),
+        ]
+        for setting, rows in found.items()
+    ]
+    heads = [f"{person(who).skin}: {title}" for who in WHO for title in titles]
+    record(
+        "Reflectance: run time against error",
+        ["method", "processor s a megapixel of face", *heads],
+        table,
+        f"{' and '.join(WHO)}, frontal view of 1004 x 1504, direct light, pixel noise .001 "
+        f"sqrt(.25 + I); drawn in {PICTURE.name}. `refine` is a third of the stage on three views.",
+    )
+
+
+if __name__ == "__main__":
+    main()
