@@ -115,7 +115,7 @@ def calibrate(
         warnings += _colour_warnings(fits)
         if "grey" in poses:
             pose = poses["grey"][0]
-            shone = _lights(pose, full, lights)
+            shone = lights_of(pose, full, lights)
             colours, facts["grey"] = check_grey(pose, colours, flats, shone, config.grey)
             if facts["grey"]["largest_error"] > GREY_WARNED:
                 share = 100 * facts["grey"]["largest_error"]
@@ -171,8 +171,19 @@ def _levels(pose: Pose) -> np.ndarray:
     return np.asarray(pose.session.levels(pose.patterns[0]), float)
 
 
-def _lights(pose: Pose, full: np.ndarray, measured: tuple[MeasuredLights, Rig] | None) -> LightSet:
-    """What shone on a pose, on the scale on which a white under `full` reads 1."""
+def lights_of(
+    pose: Pose, full: np.ndarray, measured: tuple[MeasuredLights, Rig] | None
+) -> LightSet:
+    """What shone on a pose, on the scale on which a white under `full` reads 1.
+
+    Args:
+        pose: its first pattern.
+        full: (n,) levels that the scale is made by.
+        measured: lamps and the rig whose they are; None takes the pose's own rig as it is.
+
+    Returns:
+        (n',) lamps that were lit, by place and by what each gives to the origin.
+    """
     rig = pose.session.rig
     if measured is None:
         return stage_lights(rig, _levels(pose), pose.where, full)
@@ -205,7 +216,7 @@ def _fits(
     """Fits of all cameras that saw a chart."""
     if full is None:
         return {}
-    lights = {each.pose.where: _lights(each.pose, full, measured) for each in seen.values()}
+    lights = {each.pose.where: lights_of(each.pose, full, measured) for each in seen.values()}
     return fit_colours(seen, lights, known, config)
 
 

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from lightstage.errors import FormatError
 from lightstage.formats.environment import stage_lights
+from lightstage.formats.lights import MeasuredLights
 from lightstage.formats.session import Calibration, load_session, save_session
 from lightstage.session import read_calibration
 from processing.__main__ import app
@@ -21,7 +22,7 @@ from processing.calibration.chart import chart_places_mm, find_chart
 from processing.calibration.flat_file import read_flats
 from processing.calibration.folder import read_source
 from processing.calibration.picture import read_mosaic
-from processing.calibration.stage import CalibrateConfig, calibrate
+from processing.calibration.stage import CalibrateConfig, calibrate, lights_of
 from processing.calibration.white import white_at
 from processing.colour import read_colour
 from processing.decode import DecodeConfig, decode
@@ -254,3 +255,32 @@ def test_a_photograph_on_its_side_is_read_upright(targets, tmp_path):
     upright = find_chart(read.cells(), read.clipped_cells())
     found = find_chart(turned.cells(), turned.clipped_cells())
     np.testing.assert_allclose(found.rgb, upright.rgb, rtol=0.03, atol=1e-4)
+
+
+def test_measured_lamps_tell_what_white_reads_where_the_rig_s_own_gains_do_not(targets):
+    source = read_source(targets)
+    rig = load_session(targets).rig
+    full = np.ones(len(rig.lights))
+    lamps = lamps_of(rig, LampConfig(gain_spread=0.2, colour_spread=0.1, exponent=0.0), 3)
+    gains = lamps.weights / lamps_of(rig).weights
+    count = len(rig.lights)
+    measured = MeasuredLights(
+        position_mm=rig.positions_mm,
+        rgb_gain=gains * [2.0, 1.0, 0.5],  # of channels only the ratios between lamps are known
+        exponent=0.0,
+        stray={},
+        position_sigma_mm=np.zeros(count),
+        residual_px=np.zeros(count),
+        gain_sigma=np.zeros(count),
+        facts={},
+    )
+    pose = source.poses["chart"][1]
+    rng = np.random.default_rng(6)
+    points, normals = rng.uniform(-90, 90, (100, 3)), rng.standard_normal((100, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    front = sim_light.white_reading(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), lamps, full)
+    expected = sim_light.white_reading(points, normals, lamps, full) / front
+    found = white_at(points, normals, lights_of(pose, full, (measured, rig)))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+    nominal = white_at(points, normals, lights_of(pose, full, None))
+    assert np.abs(nominal / expected - 1).max() > 0.05
