@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.scale import raw_scale
 from lightstage.formats.session import Session
@@ -28,7 +29,8 @@ from processing.frames import write_foreground
 from processing.masks import view_foreground
 from processing.photographs import exposure_factors, read_calibrations
 from processing.preparation import PrepareConfig, prepare_view, prepare_warnings
-from processing.window import whole
+from processing.raw.region import mesh_window
+from processing.window import Window, whole
 
 SAMPLED_ROWS = 64
 """Rows of each photograph that tell whether what comes after the decode changed it."""
@@ -44,6 +46,10 @@ class DecodeConfig:
     """Foreground is brighter than this share of the picture's 99th percentile."""
     crop: bool = True
     """Develop only the window that holds the face, not the whole picture."""
+    mesh: str = ""
+    """PLY file of this head as it sat, such as an earlier run's base mesh: only what it covers,
+    and `mesh_margin_mm` around it, is developed. None where empty."""
+    mesh_margin_mm: float = 25.0
     prepare: PrepareConfig = dataclasses.field(default_factory=PrepareConfig)
     """Motion, ambient light and flicker between the photographs."""
 
@@ -135,14 +141,31 @@ def _decode_camera(
     step: _Steps,
 ) -> Decoded:
     """Decode one camera; again with the whole picture where the window was too small."""
-    look = first_look(job, out, crop=config.crop)
-    found = _decode_window(job, look, out, config, missing, step)
+    limit = _limit(job, config)
+    look = first_look(job, out, limit, crop=config.crop)
+    found = _decode_window(job, look, limit, out, config, missing, step)
     if found is None:
         step.done = step.first
-        look = dataclasses.replace(look, window=whole(job.shape), opened={})
-        found = _decode_window(job, look, out, config, missing, step)
-        assert found is not None  # the whole picture leaves nothing outside
+        look = dataclasses.replace(look, window=limit, opened={})
+        found = _decode_window(job, look, limit, out, config, missing, step)
+        assert found is not None  # no more than this is wanted
     return found
+
+
+def _limit(job: CameraJob, config: DecodeConfig) -> Window:
+    """The part of the picture that is wanted at all: that of the mesh where there is one."""
+    if not config.mesh:
+        return whole(job.shape)
+    vertices = read_ply(Path(config.mesh)).vertices
+    limit = mesh_window(vertices, job.session.rig.camera(job.camera), config.mesh_margin_mm)
+    if limit.empty:
+        raise ProcessingError(
+            f"camera {job.camera}",
+            field="decode.mesh",
+            found=f"nothing of {config.mesh} in its picture",
+            expected="a mesh in mm where the head sat",
+        )
+    return limit
 
 
 class _WindowTooSmallError(Exception):
@@ -152,6 +175,7 @@ class _WindowTooSmallError(Exception):
 def _decode_window(
     job: CameraJob,
     look: Look,
+    limit: Window,
     out: Path,
     config: DecodeConfig,
     missing: Mapping[str, Recipe],
@@ -163,7 +187,7 @@ def _decode_window(
             kept = fill_draft(job, out, look, draft, step)
             sums = _prepare(job, out, draft, config.prepare, missing)
             mask = view_foreground(as_frames(job, look, draft), config.foreground_share)
-            if reaches_beyond(mask, look.window, job.shape):
+            if reaches_beyond(mask, look.window, limit):
                 raise _WindowTooSmallError
             if not mask.any():
                 raise ProcessingError(

@@ -21,7 +21,7 @@ from processing.frames import Frames, power_of_two, read_frames
 from processing.photographs import Calibrated, Photograph, open_photograph
 from processing.raw.region import find_window
 from processing.records import code_version, hash_of
-from processing.window import Window, whole
+from processing.window import Window
 
 MOST_THREADS = 4
 """Each holds one photograph's counts in memory."""
@@ -113,17 +113,18 @@ class Look:
     opened: dict[str, Photograph] = dataclasses.field(default_factory=dict)
 
 
-def first_look(job: CameraJob, out: Path, *, crop: bool) -> Look:
+def first_look(job: CameraJob, out: Path, limit: Window, *, crop: bool) -> Look:
     """Find the window, on the pattern that lights the face from all around, else on all.
 
     Args:
         job: what is to be decoded.
         out: processed folder; what an earlier run found is used where nothing changed.
-        crop: whether a window is wanted, or the whole picture.
+        limit: no more than this is wanted.
+        crop: whether the face is looked for, or all of `limit` is wanted.
     """
     on = lookers(job.session, [name for name in job.lit if name in job.frames])
     keys = [job.key(name) for name in on]
-    key = hash_of(keys, job.foreground_share, crop, job.shape)
+    key = hash_of(keys, job.foreground_share, crop, dataclasses.asdict(limit))
     known = _told(job, out).get("look")
     if known is not None and known["key"] == key:
         return Look(key, Window(**known["window"]), float(known["scale"]))
@@ -139,10 +140,11 @@ def first_look(job: CameraJob, out: Path, *, crop: bool) -> Look:
             opened[name] = photograph
         else:
             photograph.close()
-    window = whole(job.shape)
+    window = limit
     if crop:
         brightest = np.maximum.reduce(looks)
-        window = find_window(brightest, side, job.shape, job.foreground_share)
+        found = find_window(brightest, side, job.shape, job.foreground_share).and_also(limit)
+        window = limit if found.empty else found
     return Look(key, window, power_of_two(peak), opened)
 
 
@@ -295,11 +297,13 @@ def as_frames(job: CameraJob, look: Look, draft: Draft) -> Frames:
     return Frames(job.lit, draft.half, look.scale, look.window, job.shape, draft.clipped)
 
 
-def reaches_beyond(mask: np.ndarray, window: Window, shape: tuple[int, int]) -> bool:
-    """Whether a window's mask goes on where the picture goes on and the window does not."""
+def reaches_beyond(mask: np.ndarray, window: Window, limit: Window) -> bool:
+    """Whether a window's mask reaches an edge beyond which there is more of `limit`."""
+    below = limit.top + limit.height - window.top - window.height
+    right = limit.left + limit.width - window.left - window.width
     return bool(
-        (window.top > 0 and mask[0].any())
-        or (window.left > 0 and mask[:, 0].any())
-        or (window.top + window.height < shape[0] and mask[-1].any())
-        or (window.left + window.width < shape[1] and mask[:, -1].any())
+        (window.top > limit.top and mask[0].any())
+        or (window.left > limit.left and mask[:, 0].any())
+        or (below > 0 and mask[-1].any())
+        or (right > 0 and mask[:, -1].any())
     )

@@ -154,6 +154,8 @@ def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:
     for path in [session.root / name for name in named if isinstance(name, str)]:
         # Gains of single pixels lie beside the flats that name them.
         files += [path, *sorted(path.parent.glob(f"{path.stem}-*.npz"))]
+    if Path(job.config.decode.mesh).is_file():
+        files.append(Path(job.config.decode.mesh))
     landmarks = session.root / "landmarks.json"
     before = hash_of(code_version(), [sha256_file(path) for path in files])
     keys = {}

@@ -14,11 +14,13 @@ import processing.decoding
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file
+from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
 from processing.calibration.flat_file import FlatField, write_flats
 from processing.decode import DecodeConfig, decode
 from processing.decoding import CameraJob, lookers
 from processing.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
+from processing.errors import ProcessingError
 from processing.frames import Frames, read_foreground, read_frames
 from processing.photographs import Photograph
 from processing.raw.region import find_window, mesh_window, preview
@@ -337,3 +339,18 @@ def test_a_mesh_bounds_what_is_wanted() -> None:
     assert window.height < SHAPE[0]
     behind = corners + 3 * CAMERA.centre_mm
     assert mesh_window(behind, CAMERA, 5.0).empty
+
+
+def test_with_a_mesh_only_its_part_is_developed(root: Path, tmp_path: Path) -> None:
+    everything, _ = decoded(root, tmp_path / "whole", DecodeConfig(crop=False))
+    small = np.array([[x, y, 0.0] for x in (-30.0, 30) for y in (-40.0, 20)])
+    mesh = tmp_path / "mesh.ply"
+    write_ply(Mesh(small, np.array([[0, 1, 2], [1, 2, 3]])), mesh)
+    config = DecodeConfig(mesh=str(mesh), mesh_margin_mm=8.0)
+    found, facts = decoded(root, tmp_path / "out", config)
+    assert facts["window_share_of_picture"]["cam0"] < 0.15
+    part = found.window.slices
+    np.testing.assert_array_equal(found.images[:, *part], everything.images[:, *part])
+    write_ply(Mesh(small + 3 * CAMERA.centre_mm, np.array([[0, 1, 2]])), mesh)
+    with pytest.raises(ProcessingError, match="cam0"):
+        decoded(root, tmp_path / "other", config)
