@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit, prange
 
 from processing.interface import Interface, let_through, row_of
-from processing.lights import PatternLights, Shadows
+from processing.lights import PatternLights, Shadows, off_axis
 from processing.lobe import FARTHEST_TAN, GRAZING, fresnel_table, shadowing
 
 LONGEST_TURN = 0.15
@@ -24,15 +24,18 @@ LONGEST_TURN = 0.15
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """Variance of a reading I is sensor^2 (0.25 + I) + (model I)^2.
+    """Variance of a reading I is sensor^2 (0.25 + I) + (model I)^2, and shade's beside it.
 
     Attributes:
         sensor: standard deviation of a reading of .75.
-        model: what the model of light is wrong by, as a share of the reading.
+        model: what a channel's reading is wrong by, as a share of it.
+        shade: what a pattern's irradiance is wrong by, as a share of it, in all channels alike:
+            shadows, bounces and lamps that are not quite as modelled. Colour still tells gloss.
     """
 
     sensor: float = 0.001
     model: float = 0.003
+    shade: float = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,11 +46,13 @@ class Place:
         points_mm: (n, 3).
         views: (n, 3) unit, toward the camera.
         shadows: lights that each sees.
+        bounced: (V, P, 3) float32 irradiance at the shadows' vertices by light from other skin.
     """
 
     points_mm: np.ndarray
     views: np.ndarray
     shadows: Shadows
+    bounced: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +76,8 @@ class Solved:
     """Of n pixels; zero where not solved.
 
     Attributes:
-        normal: (n, 3) float32 unit.
+        normal: (n, 3) float32 unit, from all that was read.
+        matte: (n, 3) float32 unit, from the part of the readings that no white gloss holds.
         lit: (n, 3) float32 least squares of the diffuse albedo is lit / power.
         power: (n, 3) float32 the sum of squared irradiance.
         misfit: (n,) float32 mean squared residual over its expected variance.
@@ -79,6 +85,7 @@ class Solved:
     """
 
     normal: np.ndarray
+    matte: np.ndarray
     lit: np.ndarray
     power: np.ndarray
     misfit: np.ndarray
@@ -113,13 +120,14 @@ def solve_jointly(
     """
     count = len(rgb)
     out = Solved(
-        *(np.zeros((count, 3), np.float32) for _ in range(3)),
+        *(np.zeros((count, 3), np.float32) for _ in range(4)),
         *(np.zeros(count, np.float32) for _ in range(2)),
     )
     _solve(
         *_arguments(rgb, lights, place, normals, roughness, specular, interface, scattered, noise),
         rounds,
         out.normal,
+        out.matte,
         out.lit,
         out.power,
         out.misfit,
@@ -168,6 +176,7 @@ def _arguments(
     noise: Noise,
 ) -> tuple[object, ...]:
     """What both kernels take."""
+    stray = lights.stray.copy() * lights.diffuse_share[:, None, None]
     given = (rgb, place.points_mm, normals, place.views, roughness, specular)
     return (
         *(np.ascontiguousarray(values, np.float32) for values in given),
@@ -179,6 +188,11 @@ def _arguments(
         lights.weight.astype(np.float32),
         lights.levels.astype(np.float32),
         lights.group_end,
+        np.float32(lights.exponent),
+        lights.diffuse_share.astype(np.float32),
+        lights.mirror_share.astype(np.float32),
+        stray.astype(np.float32),
+        place.bounced,
         fresnel_table().astype(np.float32),
         interface.table,
         interface.mean,
@@ -186,6 +200,7 @@ def _arguments(
         np.ascontiguousarray(scattered.rest, np.float32),
         float(noise.sensor) ** 2,
         float(noise.model) ** 2,
+        float(noise.shade) ** 2,
     )
 
 
@@ -203,12 +218,17 @@ def _gather(
     weight: np.ndarray,
     levels: np.ndarray,
     group_end: np.ndarray,
+    exponent: float,
+    diffuse_share: np.ndarray,
+    mirror_share: np.ndarray,
+    stray: np.ndarray,
+    bounced: np.ndarray,
     table: np.ndarray,
     through: np.ndarray,
     mean: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Fill out (P, 9): E, its gradient (3), B, its gradient (3), B's slope over m."""
+    """Fill out (P, 12): E, its gradient (3), B, its gradient (3), B's slope over m, bounced rgb."""
     out[:] = 0
     steps = len(table) - 1
     m2 = roughness * roughness
@@ -245,6 +265,8 @@ def _gather(
             lx, ly, lz, nl = lx * inverse, ly * inverse, lz * inverse, nl * inverse
             fall = radius[j] * inverse
             seen *= weight[j] * fall * fall
+            aside = position[j, 0] * lx + position[j, 1] * ly + position[j, 2] * lz
+            seen *= off_axis(exponent, aside / radius[j])
             entered = seen * leaving * let_through(through, row, part, nl)
             gx += entered * lx
             gy += entered * ly
@@ -287,6 +309,28 @@ def _gather(
             out[k, 6] += level * by
             out[k, 7] += level * bz
             out[k, 8] += level * bm / roughness
+    inside = leaving * (mean[row] * (1 - part) + mean[row + 1] * part)
+    for k in range(levels.shape[1]):
+        matte, mirror = diffuse_share[k], mirror_share[k]
+        out[k, 0] *= matte
+        for x in range(3):
+            out[k, 1 + x] *= matte
+            out[k, 5 + x] *= mirror
+        out[k, 4] *= mirror
+        out[k, 8] *= mirror
+        for x in range(3):
+            beside = stray[k, x, 3]
+            for y in range(3):
+                beside += stray[k, x, y] * n[y]
+            out[k, 1 + x] += beside
+            out[k, 0] += beside * n[x]
+        for c in range(3):
+            from_skin = (
+                weights[0] * bounced[c0, k, c]
+                + weights[1] * bounced[c1, k, c]
+                + weights[2] * bounced[c2, k, c]
+            )
+            out[k, 9 + c] = matte * inside * from_skin
 
 
 @njit(cache=True)
@@ -330,7 +374,7 @@ def _diffuse(light: np.ndarray, kept: np.ndarray, rest: np.ndarray, out: np.ndar
             e = kept[c] * light[k, 0]
             for x in range(3):
                 e += light[k, 1 + x] * rest[c, x]
-            out[k, c] = max(e, 0.0)
+            out[k, c] = max(e, 0.0) + light[k, 9 + c]
 
 
 @njit(cache=True)
@@ -388,17 +432,22 @@ def _normal_equations(
     across: np.ndarray,
     sensor2: float,
     model2: float,
+    shade2: float,
     a: np.ndarray,
     b: np.ndarray,
-) -> float:
-    """Fill a (5, 5) and b (5, 3): two turns and three albedos against residual, B and dB/dm s.
+    c: np.ndarray,
+) -> None:
+    """Fill a (5, 5), b (5, 3), c (3, 3): two turns and three albedos; residual, B and s dB/dm.
 
-    Returns:
-        The weighted sum of squared residuals.
+    a is the unknowns' products with each other, b theirs with the other three, c these three's
+    with each other, weighted by the inverse of the readings' covariance: each reading's own
+    variance, and an error of the irradiance that is common to a pattern's channels.
     """
     a[:] = 0
     b[:] = 0
-    total = 0.0
+    c[:] = 0
+    row = np.zeros(8)
+    common = np.zeros(8)
     for k in range(len(light)):
         et = eu = bt = bu = 0.0
         for x in range(3):
@@ -406,29 +455,54 @@ def _normal_equations(
             eu += light[k, 1 + x] * across[1, x]
             bt += light[k, 5 + x] * across[0, x]
             bu += light[k, 5 + x] * across[1, x]
-        gloss, wider = light[k, 4], s * light[k, 8]
-        for c in range(3):
-            e = diffuse[k, c]
-            w = _weight(rgb[k, c], sensor2, model2)
-            left = rgb[k, c] - rho[c] * e - s * gloss
-            total += w * left * left
-            t, u = rho[c] * kept[c] * et + s * bt, rho[c] * kept[c] * eu + s * bu
-            a[0, 0] += w * t * t
-            a[1, 0] += w * t * u
-            a[1, 1] += w * u * u
-            a[2 + c, 0] += w * e * t
-            a[2 + c, 1] += w * e * u
-            a[2 + c, 2 + c] += w * e * e
-            b[0, 0] += w * t * left
-            b[1, 0] += w * u * left
-            b[2 + c, 0] += w * e * left
-            b[0, 1] += w * t * gloss
-            b[1, 1] += w * u * gloss
-            b[2 + c, 1] += w * e * gloss
-            b[0, 2] += w * t * wider
-            b[1, 2] += w * u * wider
-            b[2 + c, 2] += w * e * wider
-    return total
+        common[:] = 0
+        power = 0.0
+        for channel in range(3):
+            e = diffuse[k, channel]
+            w = _weight(rgb[k, channel], sensor2, model2)
+            shade = rho[channel] * e
+            row[0] = rho[channel] * kept[channel] * et + s * bt
+            row[1] = rho[channel] * kept[channel] * eu + s * bu
+            row[2] = row[3] = row[4] = 0.0
+            row[2 + channel] = e
+            row[5] = rgb[k, channel] - shade - s * light[k, 4]
+            row[6] = light[k, 4]
+            row[7] = s * light[k, 8]
+            for p in range(8):
+                common[p] += w * shade * row[p]
+            power += w * shade * shade
+            _add(row, w, channel, a, b, c)
+        if shade2 > 0:
+            share = shade2 / (1 + shade2 * power)
+            for p in range(5):
+                for q in range(p + 1):
+                    a[p, q] -= share * common[p] * common[q]
+                for q in range(3):
+                    b[p, q] -= share * common[p] * common[5 + q]
+            for p in range(3):
+                for q in range(3):
+                    c[p, q] -= share * common[5 + p] * common[5 + q]
+
+
+@njit(cache=True, inline="always")
+def _add(
+    row: np.ndarray, w: float, channel: int, a: np.ndarray, b: np.ndarray, c: np.ndarray
+) -> None:
+    """Add the products of one reading's row to the normal equations."""
+    own = 2 + channel
+    a[0, 0] += w * row[0] * row[0]
+    a[1, 0] += w * row[0] * row[1]
+    a[1, 1] += w * row[1] * row[1]
+    a[own, 0] += w * row[own] * row[0]
+    a[own, 1] += w * row[own] * row[1]
+    a[own, own] += w * row[own] * row[own]
+    for q in range(3):
+        other = w * row[5 + q]
+        b[0, q] += other * row[0]
+        b[1, q] += other * row[1]
+        b[own, q] += other * row[own]
+        for p in range(3):
+            c[p, q] += other * row[5 + p]
 
 
 @njit(parallel=True, cache=True)
@@ -447,6 +521,11 @@ def _solve(
     weight: np.ndarray,
     levels: np.ndarray,
     group_end: np.ndarray,
+    exponent: float,
+    diffuse_share: np.ndarray,
+    mirror_share: np.ndarray,
+    stray: np.ndarray,
+    bounced: np.ndarray,
     table: np.ndarray,
     through: np.ndarray,
     mean: np.ndarray,
@@ -454,8 +533,10 @@ def _solve(
     rests: np.ndarray,
     sensor2: float,
     model2: float,
+    shade2: float,
     rounds: int,
     normals: np.ndarray,
+    mattes: np.ndarray,
     lit: np.ndarray,
     powers: np.ndarray,
     misfits: np.ndarray,
@@ -467,56 +548,100 @@ def _solve(
         if not n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5:
             continue
         s = float(specular[i])
-        light = np.zeros((patterns, 9), np.float32)
+        light = np.zeros((patterns, 12), np.float32)
         across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
         diffuse = np.zeros((patterns, 3))
-        a, b = np.zeros((5, 5)), np.zeros((5, 3))
+        a, b, others = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
+        matte, turned = np.zeros(3), np.zeros(3)
         good = True
         certainty = 0.0
         for _ in range(rounds):
             _gather(
                 points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
-                position, radius, weight, levels, group_end, table, through, mean, light,
+                position, radius, weight, levels, group_end, exponent, diffuse_share,
+                mirror_share, stray, bounced, table, through, mean, light,
             )  # fmt: skip
             _diffuse(light, kept, rests[i], diffuse)
             _albedo(light, diffuse, rgb[i], s, rho, power)
             _across(n, across)
-            _normal_equations(light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, a, b)
+            _normal_equations(
+                light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, shade2, a, b, others
+            )
             certainty = _least_turn(a)
-            if not _solve_in_place(a, b[:, :1]):
-                good = False
-                break
+            good = _solve_in_place(a, b[:, :1])
             x, y = b[0, 0], b[1, 0]
             turn = math.sqrt(x * x + y * y)
-            if not turn < 1e9:
-                good = False
+            good = good and turn < 1e9
+            if not good:
                 break
             if turn > LONGEST_TURN:
                 x, y = x * LONGEST_TURN / turn, y * LONGEST_TURN / turn
             length = 0.0
             for c in range(3):
+                turned[c] = n[c]
                 n[c] += x * across[0, c] + y * across[1, c]
                 length += n[c] * n[c]
             n /= math.sqrt(length)
+            for c in range(3):
+                turned[c] = n[c] - turned[c]
         if not good:
             continue
-        _gather(
-            points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
-            position, radius, weight, levels, group_end, table, through, mean, light,
-        )  # fmt: skip
+        if not _matte_normal(light, rgb[i], rho, matte):
+            matte[:] = 0
+        # The last step is short: what it changes is taken as linear.
+        for k in range(patterns):
+            for x in range(3):
+                light[k, 0] += light[k, 1 + x] * turned[x]
+                light[k, 4] += light[k, 5 + x] * turned[x]
         _diffuse(light, kept, rests[i], diffuse)
         _albedo(light, diffuse, rgb[i], s, rho, power)
-        total = _normal_equations(
-            light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, a, b
+        _normal_equations(
+            light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, shade2, a, b, others
         )
+        total = others[0, 0]
         if not (math.isfinite(total) and math.isfinite(power.sum())):
             continue
         for c in range(3):
             normals[i, c] = n[c]
+            mattes[i, c] = matte[c]
             lit[i, c] = rho[c] * power[c]
             powers[i, c] = power[c]
         misfits[i] = total / (3 * patterns - 5)
         certainties[i] = certainty
+
+
+@njit(cache=True)
+def _matte_normal(light: np.ndarray, rgb: np.ndarray, rho: np.ndarray, out: np.ndarray) -> bool:
+    """Normal from chroma: signal_k = g_k . b along the pixel's own hue, across white.
+
+    Source: [Mallick2005].
+    """
+    hue = np.zeros(3)
+    for k in range(len(rgb)):
+        grey = (rgb[k, 0] + rgb[k, 1] + rgb[k, 2]) / 3
+        for c in range(3):
+            hue[c] += rgb[k, c] - grey
+    length = math.sqrt(hue[0] * hue[0] + hue[1] * hue[1] + hue[2] * hue[2])
+    if not length > 0:
+        return False
+    a, b = np.zeros((3, 3)), np.zeros((3, 1))
+    for k in range(len(rgb)):
+        signal = 0.0
+        for c in range(3):
+            signal += hue[c] / length * (rgb[k, c] - rho[c] * light[k, 9 + c])
+        for x in range(3):
+            b[x, 0] += light[k, 1 + x] * signal
+            for y in range(x + 1):
+                a[x, y] += light[k, 1 + x] * light[k, 1 + y]
+    third = (a[0, 0] + a[1, 1] + a[2, 2]) / 3
+    if not _solve_in_place(a, b) or a[0, 0] * a[1, 1] * a[2, 2] < 1e-2 * third**1.5:
+        return False
+    length = math.sqrt(b[0, 0] ** 2 + b[1, 0] ** 2 + b[2, 0] ** 2)
+    if not (length > 0 and math.isfinite(length)):
+        return False
+    for x in range(3):
+        out[x] = b[x, 0] / length
+    return True
 
 
 @njit(parallel=True, cache=True)
@@ -535,6 +660,11 @@ def _evidence(
     weight: np.ndarray,
     levels: np.ndarray,
     group_end: np.ndarray,
+    exponent: float,
+    diffuse_share: np.ndarray,
+    mirror_share: np.ndarray,
+    stray: np.ndarray,
+    bounced: np.ndarray,
     table: np.ndarray,
     through: np.ndarray,
     mean: np.ndarray,
@@ -542,6 +672,7 @@ def _evidence(
     rests: np.ndarray,
     sensor2: float,
     model2: float,
+    shade2: float,
     out: np.ndarray,
 ) -> None:
     patterns = rgb.shape[1]
@@ -550,41 +681,33 @@ def _evidence(
         if not n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5:
             continue
         s = float(specular[i])
-        light = np.zeros((patterns, 9), np.float32)
+        light = np.zeros((patterns, 12), np.float32)
         across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
         diffuse = np.zeros((patterns, 3))
-        a, b = np.zeros((5, 5)), np.zeros((5, 3))
+        a, b, others = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
         _gather(
             points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
-            position, radius, weight, levels, group_end, table, through, mean, light,
+            position, radius, weight, levels, group_end, exponent, diffuse_share, mirror_share,
+            stray, bounced, table, through, mean, light,
         )  # fmt: skip
         _diffuse(light, kept, rests[i], diffuse)
         _albedo(light, diffuse, rgb[i], s, rho, power)
         _across(n, across)
-        _normal_equations(light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, a, b)
+        _normal_equations(
+            light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, shade2, a, b, others
+        )
         free = b.copy()
         if not _solve_in_place(a, free):
             continue
-        ss = sm = mm = s_left = m_left = left2 = 0.0
-        for k in range(patterns):
-            gloss, wider = light[k, 4], s * light[k, 8]
-            for c in range(3):
-                e = diffuse[k, c]
-                w = _weight(rgb[i, k, c], sensor2, model2)
-                left = rgb[i, k, c] - rho[c] * e - s * gloss
-                ss += w * gloss * gloss
-                sm += w * gloss * wider
-                mm += w * wider * wider
-                s_left += w * gloss * left
-                m_left += w * wider * left
-                left2 += w * left * left
+        left2, s_left, m_left = others[0, 0], others[1, 0], others[2, 0]
+        ss, sm, mm = others[1, 1], others[1, 2], others[2, 2]
         for p in range(5):
+            left2 -= b[p, 0] * free[p, 0]
+            s_left -= b[p, 1] * free[p, 0]
+            m_left -= b[p, 2] * free[p, 0]
             ss -= b[p, 1] * free[p, 1]
             sm -= b[p, 1] * free[p, 2]
             mm -= b[p, 2] * free[p, 2]
-            s_left -= b[p, 1] * free[p, 0]
-            m_left -= b[p, 2] * free[p, 0]
-            left2 -= b[p, 0] * free[p, 0]
         # What no gloss explains is shadow, hair or motion: such a pixel has little to say.
         outside = max(left2, 0.0) / (3 * patterns - 7)
         trust = 1 / (1 + outside / 9) ** 2

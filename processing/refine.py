@@ -9,22 +9,23 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.formats.mesh import read_ply
+from lightstage.formats.mesh import Mesh, read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
-from processing.albedo import diffuse_albedo, diffuse_light
+from lightstage.rig import Camera
+from processing.albedo import diffuse_albedo
+from processing.bounces import bounced_light, other_skin, vertex_irradiance
 from processing.errors import ProcessingError
-from processing.frames import read_foreground, read_frames
+from processing.frames import Frames, read_foreground, read_frames
+from processing.gloss import Gloss, better_gloss, local_specular, skin_gloss, sum_at_vertices
 from processing.interface import skin_interface
-from processing.lights import PatternLights, irradiance_vectors, pattern_lights, require_unpolarised
-from processing.lobe import SKIN_F0, transport
+from processing.joint import Noise, Place, Solved, gloss_evidence, solve_jointly
+from processing.lights import PatternLights, pattern_lights, require_unpolarised
 from processing.masks import edge_distance_px
-from processing.methods.colour import fit
-from processing.normals import blurred, merged_detail, misfit, solve_normals
 from processing.pixels import PixelMaps, write_maps
 from processing.readings import px_per_mm, read_pixels
-from processing.specular import Gloss, add_view, no_sums, solve_gloss
-from processing.surface import LitSurface, Sight, depth_edges, lit_surface, see
+from processing.scattering import scattered
+from processing.surface import LitSurface, Sight, at_vertices_to, depth_edges, lit_surface, see
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,38 +34,56 @@ class RefineConfig:
 
     most_faces: int = 120_000
     """A denser mesh is thinned: shadows are cast from its vertices."""
-    shadow_offset_mm: float = 0.3
+    finest_mm: float = 1.2
+    """A coarser mesh is split to edges of this length, which hold the edges of shadows."""
+    shadow_offset_mm: float = 0.1
     """Shadow rays start this far off the mesh, beyond its own roughness."""
     smoothing_mm: float = 1.0
-    """Over which the mesh's normals are averaged; they set the horizon."""
+    """Over which the mesh's normals are averaged."""
     occlusion_directions: int = 200
     """Directions over the sphere for ambient occlusion."""
-    roughness: tuple[float, ...] = (0.18, 0.22, 0.26, 0.30, 0.34)
-    """Beckmann's m that are tried, at least three; skin has .2 to .35."""
-    roughness_pool_mm: float = 6.0
-    specular_pool_mm: float = 3.0
+    bounce_rays: int = 64
+    """Rays of each vertex to other skin; 0 leaves out light from skin to skin."""
+    scattering: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
+    """Shares of light that wanders inside the skin that are tried."""
+    noise_sensor: float = 0.001
+    noise_model: float = 0.003
+    noise_shade: float = 0.01
+    """Of the readings: see `joint.Noise`."""
+    gloss_rounds: int = 3
+    """Steps of the search for roughness and specular albedo."""
+    gloss_pixels: int = 500_000
+    """At most this many pixels of a view, on a regular grid, give evidence of gloss."""
+    roughness: float = 0.28
+    """Beckmann's m to start from; skin has .2 to .35."""
+    roughness_pool_mm: float = 5.0
+    specular_pool_mm: float = 1.0
     """Sigma over which all views' evidence is pooled on the mesh."""
-    gloss_pixels: int = 120_000
-    """At most this many pixels of a view, evenly spread, give evidence of gloss."""
-    gloss_prior_pixels: float = 2.0
-    """The face's own mean counts as much as this many pixels at every vertex."""
-    gloss_normal_px: float = 2.0
-    """Sigma that calms the normals which take the gloss off the mean channel."""
-    detail_px: float = 3.0
-    """Relief finer than this sigma may come from all channels, coarser relief from chroma."""
-    specular_prior: float = SKIN_F0
+    specular_detail_mm: float = 0.5
+    """Sigma over which one view's pixels share a specular albedo finer than the mesh's."""
+    specular_detail_spread: float = 0.004
+    """Standard deviation of that detail."""
+    gloss_prior: float = 0.02
+    """The face's own mean counts as this share of a typical vertex's evidence."""
+    rounds: int = 2
+    """Steps of the last solve of each pixel."""
     albedo_prior_power: float = 0.005
     """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
     grey_saturation: float = 0.05
     """Below this saturation colour tells nothing; from twice as much it is trusted."""
     dark_level: float = 0.004
     """A pixel whose brightest pattern stays below this tells nothing (1 = white under `full`)."""
-    dark_irradiance: float = 0.15
-    """Confidence falls where the brightest pattern lights a pixel less than this."""
+    dark_power: float = 0.1
+    """Confidence falls where a pixel's squared irradiance is less."""
     edge_px: float = 3.0
     """Confidence falls to 0 over this many pixels before an edge of mask or depth."""
     depth_step_mm: float = 4.0
     """A larger step between neighbouring pixels is an edge."""
+
+    @property
+    def noise(self) -> Noise:
+        """Of the readings."""
+        return Noise(self.noise_sensor, self.noise_model, self.noise_shade)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,23 +92,38 @@ class View:
 
     Attributes:
         sight: what the camera sees of the mesh.
-        rgb: (n, P, 3) float32 readings as the camera gave them.
-        valid: (n,) bool, false where clipped.
+        rgb: (n, P, 3) float32 readings in the lights' own colour, 0 where not usable.
+        saturation: (n,) of the sum over patterns.
+        usable: (n,) bool: not clipped, not dark, finite.
         px_per_mm: pixels a millimetre.
     """
 
     sight: Sight
     rgb: np.ndarray
-    valid: np.ndarray
+    saturation: np.ndarray
+    usable: np.ndarray
     px_per_mm: float
 
 
-@dataclasses.dataclass(frozen=True)
-class Normals:
-    """(n, 3) float32 unit diffuse normals, zero where unsolved; (n,) float32 confidence."""
+@dataclasses.dataclass
+class Scene:
+    """What all views share, and what has been found of it so far.
 
-    normal: np.ndarray
-    confidence: np.ndarray
+    Attributes:
+        lights: of P patterns.
+        surface: the mesh under them.
+        gloss: of its vertices.
+        bounced: (V, P, 3) float32 irradiance of its vertices by light from other skin.
+        bounces: 1 where `bounced` explains the readings better than nothing does, else 0.
+        scattering: share of light that wanders inside the skin.
+    """
+
+    lights: PatternLights
+    surface: LitSurface
+    gloss: Gloss
+    bounced: np.ndarray
+    bounces: float
+    scattering: float
 
 
 def refine(
@@ -97,11 +131,11 @@ def refine(
 ) -> dict[str, Any]:
     """Solve reflectance again with the mesh, and overwrite the views' maps and masks.
 
-    Normals come first, view by view, and each view adds its evidence of the skin's gloss to the
-    mesh; then every view's albedo is solved with the gloss that explains all of them.
+    Gloss, light from skin to skin and scattering are found first, from a grid of every view's
+    pixels; then each view's pixels are solved one by one.
 
     Returns:
-        Facts: pixels, vertices, mean confidence, gloss found.
+        Facts: pixels, vertices, mean confidence, gloss and scattering found.
 
     Raises:
         FormatError: no base mesh, or no decoded photographs.
@@ -109,10 +143,59 @@ def refine(
     """
     folder = ProcessedFolder(out)
     mesh = read_ply(folder.base_mesh)
-    cameras = session.camera_ids()
-    lights = pattern_lights(session, read_frames(out, cameras[0]).patterns)
+    cameras = [session.rig.camera(camera_id) for camera_id in session.camera_ids()]
+    lights = pattern_lights(session, read_frames(out, cameras[0].id).patterns)
     require_unpolarised(lights)
-    steps = 2 * len(cameras) + 1
+    steps = 3 + config.gloss_rounds + len(cameras)
+    seen_by = [(camera, read_foreground(out, camera.id)) for camera in cameras]
+    scene = prepare_scene(mesh, lights, seen_by, config)
+    progress(1, steps)
+    grids = [
+        read_view(read_frames(out, camera.id), camera, lit, scene, config, config.gloss_pixels)
+        for camera, lit in seen_by
+    ]
+    progress(2, steps)
+    normals = find_gloss(scene, grids, config, lambda done, _: progress(2 + done, steps))
+    confidence: dict[str, float] = {}
+    pixels = 0
+    for done, (camera, lit) in enumerate(seen_by):
+        grid, coarse_normals = grids[done], normals[done]
+        view = grid
+        if grid.sight.step > 1:
+            view = read_view(read_frames(out, camera.id), camera, lit, scene, config)
+        maps = solve_view(scene, view, grid, coarse_normals, config)
+        mask = view.sight.mask
+        write_maps(folder, camera.id, mask, maps)
+        occlusion = np.zeros(mask.shape, np.float32)
+        occlusion[mask] = view.sight.occlusion
+        folder.write_view(camera.id, "ambient_occlusion", occlusion)
+        folder.write_mask(camera.id, mask)
+        confidence[camera.id] = round(float(maps.confidence.mean()), 4)
+        pixels += len(maps.confidence)
+        progress(3 + config.gloss_rounds + done, steps)
+    seen = np.unique(np.concatenate([grid.sight.shadows.corners.ravel() for grid in grids]))
+    return {
+        "views": len(cameras),
+        "pixels": pixels,
+        "vertices": len(scene.surface.vertices),
+        "mean_confidence": confidence,
+        "roughness_mean": round(float(scene.gloss.roughness[seen].mean()), 4),
+        "specular_mean": round(float(scene.gloss.specular[seen].mean()), 5),
+        "light_from_skin_to_skin": bool(scene.bounces),
+        "scattering": scene.scattering,
+        "specular_normals": "all channels and the highlights, the relief of the diffuse light "
+        "calmed by scattering",
+        "warnings": [],
+    }
+
+
+def prepare_scene(
+    mesh: Mesh,
+    lights: PatternLights,
+    seen_by: list[tuple[Camera, np.ndarray]],
+    config: RefineConfig,
+) -> Scene:
+    """Cast the mesh's rays; gloss is a typical skin's, and no light goes from skin to skin yet."""
     surface = lit_surface(
         mesh,
         lights,
@@ -120,211 +203,298 @@ def refine(
         smoothing_mm=config.smoothing_mm,
         directions=config.occlusion_directions,
         most_faces=config.most_faces,
+        finest_mm=config.finest_mm,
+        seen_by=seen_by,
     )
-    progress(1, steps)
-    sums = no_sums(config.roughness, len(surface.vertices))
-    solved: list[Normals] = []
-    for done, camera_id in enumerate(cameras):
-        view = read_view(session, out, camera_id, surface)
-        solved.append(solve_pixels(view, lights, config))
-        few = _every(solved[-1].confidence, config.gloss_pixels)
-        add_view(
-            sums,
-            lights,
-            (view.rgb[few] / lights.colour).mean(axis=2),
-            view.sight.points_mm[few],
-            solved[-1].normal[few],
-            view.sight.views[few],
-            view.sight.shadows.of(few),
-            solved[-1].confidence[few],
-        )
-        progress(2 + done, steps)
-    gloss = solve_gloss(
-        sums,
-        surface.average,
-        rounds_roughness=surface.rounds(config.roughness_pool_mm),
-        rounds_specular=surface.rounds(config.specular_pool_mm),
-        prior_specular=config.specular_prior,
-        prior_pixels=config.gloss_prior_pixels,
-    )
-    confidence: dict[str, float] = {}
-    pixels = 0
-    for done, camera_id in enumerate(cameras):
-        view = read_view(session, out, camera_id, surface)
-        mask = view.sight.mask
-        maps = solve_albedo(view, solved[done], lights, gloss, config)
-        write_maps(folder, camera_id, mask, maps)
-        occlusion = np.zeros(mask.shape, np.float32)
-        occlusion[mask] = view.sight.occlusion
-        folder.write_view(camera_id, "ambient_occlusion", occlusion)
-        folder.write_mask(camera_id, mask)
-        confidence[camera_id] = round(float(maps.confidence.mean()), 4)
-        pixels += len(maps.confidence)
-        progress(2 + len(cameras) + done, steps)
-    seen = sums.count > 0
-    return {
-        "views": len(cameras),
-        "pixels": pixels,
-        "vertices": len(surface.vertices),
-        "mean_confidence": confidence,
-        "roughness_mean": round(float(gloss.roughness[seen].mean()), 4) if seen.any() else None,
-        "specular_mean": round(float(gloss.specular[seen].mean()), 5) if seen.any() else None,
-        "warnings": [],
-    }
+    count = len(surface.vertices)
+    dark = np.zeros((count, len(lights.patterns), 3), np.float32)
+    return Scene(lights, surface, skin_gloss(count, config.roughness), dark, 0.0, 0.0)
 
 
-def read_view(session: Session, out: Path, camera_id: str, surface: LitSurface) -> View:
-    """Read one view and find what it shows of the mesh.
+def read_view(
+    frames: Frames,
+    camera: Camera,
+    foreground: np.ndarray,
+    scene: Scene,
+    config: RefineConfig,
+    most: int | None = None,
+) -> View:
+    """One view's readings, and what it shows of the mesh.
+
+    Args:
+        frames: the camera's photographs.
+        camera: the view.
+        foreground: (h, w) bool.
+        scene: the mesh under the lights.
+        config: see there.
+        most: at most about so many pixels, on a regular grid; None for all.
 
     Raises:
         ProcessingError: nothing of the mesh is seen.
     """
-    frames = read_frames(out, camera_id)
-    camera = session.rig.camera(camera_id)
-    sight = see(surface, camera, read_foreground(out, camera_id))
+    step = 1
+    if most is not None:
+        step = max(1, int(np.ceil(np.sqrt(foreground.sum() / most))))
+    sight = see(scene.surface, camera, foreground, step)
     if not sight.mask.any():
         raise ProcessingError(
-            f"camera {camera_id}",
+            f"camera {camera.id}",
             found="no pixel that shows the mesh",
             expected="a face in front of the camera",
             hint="Do base_mesh.ply and the rig belong to this session?",
         )
-    rgb = frames.pixels(sight.mask)
-    return View(sight, rgb, frames.valid[sight.mask], px_per_mm(camera))
+    chosen = np.zeros(foreground.shape, bool)
+    chosen[::step, ::step] = sight.mask
+    white = scene.lights.colour
+    rgb, _, saturation, usable = read_pixels(
+        frames.pixels(chosen), frames.valid[chosen], white, config.dark_level
+    )
+    rgb /= white.astype(np.float32)
+    return View(sight, rgb, saturation, usable, px_per_mm(camera) / step)
 
 
-def solve_pixels(view: View, lights: PatternLights, config: RefineConfig) -> Normals:
-    """Normals of pixels from chroma and the irradiance vectors at their places on the mesh.
-
-    The mesh's normals set the horizon of a first solve, the normals found that of a second.
+def find_gloss(
+    scene: Scene, grids: list[View], config: RefineConfig, progress: ProgressCallback = quiet
+) -> list[np.ndarray]:
+    """Find gloss, bounced light and scattering from grids of the views' pixels.
 
     Args:
-        view: readings.
-        lights: of the P patterns.
+        scene: changed in place.
+        grids: the views.
         config: see there.
+        progress: of rounds.
 
     Returns:
-        Normals; confidence 0 where clipped, dark, grey, unsolved or not finite, and low at grazing
-        angles, in the dark, at edges and where the readings do not fit.
+        (n, 3) normals of each grid's pixels.
+    """
+    surface = scene.surface
+    normals = [np.where(grid.usable[:, None], grid.sight.normals, 0) for grid in grids]
+    interface = skin_interface()
+    between, entered = None, np.zeros(0)
+    if config.bounce_rays:
+        between = other_skin(surface, config.bounce_rays)
+        entered = vertex_irradiance(surface, scene.lights, interface, config.roughness)
+    for done in range(config.gloss_rounds):
+        solved = [
+            solve_grid(scene, grid, start, config)
+            for grid, start in zip(grids, normals, strict=True)
+        ]
+        normals = [found.normal for found in solved]
+        if between is not None:
+            albedo = vertex_albedo(surface, grids, solved)
+            bounced = bounced_light(surface, between, entered, albedo)
+            if done == 0:
+                scene.bounces = best_bounces(scene, bounced, grids[0], solved[0], config)
+            scene.bounced = np.float32(scene.bounces) * bounced
+        if done == 0 and len(config.scattering) > 1:
+            scene.scattering = best_scattering(scene, grids[0], solved[0], config)
+        sums = np.zeros((len(surface.vertices), 5))
+        for grid, found in zip(grids, normals, strict=True):
+            evidence = grid_evidence(scene, grid, found, config)
+            corners, weights = grid.sight.shadows.corners, grid.sight.shadows.weights
+            sums += sum_at_vertices(evidence, corners, weights, len(surface.vertices))
+        scene.gloss = better_gloss(
+            scene.gloss,
+            sums,
+            surface,
+            roughness_pool_mm=config.roughness_pool_mm,
+            specular_pool_mm=config.specular_pool_mm,
+            prior=config.gloss_prior,
+        )
+        progress(done + 1, config.gloss_rounds)
+    return normals
+
+
+def solve_grid(
+    scene: Scene,
+    view: View,
+    start: np.ndarray,
+    config: RefineConfig,
+    scattering: float | None = None,
+) -> Solved:
+    """One step from given normals with what the scene knows so far."""
+    sight = view.sight
+    amount = scene.scattering if scattering is None else scattering
+    return solve_jointly(
+        view.rgb,
+        scene.lights,
+        place_of(scene, sight),
+        start,
+        *gloss_of(scene, sight),
+        skin_interface(),
+        scattered(start, sight.mask, view.px_per_mm, amount),
+        config.noise,
+        rounds=1,
+    )
+
+
+def grid_evidence(
+    scene: Scene, view: View, normals: np.ndarray, config: RefineConfig
+) -> np.ndarray:
+    """(n, 5) what the pixels say of the gloss; those at steep angles and edges say nothing."""
+    sight = view.sight
+    evidence = gloss_evidence(
+        view.rgb,
+        scene.lights,
+        place_of(scene, sight),
+        normals,
+        *gloss_of(scene, sight),
+        skin_interface(),
+        scattered(normals, sight.mask, view.px_per_mm, scene.scattering),
+        config.noise,
+    )
+    return np.asarray(evidence * steady(view, config)[:, None])
+
+
+def steady(view: View, config: RefineConfig) -> np.ndarray:
+    """(n,) 0..1: how far a pixel is from edges and from being seen edge on."""
+    sight = view.sight
+    facing = np.einsum("nk,nk->n", sight.normals, sight.views) / 0.4
+    edges = depth_edges(sight.depth_mm, config.depth_step_mm)
+    inside = edge_distance_px(sight.mask & ~edges)[sight.mask] * sight.step
+    return np.asarray(np.clip(facing, 0, 1) * np.clip(inside / config.edge_px, 0, 1))
+
+
+def best_bounces(
+    scene: Scene, bounced: np.ndarray, view: View, solved: Solved, config: RefineConfig
+) -> float:
+    """1 where light from other skin explains one view's pixels better than its absence, else 0.
+
+    A stage is never without it, but renderings may be; the pixels that it lights most are asked.
     """
     sight = view.sight
-    rgb, signal, saturation, usable = read_pixels(
-        view.rgb, view.valid, lights.colour, config.dark_level
-    )
-    normal = sight.normals
-    for _ in range(2):
-        vectors = irradiance_vectors(
-            lights,
-            sight.points_mm,
-            normal,
-            sight.shadows,
-            skin_interface(),
-            config.roughness[len(config.roughness) // 2],
-        )
-        normal = solve_normals(signal, vectors)
-    colourful = np.clip(saturation / config.grey_saturation - 1, 0, 1)
-    # A normal that the mesh could not have: mistaken shadows, or hair.
-    agreement = np.einsum("nk,nk->n", normal, sight.normals)
-    solved = usable & (colourful > 0) & (agreement > 0)
-    normal[~solved] = 0
-    irradiance = np.einsum("npk,nk->np", vectors, normal)
-    facing = np.clip(np.einsum("nk,nk->n", sight.normals, sight.views) / 0.4, 0, 1)
-    light = np.clip(irradiance.max(axis=1) / config.dark_irradiance, 0, 1)
-    edges = depth_edges(sight.depth_mm, config.depth_step_mm)
-    inside = edge_distance_px(sight.mask & ~edges)[sight.mask]
-    confidence = colourful * facing * light * fit(signal, irradiance)
-    confidence *= np.clip(2 * agreement, 0, 1) * np.clip(inside / config.edge_px, 0, 1)
-    confidence = np.where(solved, confidence, 0)
-    mean = (rgb / lights.colour.astype(np.float32)).mean(axis=2)
-    normal = add_detail(normal, signal, vectors, mean, sight, lights, config)
-    return Normals(normal.astype(np.float32), confidence.astype(np.float32))
+    share = at_vertices_to(bounced.mean(axis=(1, 2)), sight.shadows.corners, sight.shadows.weights)
+    good = (solved.misfit > 0) & (steady(view, config) > 0.5)
+    if not good.any():
+        return 0.0
+    good &= share >= np.median(share[good])
+    misfits = []
+    for light in (0.0, 1.0):
+        tried = dataclasses.replace(scene, bounced=np.float32(light) * bounced)
+        again = solve_grid(tried, view, solved.normal, config)
+        misfits.append(float(np.median(again.misfit[good])))
+    return float(misfits[1] < misfits[0])
 
 
-def add_detail(
-    normal: np.ndarray,
-    signal: np.ndarray,
-    vectors: np.ndarray,
-    mean: np.ndarray,
-    sight: Sight,
-    lights: PatternLights,
-    config: RefineConfig,
-) -> np.ndarray:
-    """Give chroma's normals the fine relief that all channels together show with less noise.
+def best_scattering(scene: Scene, view: View, solved: Solved, config: RefineConfig) -> float:
+    """The share of wandering light that explains one view's pixels best.
 
-    Chroma is free of gloss but weak, so that its normals are right on average and noisy. The mean
-    channel less a typical skin's gloss is strong and slightly biased. Low frequencies stay with
-    chroma; detail is shared between the two by how well each fits its readings.
-
-    Args:
-        normal: (n, 3) from chroma, zero where unsolved.
-        signal: (n, P) chroma.
-        vectors: (n, P, 3) irradiance vectors.
-        mean: (n, P) mean channel.
-        sight: of the n pixels.
-        lights: of the P patterns.
-        config: see there.
-
-    Returns:
-        (n, 3) unit normals, zero where unsolved.
+    Relief that is calmer in red than in blue is light that wandered: another share leaves more of
+    the readings unexplained.
     """
-    solved = np.einsum("nk,nk->n", normal, normal) > 0.5
-    smooth = blurred(normal, solved, sight.mask, config.gloss_normal_px)
-    length = np.linalg.norm(smooth, axis=1, keepdims=True)
-    smooth = np.where(solved[:, None] & (length > 1e-6), smooth / np.maximum(length, 1e-6), 0)
-    middle = config.roughness[len(config.roughness) // 2]
-    _, lobe = transport(lights, sight.points_mm, smooth, sight.views, middle, sight.shadows)
-    matte = mean - np.float32(config.specular_prior) * lobe
-    sharp = solve_normals(matte, vectors)
-    return merged_detail(
-        normal,
-        sharp,
-        misfit(signal, vectors, normal),
-        misfit(matte, vectors, sharp),
-        sight.mask,
-        config.detail_px,
-    )
+    misfits = []
+    for amount in config.scattering:
+        again = solve_grid(scene, view, solved.normal, config, amount)
+        again = solve_grid(scene, view, again.normal, config, amount)
+        good = (again.misfit > 0) & (steady(view, config) > 0.5)
+        misfits.append(float(np.median(again.misfit[good])) if good.any() else 0.0)
+    return config.scattering[int(np.argmin(misfits))]
 
 
-def solve_albedo(
-    view: View, normals: Normals, lights: PatternLights, gloss: Gloss, config: RefineConfig
-) -> PixelMaps:
-    """Albedo of one view's pixels with the gloss of the mesh.
+def vertex_albedo(surface: LitSurface, grids: list[View], solved: list[Solved]) -> np.ndarray:
+    """(coarse, 3) diffuse albedo at the mesh's vertices; the face's mean where no view saw them."""
+    sums = np.zeros((surface.coarse, 6))
+    for grid, found in zip(grids, solved, strict=True):
+        shadows = grid.sight.shadows
+        both = np.column_stack([found.lit, found.power])
+        # A split vertex is none of the mesh's: its share goes to nobody, others are near enough.
+        all_sums = sum_at_vertices(both, shadows.corners, shadows.weights, len(surface.vertices))
+        sums += all_sums[: surface.coarse]
+    lit, power = sums[:, :3], sums[:, 3:]
+    mean = lit.sum(axis=0) / np.maximum(power.sum(axis=0), 1e-30)
+    enough = power > 1e-3
+    albedo = np.where(enough, lit / np.where(enough, power, 1), mean)
+    return np.clip(albedo, 0, 1)
 
-    Args:
-        view: its readings.
-        normals: of its pixels.
-        lights: of the P patterns.
-        gloss: at the mesh's vertices.
-        config: see there.
 
-    Returns:
-        PixelMaps, zero where there is no normal.
-    """
-    sight, mask, normal = view.sight, view.sight.mask, normals.normal
-    solved = np.einsum("nk,nk->n", normal, normal) > 0.5
-    rgb = np.where(solved[:, None, None], view.rgb, 0) / lights.colour.astype(np.float32)
+def place_of(scene: Scene, sight: Sight) -> Place:
+    """Where a view's pixels lie."""
+    return Place(sight.points_mm, sight.views, sight.shadows, scene.bounced)
+
+
+def gloss_of(scene: Scene, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) roughness and (n,) specular albedo of a view's pixels, from the mesh."""
     corners, weights = sight.shadows.corners, sight.shadows.weights
-    roughness = (gloss.roughness[corners] * weights).sum(axis=1)
-    specular = (gloss.specular[corners] * weights).sum(axis=1)
-    e, lobe = transport(
-        lights,
-        sight.points_mm,
-        normal,
-        sight.views,
-        roughness,
-        sight.shadows,
-        skin_interface(),
+    both = np.stack([scene.gloss.roughness, scene.gloss.specular], axis=1).astype(np.float32)
+    roughness, specular = at_vertices_to(both, corners, weights).T
+    return np.ascontiguousarray(roughness), np.ascontiguousarray(specular)
+
+
+def solve_view(
+    scene: Scene, view: View, grid: View, grid_normals: np.ndarray, config: RefineConfig
+) -> PixelMaps:
+    """Maps of all of a view's pixels.
+
+    Args:
+        scene: with its gloss found.
+        view: all pixels.
+        grid: of the same view.
+        grid_normals: (m, 3) of the grid's pixels.
+        config: see there.
+
+    Returns:
+        PixelMaps, zero where a pixel cannot be solved.
+    """
+    sight, mask = view.sight, view.sight.mask
+    evidence = grid_evidence(scene, grid, grid_normals, config)
+    roughness, specular = gloss_of(scene, grid.sight)
+    specular = local_specular(
+        evidence,
+        specular,
+        grid.sight.mask,
+        config.specular_detail_mm * grid.px_per_mm,
+        config.specular_detail_spread,
     )
-    specular[~solved] = 0
-    lit, power = diffuse_light(rgb, e, lobe, specular)
-    lit[~solved], power[~solved] = 0, 0
+    around = scattered(grid_normals, grid.sight.mask, grid.px_per_mm, scene.scattering)
+    columns = np.column_stack([grid_normals, roughness, specular, around.rest.reshape(-1, 9)])
+    start, rest = grid_normals, around.rest
+    if grid.sight.step > 1:
+        columns = enlarged(columns, grid.sight, sight)
+        start, roughness, specular = columns[:, :3], columns[:, 3], columns[:, 4]
+        rest = columns[:, 5:].reshape(-1, 3, 3)
+        length = np.linalg.norm(start, axis=1, keepdims=True)
+        start = np.where(length > 0.5, start / np.maximum(length, 0.5), sight.normals)
+        start = np.where(view.usable[:, None], start, 0)
+    solved = solve_jointly(
+        view.rgb,
+        scene.lights,
+        place_of(scene, sight),
+        start,
+        roughness,
+        specular,
+        skin_interface(),
+        dataclasses.replace(around, rest=rest),
+        config.noise,
+        rounds=config.rounds,
+    )
+    # A normal that the mesh could not have: mistaken shadows, or hair.
+    agreement = np.einsum("nk,nk->n", solved.normal, sight.normals)
+    good = view.usable & (agreement > 0)
+    colourful = np.clip(view.saturation / config.grey_saturation - 1, 0, 1)
+    light = np.clip(solved.power.mean(axis=1) / config.dark_power, 0, 1)
+    confidence = colourful * light * steady(view, config) * np.clip(2 * agreement, 0, 1)
+    confidence *= 1 / (1 + (solved.misfit / 100) ** 2)
+    confidence = np.where(good, confidence, 0).astype(np.float32)
+    lit, power = (np.where(good[:, None], x, 0) for x in (solved.lit, solved.power))
     albedo = diffuse_albedo(lit, power, mask, view.px_per_mm, config.albedo_prior_power)
-    albedo[~solved] = 0
-    roughness = np.where(solved, roughness, 0)
-    return PixelMaps(normal, normal, albedo, specular, roughness, normals.confidence)
+    matte = np.where(good[:, None], solved.matte, 0)
+    normal = np.where(good[:, None], solved.normal, 0)
+    albedo[~good] = 0
+    return PixelMaps(
+        matte, normal, albedo, np.where(good, specular, 0), np.where(good, roughness, 0), confidence
+    )
 
 
-def _every(confidence: np.ndarray, most: int) -> np.ndarray:
-    """Indices of evenly spaced pixels that have some confidence, at most `most`."""
-    chosen = np.flatnonzero(confidence > 0)
-    return chosen[:: max(1, -(-len(chosen) // most))]
+def enlarged(values: np.ndarray, grid: Sight, view: Sight) -> np.ndarray:
+    """(n, k) values of a grid's pixels at all pixels of the same view, linearly between them."""
+    rows, columns = np.nonzero(view.mask)
+    image = np.zeros((*grid.mask.shape, values.shape[1] + 1), np.float32)
+    image[grid.mask] = np.column_stack([values, np.ones(len(values))])
+    y, x = rows / grid.step, columns / grid.step
+    top = np.minimum(y.astype(int), image.shape[0] - 1)
+    left = np.minimum(x.astype(int), image.shape[1] - 1)
+    below, right = np.minimum(top + 1, image.shape[0] - 1), np.minimum(left + 1, image.shape[1] - 1)
+    down, across = (y - top)[:, None].astype(np.float32), (x - left)[:, None].astype(np.float32)
+    total = (1 - down) * ((1 - across) * image[top, left] + across * image[top, right])
+    total += down * ((1 - across) * image[below, left] + across * image[below, right])
+    return np.asarray(total[:, :-1] / np.maximum(total[:, -1:], 1e-6))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -13,36 +14,55 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.rig import Camera
 from processing.lights import PatternLights, Shadows
-from processing.rays import MeshRays, interpolate
+from processing.rays import MeshRays
 
 MOST_ROUNDS = 100
+MOST_SPLITS = 4
+SEEN_STEP = 3
+"""Every so many pixels a ray finds the triangles that a camera sees."""
 SKY_MM = 1e5
 """Distance of the directions that ambient occlusion asks for: far beyond the stage."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LitSurface:
-    """A mesh and what its V vertices receive.
+    """A mesh, split finely enough to hold the edges of shadows, and what its V vertices receive.
+
+    The first `coarse` vertices are the mesh's own; the others lie halfway along its edges.
 
     Attributes:
         vertices: (V, 3) mm.
-        triangles: (t, 3).
+        triangles: (t, 3); a triangle's four parts stand together, so that the parts of triangle i
+            of the mesh, split d times, are 4^d i to 4^d (i + 1) - 1.
         normals: (V, 3) smooth unit normals.
+        coarse: number of vertices of the mesh.
+        splits: how often triangles were split in four.
         rays: the mesh, ready for ray queries.
-        visible: (V, L) uint8, lights that each vertex sees.
+        visible: (V, L) uint8, lights that each vertex sees; of the vertices that split an edge only
+            those that some camera sees were asked.
         occlusion: (V,) 1 = open sky, cosine-weighted.
         average: (V, V) sparse, one round of averaging over neighbours.
-        edge_mm: mean length of the mesh's edges.
+        edge_mm: mean length of the split mesh's edges.
+        halfway: (m, 2) for each split, between which vertices the new ones lie.
     """
 
     vertices: np.ndarray
     triangles: np.ndarray
     normals: np.ndarray
+    coarse: int
+    splits: int
     rays: MeshRays
     visible: np.ndarray
     occlusion: np.ndarray
     average: sparse.csr_array
     edge_mm: float
+    halfway: tuple[np.ndarray, ...]
+
+    def at_all(self, values: np.ndarray) -> np.ndarray:
+        """Values (coarse, ..) of the mesh's vertices as (V, ..) of all."""
+        for edges in self.halfway:
+            values = np.concatenate([values, (values[edges[:, 0]] + values[edges[:, 1]]) / 2])
+        return values
 
     def rounds(self, sigma_mm: float) -> int:
         """Rounds of averaging that make a Gaussian of this sigma."""
@@ -61,6 +81,7 @@ class Sight:
         occlusion: (n,).
         shadows: lights that each pixel sees.
         depth_mm: (h, w) distance from the camera, infinite outside `mask`.
+        step: the pixels are every so many of every so many rows; `mask` and `depth_mm` hold these.
     """
 
     mask: np.ndarray
@@ -70,6 +91,7 @@ class Sight:
     occlusion: np.ndarray
     shadows: Shadows
     depth_mm: np.ndarray
+    step: int = 1
 
 
 def lit_surface(
@@ -80,11 +102,14 @@ def lit_surface(
     smoothing_mm: float,
     directions: int,
     most_faces: int,
+    finest_mm: float = 1.2,
+    seen_by: Sequence[tuple[Camera, np.ndarray]] | None = None,
     progress: ProgressCallback = quiet,
 ) -> LitSurface:
     """Cast each vertex's rays to the lights and to the sky, once.
 
-    Shadows and open sky vary over millimetres, so a denser mesh is thinned first.
+    Shadows and open sky vary over millimetres, so a denser mesh is thinned first, and a coarser one
+    split where cameras see it.
 
     Args:
         mesh: mm, world.
@@ -93,38 +118,119 @@ def lit_surface(
         smoothing_mm: over which the normals are averaged.
         directions: of the sky, spread evenly over the sphere.
         most_faces: a mesh of more triangles is thinned to as many.
+        finest_mm: triangles are split until their edges are about so long.
+        seen_by: cameras and their (h, w) bool foregrounds; None asks for every vertex.
         progress: counts rays' vertices.
     """
     vertices, triangles = thinned(mesh, most_faces)
     average = _average(triangles, len(vertices))
     normals = vertex_normals(vertices, triangles)
-    sides = vertices[triangles[:, 0]] - vertices[triangles[:, 1]]
-    edge_mm = float(np.linalg.norm(sides, axis=1).mean())
+    edge_mm = _edge_mm(vertices, triangles)
     for _ in range(averaging_rounds(smoothing_mm, edge_mm)):
         normals = average @ normals
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 1e-9)
     rays = MeshRays(vertices, triangles)
-    seen = rays.visible(
-        vertices, normals, lights.position_mm, offset_mm=offset_mm, progress=progress
-    ).astype(np.uint8)
+    normals = _unit(normals)
     sky = fibonacci_sphere(directions)
     open_sky = rays.visible(vertices, normals, sky * SKY_MM, offset_mm=offset_mm)
     cosine = np.maximum(normals.astype(np.float32) @ sky.T.astype(np.float32), 0)
     total = cosine.sum(axis=1)
     lit = np.einsum("vd,vd->v", cosine, open_sky)
     occlusion = np.where(total > 0, lit / np.where(total > 0, total, 1), 1)
-    return LitSurface(vertices, triangles, normals, rays, seen, occlusion, average, edge_mm)
+    coarse = len(vertices)
+    seen_faces = np.ones(len(triangles), bool)
+    if seen_by is not None:
+        seen_faces = _faces_seen(rays, triangles, coarse, seen_by)
+    splits = max(0, min(MOST_SPLITS, round(float(np.log2(max(edge_mm, 1e-6) / finest_mm)))))
+    halfway = []
+    for _ in range(splits):
+        triangles, edges = split(triangles, len(vertices))
+        halfway.append(edges)
+        vertices, normals, occlusion = (
+            np.concatenate([values, (values[edges[:, 0]] + values[edges[:, 1]]) / 2])
+            for values in (vertices, normals, occlusion)
+        )
+    normals = _unit(normals)
+    asked = np.zeros(len(vertices), bool)
+    asked[:coarse] = True
+    asked[triangles[np.repeat(seen_faces, 4**splits)].ravel()] = True
+    seen = np.zeros((len(vertices), len(lights.position_mm)), np.uint8)
+    seen[asked] = rays.visible(
+        vertices[asked], normals[asked], lights.position_mm, offset_mm=offset_mm, progress=progress
+    )
+    return LitSurface(
+        vertices=vertices,
+        triangles=triangles,
+        normals=normals,
+        coarse=coarse,
+        splits=splits,
+        rays=rays,
+        visible=seen,
+        occlusion=occlusion,
+        average=_average(triangles, len(vertices)) if splits else average,
+        edge_mm=edge_mm / 2**splits,
+        halfway=tuple(halfway),
+    )
 
 
-def see(surface: LitSurface, camera: Camera, foreground: np.ndarray) -> Sight:
+def split(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Split every triangle into four at the middles of its edges.
+
+    Args:
+        triangles: (t, 3) of `count` vertices.
+        count: vertices that there are.
+
+    Returns:
+        (4 t, 3) triangles: at the first, second and third corner, and the one between; and (m, 2)
+        the vertices in whose middle the new vertices count, count + 1 .. lie.
+    """
+    ends = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+    keys, index = np.unique(ends.min(axis=1) * count + ends.max(axis=1), return_inverse=True)
+    ab, bc, ca = (count + index.reshape(-1, 3)).T
+    a, b, c = triangles.T
+    parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+    children = np.array(parts).transpose(2, 0, 1).reshape(-1, 3)
+    return children, np.stack([keys // count, keys % count], axis=1)
+
+
+def _in_part(face: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which part of a split triangle a place lies in, and its barycentric weights there."""
+    largest = weights.argmax(axis=1)
+    corner = np.take_along_axis(weights, largest[:, None], axis=1)[:, 0] >= 0.5
+    inner = 1 - 2 * weights[:, [2, 0, 1]]
+    outer = 2 * weights
+    outer[np.arange(len(face)), largest] -= 1
+    return 4 * face + np.where(corner, largest, 3), np.where(corner[:, None], outer, inner)
+
+
+def _faces_seen(
+    rays: MeshRays,
+    triangles: np.ndarray,
+    count: int,
+    seen_by: Sequence[tuple[Camera, np.ndarray]],
+) -> np.ndarray:
+    """(t,) bool: triangles that some camera sees, and their neighbours."""
+    touched = np.zeros(count, bool)
+    for camera, foreground in seen_by:
+        some = np.zeros_like(foreground)
+        some[::SEEN_STEP, ::SEEN_STEP] = foreground[::SEEN_STEP, ::SEEN_STEP]
+        face = rays.cast_camera(camera, some).face
+        touched[triangles[np.unique(face[face >= 0])].ravel()] = True
+    for _ in range(2):
+        near = touched[triangles].any(axis=1)
+        touched[triangles[near].ravel()] = True
+    return np.asarray(touched[triangles].any(axis=1))
+
+
+def see(surface: LitSurface, camera: Camera, foreground: np.ndarray, step: int = 1) -> Sight:
     """What a camera sees of the mesh where its photographs show something.
 
     Args:
         surface: the mesh.
         camera: the view.
         foreground: (h, w) bool.
+        step: only every so many pixels of every so many rows.
     """
+    camera, foreground = _every(camera, step), foreground[::step, ::step]
     hits = surface.rays.cast_camera(camera, foreground)
     found = hits.face >= 0
     hits = dataclasses.replace(
@@ -133,10 +239,13 @@ def see(surface: LitSurface, camera: Camera, foreground: np.ndarray) -> Sight:
         barycentric=hits.barycentric[found],
         distance_mm=hits.distance_mm[found],
     )
-    corners = np.ascontiguousarray(surface.triangles[hits.face], np.int32)
-    weights = np.ascontiguousarray(hits.barycentric, np.float32)
+    face, weights = hits.face.astype(np.int64), hits.barycentric.astype(np.float64)
+    for _ in range(surface.splits):
+        face, weights = _in_part(face, weights)
+    weights = np.ascontiguousarray(weights, np.float32)
+    corners = np.ascontiguousarray(surface.triangles[face], np.int32)
     at_vertices = np.column_stack([surface.normals, surface.occlusion]).astype(np.float32)
-    at_pixels = interpolate(at_vertices, surface.triangles, hits)
+    at_pixels = at_vertices_to(at_vertices, corners, weights)
     normals = at_pixels[:, :3]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     origin, rays = camera.pixel_rays()
@@ -146,13 +255,39 @@ def see(surface: LitSurface, camera: Camera, foreground: np.ndarray) -> Sight:
     depth[mask] = hits.distance_mm
     return Sight(
         mask=mask,
-        points_mm=origin + directions * hits.distance_mm[:, None],
+        points_mm=(origin + directions * hits.distance_mm[:, None]).astype(np.float32),
         normals=normals,
-        views=-directions,
+        views=-directions.astype(np.float32),
         occlusion=at_pixels[:, 3],
         shadows=Shadows(corners, weights, surface.visible),
         depth_mm=depth,
+        step=step,
     )
+
+
+def _every(camera: Camera, step: int) -> Camera:
+    """The camera whose pixels are every so many of another one's."""
+    return dataclasses.replace(
+        camera,
+        width_px=-(-camera.width_px // step),
+        height_px=-(-camera.height_px // step),
+        fx_px=camera.fx_px / step,
+        fy_px=camera.fy_px / step,
+        cx_px=(camera.cx_px - 0.5) / step + 0.5,
+        cy_px=(camera.cy_px - 0.5) / step + 0.5,
+    )
+
+
+def at_vertices_to(values: np.ndarray, corners: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Values (V, ..) at vertices as those of n places with (n, 3) corners and weights."""
+    out = values[corners[:, 0]] * _like(weights[:, 0], values)
+    for k in (1, 2):
+        out += values[corners[:, k]] * _like(weights[:, k], values)
+    return np.asarray(out)
+
+
+def _like(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return weights.reshape(-1, *[1] * (values.ndim - 1))
 
 
 def thinned(mesh: Mesh, most_faces: int) -> tuple[np.ndarray, np.ndarray]:
@@ -194,6 +329,17 @@ def fibonacci_sphere(count: int) -> np.ndarray:
     turn = np.pi * (1 + np.sqrt(5)) * index
     radius = np.sqrt(1 - z * z)
     return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
+
+
+def _edge_mm(vertices: np.ndarray, triangles: np.ndarray) -> float:
+    return float(
+        np.linalg.norm(vertices[triangles[:, 0]] - vertices[triangles[:, 1]], axis=1).mean()
+    )
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-9)
 
 
 def _average(triangles: np.ndarray, count: int) -> sparse.csr_array:
