@@ -10,6 +10,7 @@ import numpy as np
 from processing.interface import skin_interface
 from processing.lights import PatternLights
 from processing.lobe import SKIN_F0
+from processing.methods.colour import SETTLED
 from processing.methods.config import SeparateConfig
 from processing.methods.far_tables import CELLS, ROWS, FarTables
 from tests.processing.lit_ball import exact_fresnel, smith
@@ -137,16 +138,16 @@ def separate(
 def tabulated(
     rgb: np.ndarray,
     views: np.ndarray,
+    mask: np.ndarray,
     lights: PatternLights,
     tables: FarTables,
     config: SeparateConfig,
     camera_mm: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Normals and lit over power of good pixels by the same tables as the compiled loop, float64.
 
     Returns:
-        (n, 3) normals; (n, 3) diffuse albedo with all mirror reflection left in; (n,) the cells
-        of the normals, -1 where they do not settle in one.
+        (n, 3) normals, (n, 3) diffuse albedo with all mirror reflection left in.
     """
     diffuse = tables.diffuse.astype(float).swapaxes(1, 2).reshape(len(tables.diffuse), ROWS, -1)
     count = len(lights.patterns)
@@ -155,23 +156,38 @@ def tabulated(
     total = rgb.sum(axis=1)
     across = total - (total @ unit)[:, None] * unit
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    signal = np.einsum("npc,nc->np", rgb, across)
+    # Relative to what the pixel reads in all, as in the loop: neighbours begin from its length.
+    signal = np.einsum("npc,nc->np", rgb, across) * (3 / total.sum(axis=1))[:, None]
     points = camera_mm - (views @ camera_mm)[:, None] * views
-    b = np.zeros_like(views)
-    n = views.copy()
+    n = np.zeros_like(views)
     cell = np.zeros(len(n), int)
-    for _ in range(40):
-        last, cell = cell, cells(n)
-        rows = diffuse[cell][:, :, :count]
-        b = np.einsum("njk,nk->nj", rows[:, :3], signal - _moved(rows, b, points))
-        n = b / np.linalg.norm(b, axis=1, keepdims=True)
+    before, length = None, 0.0
+    for i, (y, x) in enumerate(np.argwhere(mask)):
+        # A run of neighbours of a row is searched one after the other, each from the last's end.
+        if before is None or before[0] != y or before[1] != x - 1 or length == 0:
+            n[i], length = views[i], 0.0
+        else:
+            n[i] = n[i - 1]
+        before = (y, x)
+        older, last, cell[i] = -1, -1, -1
+        for _ in range(config.iterations):
+            older, last, cell[i] = last, cell[i], cells(n[i : i + 1])[0]
+            rows = diffuse[cell[i], :, :count]
+            b = n[i] * length
+            found = rows[:3] @ (signal[i] - _moved(rows[None], b[None], points[i : i + 1])[0])
+            step = found - b
+            length = float(np.linalg.norm(found))
+            n[i] = found / length
+            settled = cell[i] == last and step @ step < SETTLED * length**2
+            if settled or (cell[i] == older and cell[i] != last):
+                break
+    rows = diffuse[cell][:, :, :count]
     e = np.einsum("njk,nj->nk", rows[:, 3:6], n) + _moved(rows, n, points)
     nv = np.clip((n * views).sum(axis=1), 0.05, 1)
     line = tables.leaving.astype(float)
     e = np.maximum(e, 0) * np.interp(nv, np.linspace(0, 1, len(line)), line)[:, None]
     power = (e * e).sum(axis=1)
-    albedo = np.einsum("np,npc->nc", e, rgb / lights.colour) / power[:, None]
-    return n, albedo, np.where((cell == last) & (cell == cells(n)), cell, -1)
+    return n, np.einsum("np,npc->nc", e, rgb / lights.colour) / power[:, None]
 
 
 def cells(n: np.ndarray) -> np.ndarray:
