@@ -34,7 +34,7 @@ FAST = {"reassoc", "contract", "nsz"}
 
 
 @njit(cache=True, fastmath=FAST, forceinline=True)
-def _octahedral(x: float, y: float, z: float) -> tuple[float, float]:
+def _octahedral(x: float, y: float, z: float) -> tuple[Any, Any]:
     """0..1 coordinates of a direction on the octahedral square; (.5, .5) for no direction."""
     total = abs(x) + abs(y) + abs(z)
     if not total > 0:
