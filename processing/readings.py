@@ -8,6 +8,9 @@ from numba import njit, prange
 from lightstage.rig import Camera
 from processing.normals import chroma_signal
 
+BRIGHTEST = 1e12
+"""No lamp makes a reading like this, and its powers are no float32."""
+
 
 def read_pixels(
     rgb: np.ndarray, valid: np.ndarray, white: np.ndarray, dark_level: float
@@ -47,7 +50,7 @@ def _sort_out(rgb: np.ndarray, usable: np.ndarray, dark_level: float) -> None:
             # A mirror reflection feeds every channel: one that reads nothing is dead, not dark.
             least = total if not total >= least else least
             brightest += highest / 3
-        if not (least > 0 and np.isfinite(brightest) and brightest > dark_level):
+        if not (least > 0 and brightest < BRIGHTEST and brightest > dark_level):
             usable[i] = False
         if not usable[i]:
             rgb[i] = 0

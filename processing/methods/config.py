@@ -53,7 +53,7 @@ class MuxConfig:
 
     specular_pool_mm: float = 6.0
     """Sigma over which pixels share one specular albedo."""
-    specular_prior_share: float = 3.0
+    specular_prior_share: float = 0.3
     """Weight of the prior against the median pixel's evidence."""
 
 

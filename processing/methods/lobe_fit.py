@@ -36,7 +36,7 @@ class LobeFitConfig:
     specular_pool_mm: float = 1.0
     """Sigma over which pixels share one specular albedo."""
     specular_prior: float = SKIN_F0
-    specular_prior_share: float = 0.1
+    specular_prior_share: float = 0.02
     """Weight of the prior against the median pixel's evidence."""
     albedo_prior_power: float = 0.005
     """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""

@@ -8,6 +8,7 @@ for a grid of r and of lobe widths, and each pixel looks it up.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from numba import njit, prange
@@ -26,7 +27,8 @@ class LobeTable:
 
     Attributes:
         roughness: (M,) Beckmann's m, ascending, at least two.
-        values: (M, SIDE * SIDE, P) float32 at the octahedral grid of mirrored directions.
+        values: (M, (SIDE + 2)^2, P) float32 at the octahedral grid of mirrored directions, with the
+            cells beyond its edges around it.
     """
 
     roughness: np.ndarray
@@ -50,7 +52,17 @@ def lobe_table(lights: PatternLights, view: np.ndarray, roughness: tuple[float, 
     views = np.broadcast_to(view / np.linalg.norm(view), (count, 3))
     sky = no_shadows(count, lights)
     layers = [transport(lights, np.zeros((count, 3)), normals, views, m, sky)[1] for m in roughness]
-    return LobeTable(np.array(roughness), np.stack(layers))
+    return LobeTable(np.array(roughness), np.stack(layers)[:, _with_border()])
+
+
+def _with_border() -> np.ndarray:
+    """((SIDE + 2)^2,) cells of the grid and those across its edges, which fold onto themselves."""
+    i, j = np.meshgrid(np.arange(-1, SIDE + 1), np.arange(-1, SIDE + 1), indexing="ij")
+    for _ in range(2):
+        over = (i < 0) | (i >= SIDE)
+        i, j = np.clip(i, 0, SIDE - 1), np.where(over, SIDE - 1 - j, j)
+        i, j = j, i
+    return np.asarray((i * SIDE + j).ravel())
 
 
 def table_lobe(
@@ -95,17 +107,19 @@ def lobe_at(
 ) -> None:
     """Fill (P,) `out` with the lobe of a mirrored direction, bilinear in the octahedral grid."""
     total = abs(x) + abs(y) + abs(z)
+    if not (total > 0 and total < math.inf):  # no number, or no direction
+        out[:] = 0
+        return
     u, v = x / total, y / total
     if z < 0:
         u, v = (
             (1 - abs(v)) * (1.0 if u >= 0 else -1.0),
             (1 - abs(u)) * (1.0 if v >= 0 else -1.0),
         )
-    row = min(max((u + 1) / 2 * SIDE - 0.5, 0.0), SIDE - 1.0)
-    column = min(max((v + 1) / 2 * SIDE - 0.5, 0.0), SIDE - 1.0)
-    i, j = min(SIDE - 2, int(row)), min(SIDE - 2, int(column))
+    row, column = (u + 1) / 2 * SIDE + 0.5, (v + 1) / 2 * SIDE + 0.5
+    i, j = min(SIDE, int(row)), min(SIDE, int(column))
     down, across = row - i, column - j
-    cell = i * SIDE + j
+    cell = i * (SIDE + 2) + j
     for k in range(len(out)):
         out[k] = 0
     for m in range(2):
@@ -119,8 +133,8 @@ def lobe_at(
             out[k] += (
                 a * layer_values[cell, k]
                 + b * layer_values[cell + 1, k]
-                + c * layer_values[cell + SIDE, k]
-                + d * layer_values[cell + SIDE + 1, k]
+                + c * layer_values[cell + SIDE + 2, k]
+                + d * layer_values[cell + SIDE + 3, k]
             )
 
 

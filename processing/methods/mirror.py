@@ -94,7 +94,21 @@ def mirror_normals(
 
 
 @njit(cache=True)
-def _turned(
+def two_across(n: np.ndarray, across: np.ndarray, up: np.ndarray) -> None:
+    """Fill two unit directions across a unit normal and each other."""
+    if abs(n[2]) < 0.9:
+        length = math.sqrt(n[0] ** 2 + n[1] ** 2)
+        across[0], across[1], across[2] = -n[1] / length, n[0] / length, 0.0
+    else:
+        length = math.sqrt(n[1] ** 2 + n[2] ** 2)
+        across[0], across[1], across[2] = 0.0, -n[2] / length, n[1] / length
+    up[0] = n[1] * across[2] - n[2] * across[1]
+    up[1] = n[2] * across[0] - n[0] * across[2]
+    up[2] = n[0] * across[1] - n[1] * across[0]
+
+
+@njit(cache=True)
+def turn_by(
     n: np.ndarray, across: np.ndarray, up: np.ndarray, a: float, b: float, out: np.ndarray
 ) -> None:
     """The normal n turned by tangents a and b."""
@@ -142,30 +156,21 @@ def _mirror(
             continue
         layer, part = width_place(grid, roughness[i])
         across, up, turned = np.zeros(3), np.zeros(3), np.zeros(3)
-        # Any two directions across the normal.
-        if abs(n[2]) < 0.9:
-            length = math.sqrt(n[0] ** 2 + n[1] ** 2)
-            across[0], across[1] = -n[1] / length, n[0] / length
-        else:
-            length = math.sqrt(n[1] ** 2 + n[2] ** 2)
-            across[1], across[2] = -n[2] / length, n[1] / length
-        up[0] = n[1] * across[2] - n[2] * across[1]
-        up[1] = n[2] * across[0] - n[0] * across[2]
-        up[2] = n[0] * across[1] - n[1] * across[0]
+        two_across(n, across, up)
         here, right, left = np.zeros(count), np.zeros(count), np.zeros(count)
         above, below = np.zeros(count), np.zeros(count)
         a = b = 0.0
         information = 0.0
         for _ in range(rounds):
-            _turned(n, across, up, a, b, turned)
+            turn_by(n, across, up, a, b, turned)
             _seen(values, layer, part, turned, views[i], here)
-            _turned(n, across, up, a + TURN, b, turned)
+            turn_by(n, across, up, a + TURN, b, turned)
             _seen(values, layer, part, turned, views[i], right)
-            _turned(n, across, up, a - TURN, b, turned)
+            turn_by(n, across, up, a - TURN, b, turned)
             _seen(values, layer, part, turned, views[i], left)
-            _turned(n, across, up, a, b + TURN, turned)
+            turn_by(n, across, up, a, b + TURN, turned)
             _seen(values, layer, part, turned, views[i], above)
-            _turned(n, across, up, a, b - TURN, turned)
+            turn_by(n, across, up, a, b - TURN, turned)
             _seen(values, layer, part, turned, views[i], below)
             if len(nearness) > 1:
                 for k in range(count):
@@ -196,11 +201,14 @@ def _mirror(
             det = aa * bb - ab * ab
             step_a, step_b = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
             longest = math.sqrt(step_a * step_a + step_b * step_b)
+            if not longest < math.inf:
+                a = b = information = 0.0
+                break
             scale = min(1.0, LONGEST_TURN / max(longest, 1e-12))
             a += scale * step_a
             b += scale * step_b
             # The better known half of the two turns would flatter: the mean variance.
             information = 2 * det / (aa + bb)
         if math.isfinite(a) and math.isfinite(b) and information > 0:
-            _turned(n, across, up, a, b, normal[i])
+            turn_by(n, across, up, a, b, normal[i])
             sigma[i] = min(spread, math.sqrt(1 / information))

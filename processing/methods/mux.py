@@ -8,18 +8,32 @@ so that the specular part is that of the lobe model which explains all six readi
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit, prange
 
-from processing.albedo import Evidence, pooled, shrunk, specular_evidence
+from processing.albedo import pooled
 from processing.lights import OCTAHEDRON, PatternLights, far_field, octahedral_cell
 from processing.methods.config import SeparateConfig
-from processing.methods.lobe_table import LobeTable, lobe_table, table_lobe
+from processing.methods.lobe_table import LobeTable, lobe_at, lobe_table, table_lobe
 from processing.methods.matte import cells_of
+from processing.methods.mirror import turn_by, two_across
 from processing.pixels import PixelMaps
+from processing.readings import BRIGHTEST
 
-ROUNDS = 4
-"""Normals and specular albedo in turn."""
+ROUNDS = 8
+"""Steps of Gauss-Newton with the lobe, whose light turns with the normal."""
+TURN = 0.01
+"""Tangent of the turns by which derivatives are taken."""
+ODD = 0.01
+"""A ratio that is off by much more than this counts no more: it fits at no specular albedo."""
+LONGEST_TURN = 0.1
+"""A step turns the normal by at most this tangent."""
+TRIALS = (0.0, 0.015, 0.03, 0.045, 0.06)
+"""Specular albedos that are tried, evenly spaced."""
+ONE_PLANE = 1e-6
+"""Planes of ratios that lie this near to one another determine no normal."""
 
 
 def separate_pixels(
@@ -40,7 +54,10 @@ def separate_pixels(
     Source: [Kampouris2018] for the two shots.
     """
     rgb = np.array(rgb, np.float32)
-    usable = valid & np.isfinite(rgb).all(axis=(1, 2)) & (rgb.sum(axis=1) > 0).all(axis=1)
+    # Comparisons with what is no number are false.
+    usable = valid & (np.abs(rgb) < BRIGHTEST).all(axis=(1, 2))
+    rgb[~usable] = 0
+    usable &= (rgb.sum(axis=1) > 0).all(axis=1)
     usable &= rgb.max(axis=1).mean(axis=1) > config.dark_level / 3
     rgb[~usable] = 0
     channels = [lights.channel(c) for c in range(3)]
@@ -48,14 +65,19 @@ def separate_pixels(
     view = views[usable].mean(axis=0) if usable.any() else np.array([0.0, 0.0, 1.0])
     wide = (config.roughness, config.roughness + 0.1)
     tables = [lobe_table(each, view, wide) for each in channels]
-    specular = np.where(usable, config.specular_prior, 0.0)
-    normal = np.where(usable[:, None], views, 0.0)
-    matte = rgb
-    for turn in range(ROUNDS):
-        if turn > 0:
-            matte = rgb - _lobes(tables, normal, views, config.roughness) * specular[:, None, None]
-        normal, gap = mux_normals(matte, far, np.where(usable[:, None], views, 0.0), 5)
-        specular = _specular(rgb, far, tables, normal, views, mask, px_per_mm, config)
+    start = np.where(usable[:, None], views, 0.0)
+
+    first, _ = mux_normals(rgb, far, start, config.iterations)
+    layers = np.stack([table.values[0] for table in tables])
+
+    def with_gloss(specular: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        normal, gap = first.copy(), np.zeros(len(rgb))
+        _descend(rgb.astype(np.float64), specular, far, layers, views, ROUNDS, normal, gap)
+        return normal, gap
+
+    gaps = np.stack([with_gloss(np.full(len(rgb), s))[1] for s in TRIALS])
+    specular = np.where(usable, _specular(rgb, gaps, mask, px_per_mm, config), 0)
+    normal, gap = with_gloss(specular)
     lobe = _lobes(tables, normal, views, config.roughness)
     e = _irradiance(far, normal)
     power = (e * e).sum(axis=1)
@@ -100,7 +122,7 @@ def _mux(
         n = normal[i]
         if not n[0] ** 2 + n[1] ** 2 + n[2] ** 2 > 0.5:
             continue
-        system = np.zeros((3, 3))
+        system, along = np.zeros((3, 3)), np.zeros(3)
         for _ in range(iterations):
             cell = octahedral_cell(n[0], n[1], n[2], OCTAHEDRON)
             system[:] = 0
@@ -118,14 +140,131 @@ def _mux(
             if not (total > 0 and np.isfinite(total)):
                 n[:] = 0
                 break
-            values, vectors = np.linalg.eigh(system)
-            if values[1] < 1e-6:  # all planes are one: two shots of one gradient
+            spread = _thinnest(system, along)
+            if not spread > ONE_PLANE:  # all planes are one: two shots of one gradient
                 n[:] = 0
                 break
-            side = vectors[0, 0] * n[0] + vectors[1, 0] * n[1] + vectors[2, 0] * n[2]
+            side = along[0] * n[0] + along[1] * n[1] + along[2] * n[2]
+            off = 0.0
             for a in range(3):
-                n[a] = vectors[a, 0] if side >= 0 else -vectors[a, 0]
-            gap[i] = np.sqrt(max(values[0], 0.0) / 3)
+                n[a] = along[a] if side >= 0 else -along[a]
+                for b in range(3):
+                    off += along[a] * system[a, b] * along[b]
+            gap[i] = np.sqrt(max(off, 0.0) / 3)
+
+
+@njit(cache=True)
+def _apart(
+    rgb: np.ndarray,
+    specular: float,
+    far: np.ndarray,
+    layers: np.ndarray,
+    cell: int,
+    n: np.ndarray,
+    v: np.ndarray,
+    lobe: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Fill (3,) `out`: how far each channel's ratio is off, as a share of its two readings."""
+    facing = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+    x, y, z = 2 * facing * n[0] - v[0], 2 * facing * n[1] - v[1], 2 * facing * n[2] - v[2]
+    for c in range(3):
+        lobe_at(layers[c : c + 1], 0, 0.0, x, y, z, lobe)
+        one, two = rgb[0, c] - specular * lobe[0], rgb[1, c] - specular * lobe[1]
+        light_one = light_two = 0.0
+        for k in range(3):
+            light_one += far[c, cell, 0, k] * n[k]
+            light_two += far[c, cell, 1, k] * n[k]
+        light = math.sqrt(light_one * light_one + light_two * light_two)
+        size = math.sqrt(rgb[0, c] ** 2 + rgb[1, c] ** 2)
+        out[c] = (two * light_one - one * light_two) / max(size * light, 1e-30)
+
+
+@njit(parallel=True, cache=True)
+def _descend(
+    rgb: np.ndarray,
+    specular: np.ndarray,
+    far: np.ndarray,
+    layers: np.ndarray,
+    views: np.ndarray,
+    rounds: int,
+    normal: np.ndarray,
+    gap: np.ndarray,
+) -> None:
+    """Turn normals in place until the ratios fit with the lobe taken off."""
+    for i in prange(len(rgb)):
+        n = normal[i]
+        if not n[0] ** 2 + n[1] ** 2 + n[2] ** 2 > 0.5:
+            continue
+        across, up, turned = np.zeros(3), np.zeros(3), np.zeros(3)
+        here, right, above, lobe = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2)
+        for _ in range(rounds + 1):
+            two_across(n, across, up)
+            cell = octahedral_cell(n[0], n[1], n[2], OCTAHEDRON)
+            seen = (specular[i], far, layers, cell)
+            _apart(rgb[i], *seen, n, views[i], lobe, here)
+            turn_by(n, across, up, TURN, 0.0, turned)
+            _apart(rgb[i], *seen, turned, views[i], lobe, right)
+            turn_by(n, across, up, 0.0, TURN, turned)
+            _apart(rgb[i], *seen, turned, views[i], lobe, above)
+            aa = bb = 1e-12
+            ab = ra = rb = off = 0.0
+            for c in range(3):
+                da, db = (right[c] - here[c]) / TURN, (above[c] - here[c]) / TURN
+                aa += da * da
+                ab += da * db
+                bb += db * db
+                ra -= da * here[c]
+                rb -= db * here[c]
+                off += here[c] * here[c]
+            gap[i] = math.sqrt(off / 3)
+            det = aa * bb - ab * ab
+            a, b = (bb * ra - ab * rb) / det, (aa * rb - ab * ra) / det
+            scale = min(1.0, LONGEST_TURN / max(math.sqrt(a * a + b * b), 1e-12))
+            if not math.isfinite(a + b):
+                n[:] = 0
+                break
+            turn_by(n, across, up, scale * a, scale * b, turned)
+            n[:] = turned
+
+
+@njit(cache=True)
+def _thinnest(a: np.ndarray, out: np.ndarray) -> float:
+    """Unit eigenvector of the least eigenvalue of a (3, 3) symmetric matrix of trace up to 3.
+
+    The adjugate has the same eigenvectors and the products of two eigenvalues each, so that the
+    least one's is the largest; powers of it leave that one alone.
+
+    Returns:
+        The adjugate's trace: about the product of the other two eigenvalues; 0 where they vanish.
+    """
+    m = np.empty((3, 3))
+    m[0, 0] = a[1, 1] * a[2, 2] - a[1, 2] * a[1, 2]
+    m[1, 1] = a[0, 0] * a[2, 2] - a[0, 2] * a[0, 2]
+    m[2, 2] = a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
+    m[0, 1] = m[1, 0] = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
+    m[0, 2] = m[2, 0] = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
+    m[1, 2] = m[2, 1] = a[0, 1] * a[0, 2] - a[1, 2] * a[0, 0]
+    spread = m[0, 0] + m[1, 1] + m[2, 2]
+    if not spread > 0:
+        return 0.0
+    square = np.empty((3, 3))
+    for _ in range(5):
+        trace = m[0, 0] + m[1, 1] + m[2, 2]
+        for i in range(3):
+            for j in range(3):
+                square[i, j] = 0.0
+                for k in range(3):
+                    square[i, j] += m[i, k] / trace * m[k, j] / trace
+        m[:] = square
+    best = 0
+    for i in range(1, 3):
+        if m[i, i] > m[best, best]:
+            best = i
+    length = np.sqrt(m[0, best] ** 2 + m[1, best] ** 2 + m[2, best] ** 2)
+    for i in range(3):
+        out[i] = m[i, best] / length
+    return spread
 
 
 def _irradiance(far: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -143,30 +282,33 @@ def _lobes(
 
 
 def _specular(
-    rgb: np.ndarray,
-    far: np.ndarray,
-    tables: list[LobeTable],
-    normal: np.ndarray,
-    views: np.ndarray,
-    mask: np.ndarray,
-    px_per_mm: float,
-    config: SeparateConfig,
+    rgb: np.ndarray, gaps: np.ndarray, mask: np.ndarray, px_per_mm: float, config: SeparateConfig
 ) -> np.ndarray:
-    """(n,) specular albedo, each channel with a diffuse albedo of its own."""
-    e, lobe = _irradiance(far, normal), _lobes(tables, normal, views, config.roughness)
-    parts = [specular_evidence(rgb[:, :, c], e[:, :, c], lobe[:, :, c]) for c in range(3)]
-    solved = np.einsum("nk,nk->n", normal, normal) > 0.5
-    each = Evidence(*(np.where(solved, sum(x), 0) for x in zip(*map(_sums, parts), strict=True)))
-    typical = float(np.median(each.weight[solved])) if solved.any() else 0.0
+    """(n,) specular albedo that leaves the planes the least apart, over a neighbourhood.
+
+    How far off its planes a normal lies grows with what is wrong of the specular part; a parabola
+    through the squares around the smallest tells where between the trials they vanish.
+
+    Args:
+        rgb: (n, P, 3) readings.
+        gaps: (trials, n) of `mux_normals`, the specular albedo of TRIALS taken off.
+        mask: (h, w) bool with n true pixels.
+        px_per_mm: pixels a millimetre at the sphere's centre.
+        config: see there.
+    """
+    bright = rgb.astype(np.float64).sum(axis=(1, 2))
     sigma = config.mux.specular_pool_mm * px_per_mm
-    found = shrunk(
-        pooled(each.weighed, mask, sigma),
-        pooled(each.weight, mask, sigma),
-        config.specular_prior,
-        config.mux.specular_prior_share * typical,
-    )
-    return np.where(solved, found, 0)
-
-
-def _sums(evidence: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return evidence.weighed, evidence.weight, evidence.power
+    lost = gaps**2 / (gaps**2 + ODD**2) * np.minimum(bright, 1)
+    misfit = np.stack([pooled(each, mask, sigma) for each in lost])
+    grid = np.array(TRIALS)
+    step = grid[1] - grid[0]
+    bend = misfit[2:] - 2 * misfit[1:-1] + misfit[:-2]
+    typical = float(np.median(np.abs(bend[:, bright > 0]))) if (bright > 0).any() else 0.0
+    share = config.mux.specular_prior_share * typical / 2
+    misfit = misfit + share * ((grid - config.specular_prior) / step)[:, None] ** 2
+    middle = np.clip(np.argmin(misfit, axis=0), 1, len(grid) - 2)
+    at = np.arange(len(rgb))
+    low, here, high = (misfit[middle + k, at] for k in (-1, 0, 1))
+    curve = low - 2 * here + high
+    turn = np.where(curve > 0, (low - high) / np.where(curve > 0, 2 * curve, 1), 0)
+    return np.clip(grid[middle] + step * np.clip(turn, -1, 1), 0, None)

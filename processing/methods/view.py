@@ -12,6 +12,7 @@ from processing.methods.choice import METHODS
 from processing.methods.config import SeparateConfig
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
+from processing.surface import Sight
 
 
 def separate_view(
@@ -56,6 +57,34 @@ def separate_view(
             rgb, valid, views, mask, lights, scale, config, camera=camera
         )
     return METHODS[method](rgb, valid, views, mask, lights, scale, config)
+
+
+def separate_on_mesh(
+    method: str,
+    frames: Frames,
+    sight: Sight,
+    camera: Camera,
+    lights: PatternLights,
+    config: SeparateConfig,
+) -> PixelMaps:
+    """Separate one view whose mesh is known, by a method that takes positions and shadows.
+
+    Args:
+        method: ``polarised`` or ``linear``; the latter takes any unpolarised patterns.
+        frames: the view's photographs.
+        sight: what the camera sees of the mesh.
+        camera: the view's.
+        lights: of the frames' patterns.
+        config: see there.
+
+    Returns:
+        PixelMaps of the sight's pixels.
+    """
+    rgb, valid = frames.pixels(sight.mask), frames.valid[sight.mask]
+    seen = (rgb, valid, sight.views, sight.mask, lights, px_per_mm(camera), config)
+    if method == "polarised":
+        return polarised.separate_pixels(*seen, camera=camera, sight=sight)
+    return linear.separate_pixels(*seen, sight=sight)
 
 
 def _plain(config: SeparateConfig) -> bool:
