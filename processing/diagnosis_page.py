@@ -89,7 +89,8 @@ def _row(view: Diagnosis, axes: Sequence[str]) -> list[np.ndarray]:
         signed(view.residuals[axis], RESIDUAL_WHITE) if axis in view.residuals else black
         for axis in axes
     ]
-    row.append(black if view.ambient is None else display(view.ambient, 1 / AMBIENT_WHITE))
+    lit = view.whole.mean(axis=2, keepdims=True) > 0.05 * peak
+    row.append(black if view.ambient is None else display(view.ambient * lit, 1 / AMBIENT_WHITE))
     share = view.clipped[..., None]
     clipped = whole // 3 * (1 - share) + share * np.array([255, 40, 30])
     row.append(np.round(clipped).astype(np.uint8))
