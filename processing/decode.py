@@ -18,14 +18,12 @@ from processing.completing import Recipe, missing_patterns, said
 from processing.decoding import (
     CameraJob,
     Look,
-    as_frames,
     fill_draft,
     first_look,
-    reaches_beyond,
 )
 from processing.drafts import NOT_A_NUMBER, Draft, new_frames
 from processing.errors import ProcessingError
-from processing.frames import write_foreground
+from processing.frames import Frames, write_foreground
 from processing.masks import view_foreground
 from processing.photographs import exposure_factors, read_calibrations
 from processing.preparation import PrepareConfig, prepare_view, prepare_warnings
@@ -186,8 +184,8 @@ def _decode_window(
         with new_frames(out, job.camera, job.lit, look.scale, look.window, job.shape) as draft:
             kept = fill_draft(job, out, look, draft, step)
             sums = _prepare(job, out, draft, config.prepare, missing)
-            mask = view_foreground(as_frames(job, look, draft), config.foreground_share)
-            if reaches_beyond(mask, look.window, limit):
+            mask = view_foreground(_as_frames(job, look, draft), config.foreground_share)
+            if _reaches_beyond(mask, look.window, limit):
                 raise _WindowTooSmallError
             if not mask.any():
                 raise ProcessingError(
@@ -238,3 +236,20 @@ def _exposures(factors: Mapping[str, float]) -> str:
     odd = {n: f / usual for n, f in factors.items() if abs(f / usual - 1) > 1e-4}
     told = ", ".join(f"{name} times {factor:.4g}" for name, factor in odd.items())
     return f"unlike exposures in the files, brought to one: {told}"
+
+
+def _as_frames(job: CameraJob, look: Look, draft: Draft) -> Frames:
+    """The draft as Frames, while it is written."""
+    return Frames(job.lit, draft.half, look.scale, look.window, job.shape, draft.clipped)
+
+
+def _reaches_beyond(mask: np.ndarray, window: Window, limit: Window) -> bool:
+    """Whether a window's mask reaches an edge beyond which there is more of `limit`."""
+    below = limit.top + limit.height - window.top - window.height
+    right = limit.left + limit.width - window.left - window.width
+    return bool(
+        (window.top > limit.top and mask[0].any())
+        or (window.left > limit.left and mask[:, 0].any())
+        or (below > 0 and mask[-1].any())
+        or (right > 0 and mask[:, -1].any())
+    )

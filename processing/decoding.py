@@ -17,7 +17,7 @@ import numpy as np
 from lightstage.errors import FormatError
 from lightstage.formats.session import Frame, Session
 from processing.drafts import Draft, Marks, frames_path, read_marks, read_told
-from processing.frames import Frames, power_of_two, read_frames
+from processing.frames import power_of_two, read_frames
 from processing.photographs import Calibrated, Photograph, open_photograph
 from processing.raw.region import find_window
 from processing.records import code_version, hash_of
@@ -290,20 +290,3 @@ def _in_threads(
         except BaseException:
             waiting.clear()
             raise
-
-
-def as_frames(job: CameraJob, look: Look, draft: Draft) -> Frames:
-    """The draft as Frames, while it is written."""
-    return Frames(job.lit, draft.half, look.scale, look.window, job.shape, draft.clipped)
-
-
-def reaches_beyond(mask: np.ndarray, window: Window, limit: Window) -> bool:
-    """Whether a window's mask reaches an edge beyond which there is more of `limit`."""
-    below = limit.top + limit.height - window.top - window.height
-    right = limit.left + limit.width - window.left - window.width
-    return bool(
-        (window.top > limit.top and mask[0].any())
-        or (window.left > limit.left and mask[:, 0].any())
-        or (below > 0 and mask[-1].any())
-        or (right > 0 and mask[:, -1].any())
-    )
