@@ -28,7 +28,8 @@ CAPTIONS = {
     "diffuse_albedo": "Diffuse albedo, 1 is perfect white. No light or shadow should be left.",
     "specular_albedo": f"Specular albedo; {SPECULAR_WHITE} shows as white, skin is near 0.028.",
     "diffuse_normal": "Diffuse normals in world axes: red, green, blue are right, up, front.",
-    "specular_normal": "Specular normals: in this version the diffuse ones.",
+    "specular_normal": "Specular normals, the surface with its finest relief; the table of stages "
+    "tells what they are taken from.",
     "ambient_occlusion": "Ambient occlusion, 1 is open. Folds should be darker.",
     "confidence": "Confidence, 0 to 1: white is well seen.",
 }
