@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightstage.rig import Camera
 from processing.lights import PatternLights
 from processing.methods.config import SeparateConfig, relief_of
 from processing.methods.lobe_fit import maps_by_lobe
 from processing.methods.matte import matte_normals
-from processing.methods.variants import noise_of, normal_signal
+from processing.methods.variants import beside_centre, noise_of, normal_signal
 from processing.pixels import PixelMaps
 from processing.readings import read_pixels
 from processing.surface import Sight
@@ -28,6 +29,7 @@ def separate_pixels(
     px_per_mm: float,
     config: SeparateConfig,
     *,
+    camera: Camera | None = None,
     sight: Sight | None = None,
 ) -> PixelMaps:
     """Separation of one view by chroma and the lobe; arguments as of `colour.separate_pixels`.
@@ -37,7 +39,8 @@ def separate_pixels(
 
     Args:
         rgb, valid, views, mask, lights, px_per_mm, config: see there.
-        sight: what the camera sees of a mesh, None for lights far away and no shadows.
+        camera: whose view it is; without it every pixel lies at the sphere's centre.
+        sight: what the camera sees of a mesh, None for no shadows.
 
     Returns:
         PixelMaps; confidence 0 and zeros where a pixel is clipped, dark, grey or not finite.
@@ -51,6 +54,7 @@ def separate_pixels(
         signal = normal_signal(rgb, part)
     colourful = np.clip(saturation / config.grey_saturation - 1, 0, 1)
     usable &= colourful > 0
+    points = None if camera is None else beside_centre(views, camera)
     normal, trust = matte_normals(
         signal,
         rgb.mean(axis=2),
@@ -60,6 +64,8 @@ def separate_pixels(
         noise_of(part, config.noise),
         config,
         sight,
+        None,
+        points,
     )
     trust *= colourful
     return maps_by_lobe(
@@ -75,4 +81,6 @@ def separate_pixels(
         relief_of("linear", config),
         config.linear,
         sight,
+        None,
+        points,
     )

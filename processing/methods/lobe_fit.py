@@ -89,6 +89,7 @@ def maps_by_lobe(
     config: LobeFitConfig,
     sight: Sight | None = None,
     shares: np.ndarray | None = None,
+    points_mm: np.ndarray | None = None,
 ) -> PixelMaps:
     """Maps of one view's pixels.
 
@@ -106,6 +107,7 @@ def maps_by_lobe(
         config: see there.
         sight: what the camera sees of a mesh, None for lights far away and no shadows.
         shares: (n, P) what the camera gets of the irradiance; None for all.
+        points_mm: (n, 3) where the pixels lie, about, where there is no mesh; None for the centre.
 
     Returns:
         PixelMaps, zero where there is no normal.
@@ -116,6 +118,8 @@ def maps_by_lobe(
         nothing = np.zeros(len(normal))
         return PixelMaps(zeros, zeros, zeros, nothing, nothing, nothing)
     place = Place(lights, mirror, np.zeros_like(normal), no_shadows(len(rgb), lights), BARE)
+    if points_mm is not None:
+        place = dataclasses.replace(place, points_mm=points_mm, interface=skin_interface())
     if sight is not None:
         place = Place(lights, mirror, sight.points_mm, sight.shadows, skin_interface())
     e = place.irradiance(normal, views, config.roughness[len(config.roughness) // 2])

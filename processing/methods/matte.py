@@ -11,6 +11,7 @@ from processing.lights import (
     PatternLights,
     far_field,
     irradiance_vectors,
+    no_shadows,
     octahedral_cell,
 )
 from processing.methods.config import SeparateConfig
@@ -29,6 +30,7 @@ def matte_normals(
     config: SeparateConfig,
     sight: Sight | None,
     shares: np.ndarray | None = None,
+    points_mm: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Normals by the lights of the patterns, far away or where a mesh says the pixels lie.
 
@@ -42,27 +44,31 @@ def matte_normals(
         config: iterations and trust.
         sight: what the camera sees of a mesh, None for lights far away.
         shares: (cells, P) what the camera gets of the irradiance of each normal; None for all.
+        points_mm: (n, 3) where the pixels lie, about, where there is no mesh; None for the centre.
 
     Returns:
         (n, 3) float64 unit normals, zero where unsolved; (n,) confidence.
     """
+    far = far_field(lights)
+    if shares is not None:
+        far *= shares[:, :, None]
     if sight is None:
-        vectors = far_field(lights)
-        if shares is not None:
-            vectors *= shares[:, :, None]
-        normal = solve_far_normals(signal, vectors, views, config.iterations)
+        vectors, normal = far, solve_far_normals(signal, far, views, config.iterations)
         normal[~usable] = 0
         cell = cells_of(normal)
+        points, shadows = points_mm, no_shadows(len(signal), lights)
     else:
-        normal = sight.normals
+        normal, points, shadows = sight.normals, sight.points_mm, sight.shadows
+    if points is not None:
+        first = normal
         for _ in range(2):
             vectors = irradiance_vectors(
-                lights, sight.points_mm, normal, sight.shadows, skin_interface(), config.roughness
+                lights, points, normal, shadows, skin_interface(), config.roughness
             )
             if shares is not None:
                 vectors *= shares[cells_of(normal)][:, :, None].astype(np.float32)
             normal = solve_normals(signal, vectors)
-        agrees = np.einsum("nk,nk->n", normal, sight.normals) > 0
+        agrees = np.einsum("nk,nk->n", normal, first) > 0
         normal[~(usable & agrees)] = 0
         cell = np.arange(len(normal))
     trust, _ = normal_trust(

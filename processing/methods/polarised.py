@@ -17,7 +17,7 @@ from processing.methods.lobe_fit import maps_by_lobe
 from processing.methods.lobe_table import lobe_table, table_lobe
 from processing.methods.matte import cells_of, matte_normals
 from processing.methods.polarisers import diffuse_shares, mirror_lights
-from processing.methods.variants import noise_of, normal_signal
+from processing.methods.variants import beside_centre, noise_of, normal_signal
 from processing.pixels import PixelMaps
 from processing.readings import read_pixels
 from processing.surface import Sight
@@ -57,6 +57,7 @@ def separate_pixels(
     brightness = rgb.mean(axis=2)[:, crossed]
     filtered = None if camera is None else diffuse_shares(lights, camera)
     mirror = lights if camera is None else mirror_lights(lights, camera)
+    points = None if camera is None else beside_centre(views, camera)
     told = config.polarised
 
     def solved(signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,4 +85,5 @@ def separate_pixels(
         told,
         sight,
         None if filtered is None else filtered[cells_of(normal)],
+        points,
     )

@@ -50,8 +50,8 @@ def separate_view(
     rgb, valid = frames.pixels(mask), frames.valid[mask]
     views = -camera.pixel_rays()[1][mask]
     scale = px_per_mm(camera)
-    if method == "colour":
-        return linear.separate_pixels(rgb, valid, views, mask, lights, scale, config)
+    if method in ("colour", "linear"):
+        return linear.separate_pixels(rgb, valid, views, mask, lights, scale, config, camera=camera)
     if method == "polarised":
         return polarised.separate_pixels(
             rgb, valid, views, mask, lights, scale, config, camera=camera

@@ -1,0 +1,96 @@
+"""Methods of separation on a simulated person, through the stages, against the person's truth."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lightstage.commands import quiet
+from lightstage.formats.config import make_config
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import load_session
+from lightstage.rig import default_rig
+from processing.decode import DecodeConfig, decode
+from processing.methods.config import SeparateConfig
+from processing.separation import separate
+from sim.light.world import World
+from sim.people.subjects import load_subject
+from sim.session import SessionConfig, truth_path, write_direct
+from sim.truth import write_truth
+from tests.processing.lit_ball import angle_deg
+
+SEQUENCES = ("binary", "linear", "binary-polarised")
+
+
+@pytest.fixture(scope="module")
+def people(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Path]]:
+    """Sequence to a session of one person and its decoded folder."""
+    root = tmp_path_factory.mktemp("people")
+    rig = default_rig().scaled(0.04)
+    world = World(
+        load_subject("parametric", 3, None, 384), dataclasses.replace(rig, cameras=rig.cameras[:1])
+    )
+    made = {}
+    for sequence in SEQUENCES:
+        session, out = root / sequence, root / f"{sequence}.out"
+        write_direct(world, session, SessionConfig(sequence=sequence), 3, quiet)
+        write_truth(world, truth_path(session))
+        decode(load_session(session), out, DecodeConfig())
+        made[sequence] = session, out
+    return made
+
+
+def separated(
+    people: dict[str, tuple[Path, Path]], sequence: str, told: dict[str, Any]
+) -> tuple[dict[str, Any], dict[str, float]]:
+    """Facts of the stage, and errors on skin seen at less than 60 degrees or so."""
+    session, out = people[sequence]
+    facts = separate(load_session(session), out, make_config(SeparateConfig, told, "test"))
+    truth, found = ProcessedFolder(truth_path(session)), ProcessedFolder(out)
+    skin = truth.read_mask("cam0") & (found.read_view("cam0", "confidence") > 0.5)
+
+    def both(name: str) -> tuple[np.ndarray, np.ndarray]:
+        return found.read_view("cam0", name)[skin], truth.read_view("cam0", name)[skin]
+
+    albedo, true_albedo = both("diffuse_albedo")
+    specular, true_specular = both("specular_albedo")
+    return facts, {
+        "normal_deg": float(angle_deg(*both("diffuse_normal")).mean()),
+        "facet_deg": float(angle_deg(*both("specular_normal")).mean()),
+        "albedo": float(np.sqrt(((albedo - true_albedo) ** 2).mean())),
+        "specular": float(np.abs(specular - true_specular).mean()),
+        "covered": float(skin.sum() / truth.read_mask("cam0").sum()),
+    }
+
+
+@pytest.mark.parametrize(
+    ("sequence", "method", "relief"),
+    [("binary", "colour", "diffuse"), ("linear", "linear", "detail"),
+     ("binary-polarised", "polarised", "mirror")],
+)  # fmt: skip
+def test_the_method_of_each_sequence_beats_the_published_formulas(
+    people: dict[str, tuple[Path, Path]], sequence: str, method: str, relief: str
+) -> None:
+    facts, ours = separated(people, sequence, {})
+    assert (facts["method"], facts["specular_normals"]) == (method, relief)
+    assert facts["lights"] == "nominal"
+    for peer in ("kampouris", "ratios"):
+        _, theirs = separated(people, "binary", {"method": peer})
+        for error in ("normal_deg", "facet_deg", "albedo", "specular"):
+            if (peer, error) != ("ratios", "specular"):  # a constant near the truth
+                assert ours[error] < 0.9 * theirs[error], (peer, error)
+    assert ours["covered"] > 0.9
+
+
+def test_chroma_keeps_the_highlight_out_of_the_normals_and_red_and_blue_do_not(
+    people: dict[str, tuple[Path, Path]],
+) -> None:
+    errors = [
+        separated(people, "binary", {"normals": part})[1]["normal_deg"]
+        for part in ("chroma", "red", "blue")
+    ]
+    assert errors[0] < errors[1] < errors[2]
