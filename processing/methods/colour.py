@@ -24,8 +24,9 @@ from processing.readings import px_per_mm
 
 RAY_STEP_RAD = 1e-3
 """The camera's rays are found at steps of this angle and interpolated."""
-SETTLED = 1e-7
-"""A normal is found when a solve moves it by less than this, squared."""
+SETTLED = 4e-6
+"""A normal is found when a solve moves rho n by less than .002 of its length (squared here): what
+is left is a tenth of that, since the next solve would move it ten times less."""
 
 
 @dataclasses.dataclass(frozen=True)
