@@ -63,7 +63,9 @@ def separate_pixels(
     def solved(signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         noise = noise_of(part, config.noise)
         shares = None if filtered is None else filtered[:, crossed]
-        return matte_normals(signal, brightness, usable, views, banks, noise, config, sight, shares)
+        return matte_normals(
+            signal, brightness, usable, views, banks, noise, config, sight, shares, points
+        )
 
     normal, trust = solved(signal)
     if camera is not None and part != "chroma" and usable.any():
