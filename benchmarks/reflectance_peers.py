@@ -19,18 +19,20 @@ import numpy as np
 from benchmarks.reflectance_case import Case
 from benchmarks.reflectance_scores import Maps
 from lightstage.formats.mesh import read_ply
-from processing.albedo import diffuse_light
+from processing.albedo import diffuse_albedo, diffuse_light, pooled
 from processing.frames import read_foreground, read_frames
 from processing.interface import skin_interface
 from processing.lights import PatternLights, irradiance_vectors, pattern_lights
-from processing.lobe import SKIN_F0, transport
+from processing.lobe import transport
 from processing.normals import solve_normals
+from processing.readings import px_per_mm
 from processing.surface import Sight, lit_surface, see
 
 SOLVES = 2
 MOST_FACES = 120_000
 SHADOW_OFFSET_MM = 0.3
 SMOOTHING_MM = 1.0
+ALBEDO_PRIOR_POWER = 0.005
 CHANNELS = {"red": [0], "blue": [2], "mean": [0, 1, 2]}
 
 Settings = Mapping[str, Any]
@@ -88,7 +90,8 @@ def _on_mesh(case: Case, settings: Settings) -> Iterator[tuple[str, Maps]]:
         e, lobe = lit(sight, lights, normal, roughness)
         mirror = np.full(len(normal), constant, np.float32)
         found, power = diffuse_light(rgb, e, lobe, mirror)
-        yield camera_id, placed(sight.mask, normal, found, power, mirror, roughness)
+        per_mm = px_per_mm(case.session.rig.camera(camera_id))
+        yield camera_id, placed(sight.mask, normal, found, power, mirror, roughness, per_mm)
 
 
 @functools.lru_cache(maxsize=1)
@@ -148,9 +151,19 @@ def placed(
     power: np.ndarray,
     mirror: np.ndarray,
     roughness: float,
+    sigma_px: float,
 ) -> Maps:
-    """Maps of a mask's pixels in their picture; such a method knows no confidence but 1."""
-    albedo = np.maximum(found / np.maximum(power, 1e-4)[:, None], 0)
+    """Maps of a mask's pixels in their picture; such a method knows no confidence but 1.
+
+    Args:
+        mask: (h, w) bool with n true pixels.
+        normal: (n, 3).
+        found, power: of `diffuse_light`.
+        mirror: (n,) specular albedo.
+        roughness: everywhere.
+        sigma_px: over which creases that see hardly any light take their neighbours' albedo.
+    """
+    albedo = diffuse_albedo(found, power, mask, sigma_px, ALBEDO_PRIOR_POWER)
 
     def picture(values: np.ndarray) -> np.ndarray:
         image = np.zeros((*mask.shape, *values.shape[1:]), np.float32)
@@ -163,7 +176,11 @@ def placed(
 
 
 def polarised(case: Case, settings: Settings) -> dict[str, Maps]:
-    """Parallel and cross shots with the true mesh: what separation by colour is held up to."""
+    """Parallel and cross shots with the true mesh: what separation by colour is held up to.
+
+    `gain` is what a parallel shot shows of the mirrored light against an unpolarised one: more than
+    all of it on average, since the lamps' field lies across the plane in which they are reflected.
+    """
     return dict(_polarised(case, settings))
 
 
@@ -182,14 +199,16 @@ def _polarised(case: Case, settings: Settings) -> Iterator[tuple[str, Maps]]:
         e, lobe = lit(sight, cross, normal, roughness)
         nothing = np.zeros(len(normal), np.float32)
         found, power = diffuse_light(rgb[:, through], e, lobe, nothing)
-        body = (found / np.maximum(power, 1e-4)[:, None]).mean(axis=1)
+        per_mm = px_per_mm(case.session.rig.camera(camera_id))
+        body = diffuse_albedo(found, power, sight.mask, per_mm, ALBEDO_PRIOR_POWER).mean(axis=1)
         e, lobe = lit(sight, parallel, normal, roughness)
         gloss = rgb[:, ~through].mean(axis=2) - body[:, None] * e
         weight = np.einsum("np,np->n", lobe, lobe).astype(float)
-        prior = float(settings["prior"]) * float(np.median(weight))
-        mirror = (np.einsum("np,np->n", lobe, gloss) + prior * SKIN_F0) / (weight + prior)
-        mirror = np.clip(mirror, 0, 0.2)
-        yield camera_id, placed(sight.mask, normal, found, power, mirror, roughness)
+        sigma = float(settings["pool_mm"]) * per_mm
+        weighed = np.einsum("np,np->n", lobe, gloss) / float(settings["gain"])
+        weighed, weight = (pooled(x, sight.mask, sigma) for x in (weighed, weight))
+        mirror = np.clip(weighed / np.maximum(weight, 1e-9), 0, 0.2)
+        yield camera_id, placed(sight.mask, normal, found, power, mirror, roughness, per_mm)
 
 
 PEERS = (
@@ -237,4 +256,8 @@ PEERS = (
         on_mesh,
     ),
 )
-YARDSTICK = Peer("polarised, true mesh", product(roughness=(0.26,), prior=(0.1, 1.0)), polarised)
+YARDSTICK = Peer(
+    "polarised, true mesh",
+    product(roughness=(0.26,), pool_mm=(1.0,), gain=(1.0, 1.2)),
+    polarised,
+)
