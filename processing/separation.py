@@ -29,7 +29,8 @@ def separate(
     """Write coarse diffuse albedo, specular albedo, normals and confidence of every view.
 
     Returns:
-        Facts: method, lights, views, pixels, mean confidence, warnings.
+        Facts: method, normals, lights, views, pixels, mean confidence, share of pixels that are
+        ill-posed (eyes, teeth, grey hair, rims: confidence below .5), warnings.
 
     Raises:
         ProcessingError: patterns that no method, or not the one asked for, can separate.
@@ -37,26 +38,29 @@ def separate(
     folder = ProcessedFolder(out)
     cameras = session.camera_ids()
     confidence: dict[str, float] = {}
+    ill_posed: dict[str, float] = {}
     pixels = 0
     warnings: list[str] = []
     lights = pattern_lights(session, read_frames(out, cameras[0]).patterns)
     method = chosen_method(lights, config)
     warnings += _warnings(lights, method)
 
-    def one(camera_id: str) -> tuple[float, int]:
+    def one(camera_id: str) -> tuple[float, float, int]:
         frames = read_frames(out, camera_id)
         mask = read_foreground(out, camera_id)
         camera = session.rig.camera(camera_id)
         maps = separate_view(method, frames, mask, camera, lights, config)
         write_maps(folder, camera_id, mask, maps)
         folder.write_mask(camera_id, mask)
-        return float(maps.confidence.mean()), len(maps.confidence)
+        found = maps.confidence
+        return float(found.mean()), float((found < 0.5).mean()), len(found)
 
     sizes = [session.rig.camera(c).width_px * session.rig.camera(c).height_px for c in cameras]
     each = BYTES_A_PIXEL if method == "colour" else BYTES_OF_ARRAYS
     at_once = workers(each * max(sizes))
-    for camera_id, (mean, count) in over_views(one, cameras, at_once):
+    for camera_id, (mean, unsure, count) in over_views(one, cameras, at_once):
         confidence[camera_id] = round(mean, 4)
+        ill_posed[camera_id] = round(unsure, 4)
         pixels += count
         progress(len(confidence), len(cameras))
     return {
@@ -67,6 +71,7 @@ def separate(
         "views": len(cameras),
         "pixels": pixels,
         "mean_confidence": confidence,
+        "ill_posed_share": ill_posed,
         "warnings": warnings,
     }
 

@@ -78,6 +78,7 @@ def test_the_method_of_each_sequence_beats_the_published_formulas(
     facts, ours = separated(people, sequence, {})
     assert (facts["method"], facts["specular_normals"]) == (method, relief)
     assert facts["lights"] == "nominal"
+    assert 0 < facts["ill_posed_share"]["cam0"] < 0.3
     for peer in ("kampouris", "ratios"):
         _, theirs = separated(people, "binary", {"method": peer})
         for error in ("normal_deg", "facet_deg", "albedo", "specular"):
