@@ -71,7 +71,7 @@ class SeparateConfig:
     specular_pool_mm: float = 4.0
     """Sigma over which pixels share one specular albedo."""
     specular_prior: float = SKIN_F0
-    specular_prior_share: float = 3.0
+    specular_prior_share: float = 10.0
     """Weight of the prior against the median pixel's evidence: without shadows that is poor."""
     albedo_prior_power: float = 0.005
     """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
