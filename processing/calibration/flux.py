@@ -47,7 +47,7 @@ def intensities(flux: Flux, count: int) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(30):
         of_group = _medians(log - of_lamp[lamp], group, len(of_group))
         of_lamp = _medians(log - of_group[group], lamp, count)
-    left = (log - of_lamp[lamp] - of_group[group]).mean(axis=1)
+    left = log - of_lamp[lamp] - of_group[group]
     seen = np.bincount(lamp, minlength=count)
     spread_ = 1.4826 * float(np.median(np.abs(left)))
     level[seen > 0] = of_lamp[seen > 0] - np.median(of_lamp[seen > 0], axis=0)
