@@ -57,14 +57,14 @@ class Place:
 
 @dataclasses.dataclass(frozen=True)
 class Scattered:
-    """How light that wanders inside the skin calms what the relief does to diffuse light.
+    """Light that leaves the skin elsewhere than it entered.
 
-    The irradiance of channel c is g . (kept_c n + rest_c): what leaves where it entered follows the
-    pixel's own normal, the rest follows its neighbours'.
+    What leaves in channel c under pattern k is kept_c E_k + rest_kc: its own part turns with the
+    pixel's normal, the neighbours' does not.
 
     Attributes:
         kept: (3,) float64 share of each channel that leaves where it entered; 1 without scattering.
-        rest: (n, 3, 3) float32 by channel, what the neighbours' normals give; zero without.
+        rest: (n, P, 3) float32 what comes from neighbours; zero without.
     """
 
     kept: np.ndarray
@@ -81,6 +81,7 @@ class Solved:
         lit: (n, 3) float32 least squares of the diffuse albedo is lit / power.
         power: (n, 3) float32 the sum of squared irradiance.
         misfit: (n,) float32 mean squared residual over its expected variance.
+        irradiance: (n, P) float32 what enters straight from the lights, for the normals found.
         certainty: (n,) float32 least information on a turn of the normal, one over rad^2.
     """
 
@@ -89,6 +90,7 @@ class Solved:
     lit: np.ndarray
     power: np.ndarray
     misfit: np.ndarray
+    irradiance: np.ndarray
     certainty: np.ndarray
 
 
@@ -119,9 +121,15 @@ def solve_jointly(
         rounds: steps.
     """
     count = len(rgb)
+    normal, matte, lit, power = np.zeros((4, count, 3), np.float32)
     out = Solved(
-        *(np.zeros((count, 3), np.float32) for _ in range(4)),
-        *(np.zeros(count, np.float32) for _ in range(2)),
+        normal,
+        matte,
+        lit,
+        power,
+        misfit=np.zeros(count, np.float32),
+        irradiance=np.zeros(rgb.shape[:2], np.float32),
+        certainty=np.zeros(count, np.float32),
     )
     _solve(
         *_arguments(rgb, lights, place, normals, roughness, specular, interface, scattered, noise),
@@ -131,6 +139,7 @@ def solve_jointly(
         out.lit,
         out.power,
         out.misfit,
+        out.irradiance,
         out.certainty,
     )
     return out
@@ -371,10 +380,7 @@ def _diffuse(light: np.ndarray, kept: np.ndarray, rest: np.ndarray, out: np.ndar
     """Fill out (P, 3) with each channel's irradiance."""
     for k in range(len(light)):
         for c in range(3):
-            e = kept[c] * light[k, 0]
-            for x in range(3):
-                e += light[k, 1 + x] * rest[c, x]
-            out[k, c] = max(e, 0.0) + light[k, 9 + c]
+            out[k, c] = max(kept[c] * light[k, 0] + rest[k, c], 0.0) + light[k, 9 + c]
 
 
 @njit(cache=True)
@@ -540,6 +546,7 @@ def _solve(
     lit: np.ndarray,
     powers: np.ndarray,
     misfits: np.ndarray,
+    irradiances: np.ndarray,
     certainties: np.ndarray,
 ) -> None:
     patterns = rgb.shape[1]
@@ -606,6 +613,8 @@ def _solve(
             mattes[i, c] = matte[c]
             lit[i, c] = rho[c] * power[c]
             powers[i, c] = power[c]
+        for k in range(patterns):
+            irradiances[i, k] = light[k, 0]
         misfits[i] = total / (3 * patterns - 5)
         certainties[i] = certainty
 

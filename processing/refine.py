@@ -19,13 +19,24 @@ from processing.errors import ProcessingError
 from processing.frames import Frames, read_foreground, read_frames
 from processing.gloss import Gloss, better_gloss, local_specular, skin_gloss, sum_at_vertices
 from processing.interface import skin_interface
-from processing.joint import Noise, Place, Solved, gloss_evidence, solve_jointly
-from processing.lights import PatternLights, pattern_lights, require_unpolarised
+from processing.joint import (
+    Noise,
+    Place,
+    Scattered,
+    Solved,
+    gloss_evidence,
+    solve_jointly,
+)
+from processing.lights import PatternLights, Shadows, pattern_lights, require_unpolarised
 from processing.masks import edge_distance_px
 from processing.pixels import PixelMaps, write_maps
 from processing.readings import px_per_mm, read_pixels
-from processing.scattering import scattered
+from processing.scattering import scattered, unscattered
 from processing.surface import LitSurface, Sight, at_vertices_to, depth_edges, lit_surface, see
+
+ALL = slice(None)
+BAND_PIXELS = 1_000_000
+"""Pixels that are solved at a time: what they need besides their maps is held no longer."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,14 +53,17 @@ class RefineConfig:
     """Over which the mesh's normals are averaged."""
     occlusion_directions: int = 200
     """Directions over the sphere for ambient occlusion."""
-    bounce_rays: int = 64
-    """Rays of each vertex to other skin; 0 leaves out light from skin to skin."""
+    bounce_rays: int = 512
+    """Rays of each vertex to other skin, at most; 0 leaves out light from skin to skin."""
+    bounce_rays_all: int = 8_000_000
+    """Rays of all vertices together, at most."""
     scattering: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
     """Shares of light that wanders inside the skin that are tried."""
     noise_sensor: float = 0.001
     noise_model: float = 0.003
-    noise_shade: float = 0.01
-    """Of the readings: see `joint.Noise`."""
+    noise_shade_gloss: float = 0.03
+    noise_shade: float = 0.003
+    """Of the readings: see `joint.Noise`; for gloss, colour counts more than the model of light."""
     gloss_rounds: int = 3
     """Steps of the search for roughness and specular albedo."""
     gloss_pixels: int = 500_000
@@ -57,11 +71,11 @@ class RefineConfig:
     roughness: float = 0.28
     """Beckmann's m to start from; skin has .2 to .35."""
     roughness_pool_mm: float = 5.0
-    specular_pool_mm: float = 1.0
+    specular_pool_mm: float = 3.0
     """Sigma over which all views' evidence is pooled on the mesh."""
     specular_detail_mm: float = 0.5
     """Sigma over which one view's pixels share a specular albedo finer than the mesh's."""
-    specular_detail_spread: float = 0.004
+    specular_detail_spread: float = 0.002
     """Standard deviation of that detail."""
     gloss_prior: float = 0.02
     """The face's own mean counts as this share of a typical vertex's evidence."""
@@ -82,8 +96,13 @@ class RefineConfig:
 
     @property
     def noise(self) -> Noise:
-        """Of the readings."""
+        """Of the readings, for normals and albedo."""
         return Noise(self.noise_sensor, self.noise_model, self.noise_shade)
+
+    @property
+    def gloss_noise(self) -> Noise:
+        """Of the readings, for gloss."""
+        return Noise(self.noise_sensor, self.noise_model, self.noise_shade_gloss)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,15 +174,14 @@ def refine(
         for camera, lit in seen_by
     ]
     progress(2, steps)
-    normals = find_gloss(scene, grids, config, lambda done, _: progress(2 + done, steps))
+    found = find_gloss(scene, grids, config, lambda done, _: progress(2 + done, steps))
     confidence: dict[str, float] = {}
     pixels = 0
     for done, (camera, lit) in enumerate(seen_by):
-        grid, coarse_normals = grids[done], normals[done]
-        view = grid
+        grid = view = grids[done]
         if grid.sight.step > 1:
             view = read_view(read_frames(out, camera.id), camera, lit, scene, config)
-        maps = solve_view(scene, view, grid, coarse_normals, config)
+        maps = solve_view(scene, view, grid, found[done], config)
         mask = view.sight.mask
         write_maps(folder, camera.id, mask, maps)
         occlusion = np.zeros(mask.shape, np.float32)
@@ -255,7 +273,7 @@ def read_view(
 
 def find_gloss(
     scene: Scene, grids: list[View], config: RefineConfig, progress: ProgressCallback = quiet
-) -> list[np.ndarray]:
+) -> list[Solved]:
     """Find gloss, bounced light and scattering from grids of the views' pixels.
 
     Args:
@@ -265,31 +283,29 @@ def find_gloss(
         progress: of rounds.
 
     Returns:
-        (n, 3) normals of each grid's pixels.
+        Each grid's pixels as solved.
     """
     surface = scene.surface
-    normals = [np.where(grid.usable[:, None], grid.sight.normals, 0) for grid in grids]
     interface = skin_interface()
     between, entered = None, np.zeros(0)
     if config.bounce_rays:
-        between = other_skin(surface, config.bounce_rays)
+        rays = max(16, min(config.bounce_rays, config.bounce_rays_all // surface.coarse))
+        between = other_skin(surface, rays)
         entered = vertex_irradiance(surface, scene.lights, interface, config.roughness)
+    solved = [solve_grid(scene, grid, None, config) for grid in grids]
     for done in range(config.gloss_rounds):
-        solved = [
-            solve_grid(scene, grid, start, config)
-            for grid, start in zip(grids, normals, strict=True)
-        ]
-        normals = [found.normal for found in solved]
+        if done:
+            solved = [solve_grid(scene, g, b, config) for g, b in zip(grids, solved, strict=True)]
         if between is not None:
             albedo = vertex_albedo(surface, grids, solved)
             bounced = bounced_light(surface, between, entered, albedo)
             if done == 0:
                 scene.bounces = best_bounces(scene, bounced, grids[0], solved[0], config)
             scene.bounced = np.float32(scene.bounces) * bounced
-        if done == 0 and len(config.scattering) > 1:
+        if done == 0:
             scene.scattering = best_scattering(scene, grids[0], solved[0], config)
         sums = np.zeros((len(surface.vertices), 5))
-        for grid, found in zip(grids, normals, strict=True):
+        for grid, found in zip(grids, solved, strict=True):
             evidence = grid_evidence(scene, grid, found, config)
             corners, weights = grid.sight.shadows.corners, grid.sight.shadows.weights
             sums += sum_at_vertices(evidence, corners, weights, len(surface.vertices))
@@ -302,19 +318,17 @@ def find_gloss(
             prior=config.gloss_prior,
         )
         progress(done + 1, config.gloss_rounds)
-    return normals
+    return solved
 
 
-def solve_grid(
-    scene: Scene,
-    view: View,
-    start: np.ndarray,
-    config: RefineConfig,
-    scattering: float | None = None,
-) -> Solved:
-    """One step from given normals with what the scene knows so far."""
+def solve_grid(scene: Scene, view: View, before: Solved | None, config: RefineConfig) -> Solved:
+    """One step with what the scene knows so far, from the step before or the mesh's normals."""
     sight = view.sight
-    amount = scene.scattering if scattering is None else scattering
+    if before is None:
+        start = np.where(view.usable[:, None], sight.normals, 0)
+        around = unscattered(len(start), len(scene.lights.patterns))
+    else:
+        start, around = before.normal, around_of(scene, view, before)
     return solve_jointly(
         view.rgb,
         scene.lights,
@@ -322,26 +336,32 @@ def solve_grid(
         start,
         *gloss_of(scene, sight),
         skin_interface(),
-        scattered(start, sight.mask, view.px_per_mm, amount),
+        around,
         config.noise,
         rounds=1,
     )
 
 
-def grid_evidence(
-    scene: Scene, view: View, normals: np.ndarray, config: RefineConfig
-) -> np.ndarray:
+def around_of(scene: Scene, view: View, solved: Solved) -> Scattered:
+    """Light that wanders to each pixel of a view from its neighbours."""
+    # A slope is shorter in the picture than it is.
+    shrunk = float(np.sqrt(np.einsum("nk,nk->n", view.sight.normals, view.sight.views).mean()))
+    px_per_mm = view.px_per_mm * shrunk
+    return scattered(solved.irradiance, view.sight.mask, px_per_mm, scene.scattering)
+
+
+def grid_evidence(scene: Scene, view: View, solved: Solved, config: RefineConfig) -> np.ndarray:
     """(n, 5) what the pixels say of the gloss; those at steep angles and edges say nothing."""
     sight = view.sight
     evidence = gloss_evidence(
         view.rgb,
         scene.lights,
         place_of(scene, sight),
-        normals,
+        solved.normal,
         *gloss_of(scene, sight),
         skin_interface(),
-        scattered(normals, sight.mask, view.px_per_mm, scene.scattering),
-        config.noise,
+        around_of(scene, view, solved),
+        config.gloss_noise,
     )
     return np.asarray(evidence * steady(view, config)[:, None])
 
@@ -371,7 +391,7 @@ def best_bounces(
     misfits = []
     for light in (0.0, 1.0):
         tried = dataclasses.replace(scene, bounced=np.float32(light) * bounced)
-        again = solve_grid(tried, view, solved.normal, config)
+        again = solve_grid(tried, view, solved, config)
         misfits.append(float(np.median(again.misfit[good])))
     return float(misfits[1] < misfits[0])
 
@@ -382,13 +402,13 @@ def best_scattering(scene: Scene, view: View, solved: Solved, config: RefineConf
     Relief that is calmer in red than in blue is light that wandered: another share leaves more of
     the readings unexplained.
     """
-    misfits = []
-    for amount in config.scattering:
-        again = solve_grid(scene, view, solved.normal, config, amount)
-        again = solve_grid(scene, view, again.normal, config, amount)
+    misfits: list[float] = []
+    for amount in config.scattering if len(config.scattering) > 1 else ():
+        tried = dataclasses.replace(scene, scattering=amount)
+        again = solve_grid(tried, view, solve_grid(tried, view, solved, config), config)
         good = (again.misfit > 0) & (steady(view, config) > 0.5)
         misfits.append(float(np.median(again.misfit[good])) if good.any() else 0.0)
-    return config.scattering[int(np.argmin(misfits))]
+    return config.scattering[int(np.argmin(misfits)) if misfits else 0]
 
 
 def vertex_albedo(surface: LitSurface, grids: list[View], solved: list[Solved]) -> np.ndarray:
@@ -407,9 +427,20 @@ def vertex_albedo(surface: LitSurface, grids: list[View], solved: list[Solved]) 
     return np.clip(albedo, 0, 1)
 
 
-def place_of(scene: Scene, sight: Sight) -> Place:
+def place_of(scene: Scene, sight: Sight, band: slice = ALL) -> Place:
     """Where a view's pixels lie."""
-    return Place(sight.points_mm, sight.views, sight.shadows, scene.bounced)
+    return Place(
+        sight.points_mm[band],
+        sight.views[band],
+        Shadows(sight.shadows.corners[band], sight.shadows.weights[band], sight.shadows.visible),
+        scene.bounced,
+    )
+
+
+def joined(parts: list[Solved]) -> Solved:
+    """The pixels of several bands as one."""
+    names = [field.name for field in dataclasses.fields(Solved)]
+    return Solved(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def gloss_of(scene: Scene, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
@@ -421,7 +452,7 @@ def gloss_of(scene: Scene, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
 
 
 def solve_view(
-    scene: Scene, view: View, grid: View, grid_normals: np.ndarray, config: RefineConfig
+    scene: Scene, view: View, grid: View, found: Solved, config: RefineConfig
 ) -> PixelMaps:
     """Maps of all of a view's pixels.
 
@@ -429,14 +460,14 @@ def solve_view(
         scene: with its gloss found.
         view: all pixels.
         grid: of the same view.
-        grid_normals: (m, 3) of the grid's pixels.
+        found: the grid's pixels.
         config: see there.
 
     Returns:
         PixelMaps, zero where a pixel cannot be solved.
     """
     sight, mask = view.sight, view.sight.mask
-    evidence = grid_evidence(scene, grid, grid_normals, config)
+    evidence = grid_evidence(scene, grid, found, config)
     roughness, specular = gloss_of(scene, grid.sight)
     specular = local_specular(
         evidence,
@@ -445,28 +476,36 @@ def solve_view(
         config.specular_detail_mm * grid.px_per_mm,
         config.specular_detail_spread,
     )
-    around = scattered(grid_normals, grid.sight.mask, grid.px_per_mm, scene.scattering)
-    columns = np.column_stack([grid_normals, roughness, specular, around.rest.reshape(-1, 9)])
-    start, rest = grid_normals, around.rest
+    around = around_of(scene, grid, found)
+    start = found.normal
     if grid.sight.step > 1:
-        columns = enlarged(columns, grid.sight, sight)
+        columns = enlarged(np.column_stack([start, roughness, specular]), grid.sight, sight)
         start, roughness, specular = columns[:, :3], columns[:, 3], columns[:, 4]
-        rest = columns[:, 5:].reshape(-1, 3, 3)
         length = np.linalg.norm(start, axis=1, keepdims=True)
         start = np.where(length > 0.5, start / np.maximum(length, 0.5), sight.normals)
         start = np.where(view.usable[:, None], start, 0)
-    solved = solve_jointly(
-        view.rgb,
-        scene.lights,
-        place_of(scene, sight),
-        start,
-        roughness,
-        specular,
-        skin_interface(),
-        dataclasses.replace(around, rest=rest),
-        config.noise,
-        rounds=config.rounds,
-    )
+    parts = []
+    for first in range(0, len(start), BAND_PIXELS):
+        band = slice(first, first + BAND_PIXELS)
+        rest = around.rest[band]
+        if grid.sight.step > 1:
+            flat = around.rest.reshape(len(around.rest), -1)
+            rest = enlarged(flat, grid.sight, sight, band).reshape(-1, *around.rest.shape[1:])
+        parts.append(
+            solve_jointly(
+                view.rgb[band],
+                scene.lights,
+                place_of(scene, sight, band),
+                start[band],
+                roughness[band],
+                specular[band],
+                skin_interface(),
+                dataclasses.replace(around, rest=rest),
+                config.noise,
+                rounds=config.rounds,
+            )
+        )
+    solved = joined(parts)
     # A normal that the mesh could not have: mistaken shadows, or hair.
     agreement = np.einsum("nk,nk->n", solved.normal, sight.normals)
     good = view.usable & (agreement > 0)
@@ -485,9 +524,9 @@ def solve_view(
     )
 
 
-def enlarged(values: np.ndarray, grid: Sight, view: Sight) -> np.ndarray:
-    """(n, k) values of a grid's pixels at all pixels of the same view, linearly between them."""
-    rows, columns = np.nonzero(view.mask)
+def enlarged(values: np.ndarray, grid: Sight, view: Sight, band: slice = ALL) -> np.ndarray:
+    """(n, k) values of a grid's pixels at pixels of the whole view, linearly between them."""
+    rows, columns = (places[band] for places in np.nonzero(view.mask))
     image = np.zeros((*grid.mask.shape, values.shape[1] + 1), np.float32)
     image[grid.mask] = np.column_stack([values, np.ones(len(values))])
     y, x = rows / grid.step, columns / grid.step

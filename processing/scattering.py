@@ -1,4 +1,4 @@
-"""Light that wanders inside the skin: how far it calms what relief does to diffuse light."""
+"""Light that wanders inside the skin and leaves elsewhere than it entered."""
 
 from __future__ import annotations
 
@@ -23,11 +23,18 @@ NARROWEST_PX = 0.25
 """A Gaussian of less stays within its pixel."""
 
 
-def scattered(normals: np.ndarray, mask: np.ndarray, px_per_mm: float, amount: float) -> Scattered:
-    """What neighbours' normals give to the diffuse light of each pixel.
+def unscattered(count: int, patterns: int) -> Scattered:
+    """All light leaves where it entered, at so many pixels."""
+    return Scattered(np.ones(3), np.zeros((count, patterns, 3), np.float32))
+
+
+def scattered(
+    irradiance: np.ndarray, mask: np.ndarray, px_per_mm: float, amount: float
+) -> Scattered:
+    """What neighbours give to the diffuse light of each pixel.
 
     Args:
-        normals: (n, 3) unit of the mask's pixels, in row order; zero where there is none.
+        irradiance: (n, P) of the mask's pixels, in row order; zero where it is not known.
         mask: (h, w) bool with n true pixels.
         px_per_mm: pixels a millimetre.
         amount: share of the light that wanders with skin's whole profile; the rest leaves where it
@@ -35,13 +42,14 @@ def scattered(normals: np.ndarray, mask: np.ndarray, px_per_mm: float, amount: f
 
     Source: [DEon2007].
     """
-    count = len(normals)
-    rest = np.zeros((count, 3, 3), np.float32)
+    count, patterns = irradiance.shape
     if amount == 0:
-        return Scattered(np.ones(3), rest)
-    there = np.einsum("nk,nk->n", normals, normals) > 0.5
-    image = np.zeros((*mask.shape, 4), np.float32)
-    image[mask] = np.column_stack([normals, there])
+        return unscattered(count, patterns)
+    rest = np.zeros((count, patterns, 3), np.float32)
+    there = irradiance.max(axis=1) > 0
+    planes = np.zeros((patterns + 1, *mask.shape), np.float32)
+    planes[:-1, mask] = irradiance.T
+    planes[-1, mask] = there
     kept = np.full(3, 1.0 - amount)
     weights = amount * WEIGHTS / WEIGHTS.sum(axis=0)
     for variance, weight in zip(VARIANCES_MM2, weights, strict=True):
@@ -51,10 +59,14 @@ def scattered(normals: np.ndarray, mask: np.ndarray, px_per_mm: float, amount: f
             continue
         size = 2 * int(np.ceil(4 * sigma_px)) + 1
         own = float(cv2.getGaussianKernel(size, sigma_px).max()) ** 2
-        near = cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)[mask]
-        mean = near[:, :3] / np.maximum(near[:, 3:], 1e-3) - own * normals
         kept += weight * own
-        for c in range(3):
-            rest[:, c] += np.float32(weight[c]) * mean
+        border = cv2.BORDER_CONSTANT
+        near = [cv2.GaussianBlur(x, (0, 0), sigma_px, borderType=border)[mask] for x in planes]
+        total = np.maximum(near[-1], 1e-3)
+        for k in range(patterns):
+            others = near[k] / total - np.float32(own) * irradiance[:, k]
+            for c in range(3):
+                if weight[c] > 0:
+                    rest[:, k, c] += np.float32(weight[c]) * others
     rest[~there] = 0
     return Scattered(kept, rest)
