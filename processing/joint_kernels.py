@@ -1,0 +1,544 @@
+"""Compiled loops of `processing.joint`: one pixel's light, normal equations and their solution."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from processing.interface import let_through, row_of
+from processing.lights import off_axis
+from processing.lobe import FARTHEST_TAN, GRAZING, shadowing
+
+LONGEST_TURN = 0.15
+"""A step of Gauss-Newton turns the normal by at most this tangent: the lobe is some 20 deg wide."""
+
+
+@njit(cache=True)
+def _gather(
+    point: np.ndarray,
+    n: np.ndarray,
+    view: np.ndarray,
+    roughness: float,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    visible: np.ndarray,
+    position: np.ndarray,
+    radius: np.ndarray,
+    weight: np.ndarray,
+    levels: np.ndarray,
+    group_end: np.ndarray,
+    exponent: float,
+    diffuse_share: np.ndarray,
+    mirror_share: np.ndarray,
+    stray: np.ndarray,
+    bounced: np.ndarray,
+    table: np.ndarray,
+    through: np.ndarray,
+    mean: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Fill out (P, 12): E, its gradient (3), B, its gradient (3), B's slope over m, bounced rgb."""
+    out[:] = 0
+    steps = len(table) - 1
+    m2 = roughness * roughness
+    nx, ny, nz = n[0], n[1], n[2]
+    vx, vy, vz = view[0], view[1], view[2]
+    nv = max(nx * vx + ny * vy + nz * vz, np.float32(GRAZING))
+    shadow_v = shadowing(nv, roughness)
+    row, part = row_of(roughness, len(through))
+    leaving = let_through(through, row, part, nv)
+    leaving /= mean[row] * (1 - part) + mean[row + 1] * part
+    quarter = shadow_v / (4 * m2 * nv)
+    c0, c1, c2 = corners[0], corners[1], corners[2]
+    first = 0
+    for group in range(len(group_end)):
+        gx = gy = gz = np.float32(0)
+        b = bx = by = bz = bm = np.float32(0)
+        for j in range(first, group_end[group]):
+            seen = (
+                weights[0] * visible[c0, j]
+                + weights[1] * visible[c1, j]
+                + weights[2] * visible[c2, j]
+            )
+            if seen <= 0:
+                continue
+            lx, ly, lz = (
+                position[j, 0] - point[0],
+                position[j, 1] - point[1],
+                position[j, 2] - point[2],
+            )
+            nl = nx * lx + ny * ly + nz * lz
+            if nl <= 0:
+                continue
+            inverse = 1 / math.sqrt(lx * lx + ly * ly + lz * lz)
+            lx, ly, lz, nl = lx * inverse, ly * inverse, lz * inverse, nl * inverse
+            fall = radius[j] * inverse
+            seen *= weight[j] * fall * fall
+            aside = position[j, 0] * lx + position[j, 1] * ly + position[j, 2] * lz
+            seen *= off_axis(exponent, aside / radius[j])
+            entered = seen * leaving * let_through(through, row, part, nl)
+            gx += entered * lx
+            gy += entered * ly
+            gz += entered * lz
+            hx, hy, hz = lx + vx, ly + vy, lz + vz
+            length2 = hx * hx + hy * hy + hz * hz
+            if length2 <= 0:
+                continue
+            scale = 1 / math.sqrt(length2)
+            hx, hy, hz = hx * scale, hy * scale, hz * scale
+            nh = nx * hx + ny * hy + nz * hz
+            nh2 = nh * nh
+            if nh <= 0 or (1 - nh2) > FARTHEST_TAN * m2 * nh2:
+                continue
+            lobe = quarter * math.exp((nh2 - 1) / (nh2 * m2)) / (nh2 * nh2)
+            place = min(1.0, vx * hx + vy * hy + vz * hz) * steps
+            below = min(steps - 1, int(place))
+            rest = place - below
+            lobe *= seen * shadowing(nl, roughness)
+            lobe *= table[below] * (1 - rest) + table[below + 1] * rest
+            slope = lobe * (2 / (nh2 * nh * m2) - 4 / nh)
+            b += lobe
+            bm += lobe * (2 * (1 - nh2) / (nh2 * m2) - 2)
+            bx += slope * hx
+            by += slope * hy
+            bz += slope * hz
+        first = group_end[group]
+        bx -= b * vx / nv
+        by -= b * vy / nv
+        bz -= b * vz / nv
+        e = gx * nx + gy * ny + gz * nz
+        for k in range(levels.shape[1]):
+            level = levels[group, k]
+            out[k, 0] += level * e
+            out[k, 1] += level * gx
+            out[k, 2] += level * gy
+            out[k, 3] += level * gz
+            out[k, 4] += level * b
+            out[k, 5] += level * bx
+            out[k, 6] += level * by
+            out[k, 7] += level * bz
+            out[k, 8] += level * bm / roughness
+    inside = leaving * (mean[row] * (1 - part) + mean[row + 1] * part)
+    for k in range(levels.shape[1]):
+        matte, mirror = diffuse_share[k], mirror_share[k]
+        out[k, 0] *= matte
+        for x in range(3):
+            out[k, 1 + x] *= matte
+            out[k, 5 + x] *= mirror
+        out[k, 4] *= mirror
+        out[k, 8] *= mirror
+        for x in range(3):
+            beside = stray[k, x, 3]
+            for y in range(3):
+                beside += stray[k, x, y] * n[y]
+            out[k, 1 + x] += beside
+            out[k, 0] += beside * n[x]
+        for c in range(3):
+            from_skin = (
+                weights[0] * bounced[c0, k, c]
+                + weights[1] * bounced[c1, k, c]
+                + weights[2] * bounced[c2, k, c]
+            )
+            out[k, 9 + c] = matte * inside * from_skin
+
+
+@njit(cache=True)
+def _solve_in_place(a: np.ndarray, b: np.ndarray) -> bool:
+    """Solve a x = b for (n, m) b, a symmetric (its lower triangle is read); false where singular.
+
+    Cholesky's way; a is destroyed.
+    """
+    size = len(b)
+    for i in range(size):
+        scale = a[i, i]
+        for j in range(i + 1):
+            total = a[i, j]
+            for k in range(j):
+                total -= a[i, k] * a[j, k]
+            if i == j:
+                if not total > 1e-12 * scale:
+                    return False
+                a[i, i] = math.sqrt(total)
+            else:
+                a[i, j] = total / a[j, j]
+    for c in range(b.shape[1]):
+        for i in range(size):
+            total = b[i, c]
+            for k in range(i):
+                total -= a[i, k] * b[k, c]
+            b[i, c] = total / a[i, i]
+        for i in range(size - 1, -1, -1):
+            total = b[i, c]
+            for k in range(i + 1, size):
+                total -= a[k, i] * b[k, c]
+            b[i, c] = total / a[i, i]
+    return True
+
+
+@njit(cache=True)
+def _diffuse(light: np.ndarray, kept: np.ndarray, rest: np.ndarray, out: np.ndarray) -> None:
+    """Fill out (P, 3) with each channel's irradiance."""
+    for k in range(len(light)):
+        for c in range(3):
+            out[k, c] = max(kept[c] * light[k, 0] + rest[k, c], 0.0) + light[k, 9 + c]
+
+
+@njit(cache=True)
+def _albedo(
+    light: np.ndarray,
+    diffuse: np.ndarray,
+    rgb: np.ndarray,
+    s: float,
+    rho: np.ndarray,
+    power: np.ndarray,
+) -> None:
+    """Fill (3,) the least squares of the albedo with the gloss s taken off, and its divisor."""
+    rho[:] = 0
+    power[:] = 0
+    for k in range(len(light)):
+        for c in range(3):
+            e = diffuse[k, c]
+            power[c] += e * e
+            rho[c] += e * (rgb[k, c] - s * light[k, 4])
+    for c in range(3):
+        if power[c] > 0:
+            rho[c] /= power[c]
+
+
+@njit(cache=True)
+def _across(n: np.ndarray, out: np.ndarray) -> None:
+    """Fill out (2, 3) with two unit directions across a unit normal."""
+    if abs(n[0]) < 0.6:
+        x, y, z = 0.0, n[2], -n[1]
+    else:
+        x, y, z = -n[2], 0.0, n[0]
+    length = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    out[0, 0], out[0, 1], out[0, 2] = x, y, z
+    out[1, 0] = n[1] * z - n[2] * y
+    out[1, 1] = n[2] * x - n[0] * z
+    out[1, 2] = n[0] * y - n[1] * x
+
+
+@njit(cache=True)
+def _weight(value: float, sensor2: float, model2: float) -> float:
+    """One over the variance of a reading."""
+    bright = max(value, 0.0)
+    return 1 / (sensor2 * (0.25 + bright) + model2 * bright * bright)
+
+
+@njit(cache=True)
+def _normal_equations(
+    light: np.ndarray,
+    diffuse: np.ndarray,
+    rgb: np.ndarray,
+    rho: np.ndarray,
+    s: float,
+    kept: np.ndarray,
+    across: np.ndarray,
+    sensor2: float,
+    model2: float,
+    shade2: float,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+) -> None:
+    """Fill a (5, 5), b (5, 3), c (3, 3): two turns and three albedos; residual, B and s dB/dm.
+
+    a is the unknowns' products with each other, b theirs with the other three, c these three's
+    with each other, weighted by the inverse of the readings' covariance: each reading's own
+    variance, and an error of the irradiance that is common to a pattern's channels.
+    """
+    a[:] = 0
+    b[:] = 0
+    c[:] = 0
+    row = np.zeros(8)
+    common = np.zeros(8)
+    for k in range(len(light)):
+        et = eu = bt = bu = 0.0
+        for x in range(3):
+            et += light[k, 1 + x] * across[0, x]
+            eu += light[k, 1 + x] * across[1, x]
+            bt += light[k, 5 + x] * across[0, x]
+            bu += light[k, 5 + x] * across[1, x]
+        common[:] = 0
+        power = 0.0
+        for channel in range(3):
+            e = diffuse[k, channel]
+            w = _weight(rgb[k, channel], sensor2, model2)
+            shade = rho[channel] * e
+            row[0] = rho[channel] * kept[channel] * et + s * bt
+            row[1] = rho[channel] * kept[channel] * eu + s * bu
+            row[2] = row[3] = row[4] = 0.0
+            row[2 + channel] = e
+            row[5] = rgb[k, channel] - shade - s * light[k, 4]
+            row[6] = light[k, 4]
+            row[7] = s * light[k, 8]
+            for p in range(8):
+                common[p] += w * shade * row[p]
+            power += w * shade * shade
+            _add(row, w, channel, a, b, c)
+        if shade2 > 0:
+            share = shade2 / (1 + shade2 * power)
+            for p in range(5):
+                for q in range(p + 1):
+                    a[p, q] -= share * common[p] * common[q]
+                for q in range(3):
+                    b[p, q] -= share * common[p] * common[5 + q]
+            for p in range(3):
+                for q in range(3):
+                    c[p, q] -= share * common[5 + p] * common[5 + q]
+
+
+@njit(cache=True, inline="always")
+def _add(
+    row: np.ndarray, w: float, channel: int, a: np.ndarray, b: np.ndarray, c: np.ndarray
+) -> None:
+    """Add the products of one reading's row to the normal equations."""
+    own = 2 + channel
+    a[0, 0] += w * row[0] * row[0]
+    a[1, 0] += w * row[0] * row[1]
+    a[1, 1] += w * row[1] * row[1]
+    a[own, 0] += w * row[own] * row[0]
+    a[own, 1] += w * row[own] * row[1]
+    a[own, own] += w * row[own] * row[own]
+    for q in range(3):
+        other = w * row[5 + q]
+        b[0, q] += other * row[0]
+        b[1, q] += other * row[1]
+        b[own, q] += other * row[own]
+        for p in range(3):
+            c[p, q] += other * row[5 + p]
+
+
+@njit(parallel=True, cache=True)
+def solve_kernel(
+    rgb: np.ndarray,
+    points: np.ndarray,
+    starts: np.ndarray,
+    views: np.ndarray,
+    roughness: np.ndarray,
+    specular: np.ndarray,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    visible: np.ndarray,
+    position: np.ndarray,
+    radius: np.ndarray,
+    weight: np.ndarray,
+    levels: np.ndarray,
+    group_end: np.ndarray,
+    exponent: float,
+    diffuse_share: np.ndarray,
+    mirror_share: np.ndarray,
+    stray: np.ndarray,
+    bounced: np.ndarray,
+    table: np.ndarray,
+    through: np.ndarray,
+    mean: np.ndarray,
+    kept: np.ndarray,
+    rests: np.ndarray,
+    sensor2: float,
+    model2: float,
+    shade2: float,
+    rounds: int,
+    normals: np.ndarray,
+    mattes: np.ndarray,
+    lit: np.ndarray,
+    powers: np.ndarray,
+    misfits: np.ndarray,
+    irradiances: np.ndarray,
+    certainties: np.ndarray,
+) -> None:
+    patterns = rgb.shape[1]
+    for i in prange(len(rgb)):
+        n = starts[i].copy()
+        if not n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5:
+            continue
+        s = float(specular[i])
+        light = np.zeros((patterns, 12), np.float32)
+        across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+        diffuse = np.zeros((patterns, 3))
+        a, b, others = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
+        matte, turned = np.zeros(3), np.zeros(3)
+        good = True
+        certainty = 0.0
+        for _ in range(rounds):
+            _gather(
+                points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
+                position, radius, weight, levels, group_end, exponent, diffuse_share,
+                mirror_share, stray, bounced, table, through, mean, light,
+            )  # fmt: skip
+            _diffuse(light, kept, rests[i], diffuse)
+            _albedo(light, diffuse, rgb[i], s, rho, power)
+            _across(n, across)
+            _normal_equations(
+                light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, shade2, a, b, others
+            )
+            certainty = _least_turn(a)
+            good = _solve_in_place(a, b[:, :1])
+            x, y = b[0, 0], b[1, 0]
+            turn = math.sqrt(x * x + y * y)
+            good = good and turn < 1e9
+            if not good:
+                break
+            if turn > LONGEST_TURN:
+                x, y = x * LONGEST_TURN / turn, y * LONGEST_TURN / turn
+            length = 0.0
+            for c in range(3):
+                turned[c] = n[c]
+                n[c] += x * across[0, c] + y * across[1, c]
+                length += n[c] * n[c]
+            n /= math.sqrt(length)
+            for c in range(3):
+                turned[c] = n[c] - turned[c]
+        if not good:
+            continue
+        if not _matte_normal(light, rgb[i], rho, matte):
+            matte[:] = 0
+        # The last step is short: what it changes is taken as linear.
+        for k in range(patterns):
+            for x in range(3):
+                light[k, 0] += light[k, 1 + x] * turned[x]
+                light[k, 4] += light[k, 5 + x] * turned[x]
+        _diffuse(light, kept, rests[i], diffuse)
+        _albedo(light, diffuse, rgb[i], s, rho, power)
+        _normal_equations(
+            light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, shade2, a, b, others
+        )
+        total = others[0, 0]
+        if not (math.isfinite(total) and math.isfinite(power.sum())):
+            continue
+        for c in range(3):
+            normals[i, c] = n[c]
+            mattes[i, c] = matte[c]
+            lit[i, c] = rho[c] * power[c]
+            powers[i, c] = power[c]
+        for k in range(patterns):
+            irradiances[i, k] = light[k, 0]
+        misfits[i] = total / (3 * patterns - 5)
+        certainties[i] = certainty
+
+
+@njit(cache=True)
+def _matte_normal(light: np.ndarray, rgb: np.ndarray, rho: np.ndarray, out: np.ndarray) -> bool:
+    """Normal from chroma: signal_k = g_k . b along the pixel's own hue, across white.
+
+    Source: [Mallick2005].
+    """
+    hue = np.zeros(3)
+    for k in range(len(rgb)):
+        grey = (rgb[k, 0] + rgb[k, 1] + rgb[k, 2]) / 3
+        for c in range(3):
+            hue[c] += rgb[k, c] - grey
+    length = math.sqrt(hue[0] * hue[0] + hue[1] * hue[1] + hue[2] * hue[2])
+    if not length > 0:
+        return False
+    a, b = np.zeros((3, 3)), np.zeros((3, 1))
+    for k in range(len(rgb)):
+        signal = 0.0
+        for c in range(3):
+            signal += hue[c] / length * (rgb[k, c] - rho[c] * light[k, 9 + c])
+        for x in range(3):
+            b[x, 0] += light[k, 1 + x] * signal
+            for y in range(x + 1):
+                a[x, y] += light[k, 1 + x] * light[k, 1 + y]
+    third = (a[0, 0] + a[1, 1] + a[2, 2]) / 3
+    if not _solve_in_place(a, b) or a[0, 0] * a[1, 1] * a[2, 2] < 1e-2 * third**1.5:
+        return False
+    length = math.sqrt(b[0, 0] ** 2 + b[1, 0] ** 2 + b[2, 0] ** 2)
+    if not (length > 0 and math.isfinite(length)):
+        return False
+    for x in range(3):
+        out[x] = b[x, 0] / length
+    return True
+
+
+@njit(parallel=True, cache=True)
+def evidence_kernel(
+    rgb: np.ndarray,
+    points: np.ndarray,
+    starts: np.ndarray,
+    views: np.ndarray,
+    roughness: np.ndarray,
+    specular: np.ndarray,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    visible: np.ndarray,
+    position: np.ndarray,
+    radius: np.ndarray,
+    weight: np.ndarray,
+    levels: np.ndarray,
+    group_end: np.ndarray,
+    exponent: float,
+    diffuse_share: np.ndarray,
+    mirror_share: np.ndarray,
+    stray: np.ndarray,
+    bounced: np.ndarray,
+    table: np.ndarray,
+    through: np.ndarray,
+    mean: np.ndarray,
+    kept: np.ndarray,
+    rests: np.ndarray,
+    sensor2: float,
+    model2: float,
+    shade2: float,
+    out: np.ndarray,
+) -> None:
+    patterns = rgb.shape[1]
+    for i in prange(len(rgb)):
+        n = starts[i]
+        if not n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5:
+            continue
+        s = float(specular[i])
+        light = np.zeros((patterns, 12), np.float32)
+        across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+        diffuse = np.zeros((patterns, 3))
+        a, b, others = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
+        _gather(
+            points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
+            position, radius, weight, levels, group_end, exponent, diffuse_share, mirror_share,
+            stray, bounced, table, through, mean, light,
+        )  # fmt: skip
+        _diffuse(light, kept, rests[i], diffuse)
+        _albedo(light, diffuse, rgb[i], s, rho, power)
+        _across(n, across)
+        _normal_equations(
+            light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, shade2, a, b, others
+        )
+        free = b.copy()
+        if not _solve_in_place(a, free):
+            continue
+        left2, s_left, m_left = others[0, 0], others[1, 0], others[2, 0]
+        ss, sm, mm = others[1, 1], others[1, 2], others[2, 2]
+        for p in range(5):
+            left2 -= b[p, 0] * free[p, 0]
+            s_left -= b[p, 1] * free[p, 0]
+            m_left -= b[p, 2] * free[p, 0]
+            ss -= b[p, 1] * free[p, 1]
+            sm -= b[p, 1] * free[p, 2]
+            mm -= b[p, 2] * free[p, 2]
+        # What no gloss explains is shadow, hair or motion: such a pixel has little to say.
+        outside = max(left2, 0.0) / (3 * patterns - 7)
+        trust = 1 / (1 + outside / 9) ** 2
+        if not (ss > 0 and mm >= 0 and math.isfinite(s_left + m_left + sm)):
+            continue
+        out[i, 0] = trust * ss
+        out[i, 1] = trust * sm
+        out[i, 2] = trust * mm
+        out[i, 3] = trust * s_left
+        out[i, 4] = trust * m_left
+
+
+@njit(cache=True)
+def _least_turn(a: np.ndarray) -> float:
+    """Least information on a turn of the normal with the albedos free."""
+    t00, t01, t11 = a[0, 0], a[1, 0], a[1, 1]
+    for c in range(2, 5):
+        if a[c, c] > 0:
+            t00 -= a[c, 0] * a[c, 0] / a[c, c]
+            t01 -= a[c, 0] * a[c, 1] / a[c, c]
+            t11 -= a[c, 1] * a[c, 1] / a[c, c]
+    middle = (t00 + t11) / 2
+    return max(middle - math.sqrt(((t00 - t11) / 2) ** 2 + t01 * t01), 0.0)
