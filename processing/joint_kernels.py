@@ -15,7 +15,7 @@ LONGEST_TURN = 0.15
 """A step of Gauss-Newton turns the normal by at most this tangent: the lobe is some 20 deg wide."""
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _gather(
     point: np.ndarray,
     n: np.ndarray,
@@ -144,7 +144,7 @@ def _gather(
             out[k, 9 + c] = matte * inside * from_skin
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _solve_in_place(a: np.ndarray, b: np.ndarray) -> bool:
     """Solve a x = b for (n, m) b, a symmetric (its lower triangle is read); false where singular.
 
@@ -177,7 +177,7 @@ def _solve_in_place(a: np.ndarray, b: np.ndarray) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _diffuse(light: np.ndarray, kept: np.ndarray, rest: np.ndarray, out: np.ndarray) -> None:
     """Fill out (P, 3) with each channel's irradiance."""
     for k in range(len(light)):
@@ -185,7 +185,7 @@ def _diffuse(light: np.ndarray, kept: np.ndarray, rest: np.ndarray, out: np.ndar
             out[k, c] = max(kept[c] * light[k, 0] + rest[k, c], 0.0) + light[k, 9 + c]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _albedo(
     light: np.ndarray,
     diffuse: np.ndarray,
@@ -207,7 +207,7 @@ def _albedo(
             rho[c] /= power[c]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _across(n: np.ndarray, out: np.ndarray) -> None:
     """Fill out (2, 3) with two unit directions across a unit normal."""
     if abs(n[0]) < 0.6:
@@ -222,14 +222,14 @@ def _across(n: np.ndarray, out: np.ndarray) -> None:
     out[1, 2] = n[0] * y - n[1] * x
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _weight(value: float, sensor2: float, model2: float) -> float:
     """One over the variance of a reading."""
     bright = max(value, 0.0)
     return 1 / (sensor2 * (0.25 + bright) + model2 * bright * bright)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _normal_equations(
     light: np.ndarray,
     diffuse: np.ndarray,
@@ -313,7 +313,7 @@ def _add(
             c[p, q] += other * row[5 + p]
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, error_model="numpy")
 def solve_kernel(
     rgb: np.ndarray,
     points: np.ndarray,
@@ -351,10 +351,11 @@ def solve_kernel(
     irradiances: np.ndarray,
     certainties: np.ndarray,
 ) -> None:
+    """Fill in what `joint.solve_jointly` returns; arguments as there."""
     patterns = rgb.shape[1]
     for i in prange(len(rgb)):
         n = starts[i].copy()
-        if not n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5:
+        if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and roughness[i] > 0):
             continue
         s = float(specular[i])
         light = np.zeros((patterns, 12), np.float32)
@@ -421,7 +422,7 @@ def solve_kernel(
         certainties[i] = certainty
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _matte_normal(light: np.ndarray, rgb: np.ndarray, rho: np.ndarray, out: np.ndarray) -> bool:
     """Normal from chroma: signal_k = g_k . b along the pixel's own hue, across white.
 
@@ -455,7 +456,7 @@ def _matte_normal(light: np.ndarray, rgb: np.ndarray, rho: np.ndarray, out: np.n
     return True
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True, error_model="numpy")
 def evidence_kernel(
     rgb: np.ndarray,
     points: np.ndarray,
@@ -486,10 +487,11 @@ def evidence_kernel(
     shade2: float,
     out: np.ndarray,
 ) -> None:
+    """Fill in what `joint.gloss_evidence` returns; arguments as there."""
     patterns = rgb.shape[1]
     for i in prange(len(rgb)):
         n = starts[i]
-        if not n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5:
+        if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and roughness[i] > 0):
             continue
         s = float(specular[i])
         light = np.zeros((patterns, 12), np.float32)
@@ -531,7 +533,7 @@ def evidence_kernel(
         out[i, 4] = trust * m_left
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _least_turn(a: np.ndarray) -> float:
     """Least information on a turn of the normal with the albedos free."""
     t00, t01, t11 = a[0, 0], a[1, 0], a[1, 1]

@@ -479,10 +479,14 @@ def solve_view(
     around = around_of(scene, grid, found)
     start = found.normal
     if grid.sight.step > 1:
-        columns = enlarged(np.column_stack([start, roughness, specular]), grid.sight, sight)
-        start, roughness, specular = columns[:, :3], columns[:, 3], columns[:, 4]
-        length = np.linalg.norm(start, axis=1, keepdims=True)
-        start = np.where(length > 0.5, start / np.maximum(length, 0.5), sight.normals)
+        columns, near = enlarged(np.column_stack([start, roughness, specular]), grid.sight, sight)
+        # Where the grid has no pixel nearby the mesh's own gloss and normals are all there is.
+        roughness, specular = (
+            np.where(near, found, own)
+            for found, own in zip(columns[:, 3:].T, gloss_of(scene, sight), strict=True)
+        )
+        length = np.linalg.norm(columns[:, :3], axis=1, keepdims=True)
+        start = np.where(length > 0.5, columns[:, :3] / np.maximum(length, 0.5), sight.normals)
         start = np.where(view.usable[:, None], start, 0)
     parts = []
     for first in range(0, len(start), BAND_PIXELS):
@@ -490,7 +494,7 @@ def solve_view(
         rest = around.rest[band]
         if grid.sight.step > 1:
             flat = around.rest.reshape(len(around.rest), -1)
-            rest = enlarged(flat, grid.sight, sight, band).reshape(-1, *around.rest.shape[1:])
+            rest = enlarged(flat, grid.sight, sight, band)[0].reshape(-1, *around.rest.shape[1:])
         parts.append(
             solve_jointly(
                 view.rgb[band],
@@ -524,8 +528,14 @@ def solve_view(
     )
 
 
-def enlarged(values: np.ndarray, grid: Sight, view: Sight, band: slice = ALL) -> np.ndarray:
-    """(n, k) values of a grid's pixels at pixels of the whole view, linearly between them."""
+def enlarged(
+    values: np.ndarray, grid: Sight, view: Sight, band: slice = ALL
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values (m, k) of a grid's pixels at n pixels of the whole view, linearly between them.
+
+    Returns:
+        (n, k), and (n,) bool whether the grid has a pixel near by.
+    """
     rows, columns = (places[band] for places in np.nonzero(view.mask))
     image = np.zeros((*grid.mask.shape, values.shape[1] + 1), np.float32)
     image[grid.mask] = np.column_stack([values, np.ones(len(values))])
@@ -536,4 +546,5 @@ def enlarged(values: np.ndarray, grid: Sight, view: Sight, band: slice = ALL) ->
     down, across = (y - top)[:, None].astype(np.float32), (x - left)[:, None].astype(np.float32)
     total = (1 - down) * ((1 - across) * image[top, left] + across * image[top, right])
     total += down * ((1 - across) * image[below, left] + across * image[below, right])
-    return np.asarray(total[:, :-1] / np.maximum(total[:, -1:], 1e-6))
+    near = total[:, -1] > 1e-3
+    return total[:, :-1] / np.where(near, total[:, -1], 1)[:, None], near
