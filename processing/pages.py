@@ -24,12 +24,15 @@ from processing.report import (
 THUMBNAIL_PX = 240
 ATLAS_PX = 360
 SPECULAR_WHITE = 0.06
+ROUGHNESS_WHITE = 0.5
 CAPTIONS = {
     "diffuse_albedo": "Diffuse albedo, 1 is perfect white. No light or shadow should be left.",
     "specular_albedo": f"Specular albedo; {SPECULAR_WHITE} shows as white, skin is near 0.028.",
     "diffuse_normal": "Diffuse normals in world axes: red, green, blue are right, up, front.",
-    "specular_normal": "Specular normals, the surface with its finest relief; the table of stages "
-    "tells what they are taken from.",
+    "specular_normal": "Specular normals: the surface itself, with its finest relief; diffuse ones "
+    "look softer. The table of stages tells what they are taken from.",
+    "roughness": f"Roughness of the mirror lobe (Beckmann's m); {ROUGHNESS_WHITE} shows as white, "
+    "skin has .2 to .35, less is shinier. It should change slowly over the face.",
     "ambient_occlusion": "Ambient occlusion, 1 is open. Folds should be darker.",
     "confidence": "Confidence, 0 to 1: white is well seen.",
 }
@@ -64,7 +67,8 @@ def show(name: str, image: np.ndarray) -> np.ndarray:
     """A map as an 8-bit picture for looking."""
     if name.endswith("_normal"):
         return display_normals(image)
-    return display(image, 1 / SPECULAR_WHITE if name == "specular_albedo" else 1.0)
+    white = {"specular_albedo": SPECULAR_WHITE, "roughness": ROUGHNESS_WHITE}
+    return display(image, 1 / white.get(name, 1.0))
 
 
 def _stages(report: Mapping[str, Any]) -> list[str | Picture | Table]:
