@@ -140,62 +140,6 @@ def solve_far_normals(
     return normals
 
 
-def misfit(signal: np.ndarray, vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """What a Lambertian fit leaves, as a share of what it explains: noise, gloss and shadows.
-
-    Args:
-        signal: (n, P).
-        vectors: (n, P, 3) irradiance vectors.
-        normals: (n, 3).
-
-    Returns:
-        (n,) variance of the residual over the albedo squared, large where nothing is explained.
-    """
-    irradiance = np.einsum("npk,nk->np", vectors, normals)
-    power = np.einsum("np,np->n", irradiance, irradiance)
-    both = np.einsum("np,np->n", irradiance, signal)
-    total = np.einsum("np,np->n", signal, signal)
-    good = (power > 0) & (both > 0)
-    safe = np.where(good, power, 1)
-    albedo2 = (both / safe) ** 2
-    left = np.maximum(total - both**2 / safe, 0) / max(signal.shape[1] - 3, 1)
-    return np.where(good, left / np.where(good, albedo2, 1), 1.0)
-
-
-def merged_detail(
-    calm: np.ndarray,
-    sharp: np.ndarray,
-    calm_misfit: np.ndarray,
-    sharp_misfit: np.ndarray,
-    mask: np.ndarray,
-    sigma_px: float,
-) -> np.ndarray:
-    """Low frequencies of one set of normals with the detail of both, each by its own noise.
-
-    Args:
-        calm: (n, 3) normals right on average, zero where unsolved; their low frequencies are kept.
-        sharp: (n, 3) normals with less noise.
-        calm_misfit, sharp_misfit: (n,) of `misfit`.
-        mask: (h, w) bool with n true pixels.
-        sigma_px: finer relief than this is detail.
-
-    Returns:
-        (n, 3) unit normals, zero where `calm` is.
-    """
-    solved = np.einsum("nk,nk->n", calm, calm) > 0.5
-    both = solved & (np.einsum("nk,nk->n", sharp, sharp) > 0.5)
-    sharp = np.where(both[:, None], sharp, calm)
-    stacked = np.column_stack([calm, sharp, calm_misfit, sharp_misfit])
-    near = blurred(stacked, solved, mask, sigma_px)
-    total = near[:, 6] + near[:, 7]
-    share = np.where(total > 0, near[:, 6] / np.where(total > 0, total, 1), 0)[:, None]
-    detail = share * (sharp - near[:, 3:6]) + (1 - share) * (calm - near[:, :3])
-    normals = near[:, :3] + detail
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    good = solved[:, None] & (length > 1e-6)
-    return np.where(good, normals / np.where(good, length, 1), 0)
-
-
 def blurred(values: np.ndarray, good: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
     """Gaussian means of a mask's pixels over their good neighbours.
 

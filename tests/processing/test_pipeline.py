@@ -22,12 +22,13 @@ from processing.pipeline import PipelineConfig, read_config, run
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
 
+BALL = Ball(coated=True)
 TEMPLATE = default_template_path()
 
 
 @pytest.fixture
 def session(tmp_path: Path) -> Path:
-    return lit_ball.write_session(Ball(), lit_ball.small_rig(2, 0.015), tmp_path / "session")
+    return lit_ball.write_session(BALL, lit_ball.small_rig(2, 0.015), tmp_path / "session")
 
 
 def coarse(session: Path, out: Path, config: PipelineConfig | None = None) -> list[str]:
@@ -73,11 +74,11 @@ def test_linear_sessions_become_maps_of_the_ball(session: Path, tmp_path: Path) 
     assert coarse(session, out) == ["decode", "separate"]
     folder = ProcessedFolder(out)
     mask = folder.read_mask("cam1")
-    sight = lit_ball.see(Ball(), lit_ball.small_rig(2, 0.015).cameras[1])
+    sight = lit_ball.see(BALL, lit_ball.small_rig(2, 0.015).cameras[1])
     assert (mask ^ sight.mask).mean() < 0.01
     albedo = folder.read_view("cam1", "diffuse_albedo")
     confident = folder.read_view("cam1", "confidence") > 0.9
-    np.testing.assert_allclose(albedo[confident].mean(axis=0), Ball().albedo, atol=0.02)
+    np.testing.assert_allclose(albedo[confident].mean(axis=0), BALL.albedo, atol=0.02)
 
 
 def test_a_second_run_does_nothing_and_a_changed_setting_reruns_its_stage(

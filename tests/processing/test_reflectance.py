@@ -16,6 +16,7 @@ from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig
 from processing.albedo import specular_evidence
 from processing.errors import ProcessingError
+from processing.frames import Frames
 from processing.fresnel import fresnel
 from processing.interface import skin_interface
 from processing.lights import (
@@ -31,11 +32,9 @@ from processing.lights import (
 from processing.lobe import transport
 from processing.methods.colour import separate_pixels
 from processing.methods.config import SeparateConfig
-from processing.normals import misfit, ratio_normals, solve_far_normals, solve_normals
+from processing.normals import ratio_normals, solve_far_normals, solve_normals
 from processing.readings import px_per_mm
-from processing.refine import RefineConfig, View, solve_albedo, solve_pixels
-from processing.specular import add_view, no_sums, solve_gloss
-from processing.surface import lit_surface, see
+from processing.refine import RefineConfig, find_gloss, prepare_scene, read_view, solve_view
 from tests.processing import lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 
@@ -161,7 +160,7 @@ def test_fresnel_has_the_known_values_of_skin() -> None:
 
 
 def test_coarse_separation_of_a_glossy_ball_errs_by_the_near_field_alone() -> None:
-    ball = Ball()
+    ball = Ball(coated=True)
     sight, rgb = separated(ball)
     valid = np.ones(len(rgb), bool)
     scale = px_per_mm(CAMERA)
@@ -174,64 +173,60 @@ def test_coarse_separation_of_a_glossy_ball_errs_by_the_near_field_alone() -> No
 
 
 def refined(ball: Ball, noise: float = 0.0) -> tuple[np.ndarray, ...]:
-    surface = lit_surface(
-        ball_mesh(ball), LIGHTS, offset_mm=0.3, smoothing_mm=0, directions=64, most_faces=100_000
-    )
-    sight = see(surface, CAMERA, lit_ball.see(ball, CAMERA).mask)
-    rgb = np.zeros((*sight.mask.shape, len(PATTERNS), 3), np.float32)
     truth = lit_ball.see(ball, CAMERA)
-    rgb[truth.mask] = lit_ball.photograph(ball, truth, RIG)
-    rgb += np.random.default_rng(1).normal(0, 1, rgb.shape).astype(np.float32) * np.float32(noise)
-    normals = np.zeros((*sight.mask.shape, 3))
-    normals[truth.mask] = truth.normals
-    config = RefineConfig()
-    pixels = rgb[sight.mask]
-    view = View(sight, pixels, np.ones(len(pixels), bool), px_per_mm(CAMERA))
-    found = solve_pixels(view, LIGHTS, config)
-    sums = no_sums(config.roughness, len(surface.vertices))
-    add_view(
-        sums, LIGHTS, pixels.mean(axis=2), sight.points_mm, found.normal, sight.views,
-        sight.shadows, found.confidence,
-    )  # fmt: skip
-    gloss = solve_gloss(
-        sums,
-        surface.average,
-        rounds_roughness=10,
-        rounds_specular=5,
-        prior_specular=0.04,
-        prior_pixels=10,
+    images = np.zeros((len(PATTERNS), *truth.mask.shape, 3), np.float32)
+    images[:, truth.mask] = lit_ball.photograph(ball, truth, RIG).transpose(1, 0, 2)
+    rng = np.random.default_rng(1)
+    images += np.float32(noise) * rng.normal(0, 1, images.shape).astype(np.float32)
+    frames = Frames.of(PATTERNS, images, np.ones(truth.mask.shape, bool))
+    config = RefineConfig(
+        shadow_offset_mm=0.3,
+        smoothing_mm=0,
+        occlusion_directions=64,
+        finest_mm=4.0,
+        bounce_rays=0,
+        noise_sensor=max(noise, 0.001),
     )
-    maps = solve_albedo(view, found, LIGHTS, gloss, config)
+    scene = prepare_scene(ball_mesh(ball), LIGHTS, [(CAMERA, truth.mask)], config)
+    view = read_view(frames, CAMERA, truth.mask, scene, config)
+    found = find_gloss(scene, [view], config)
+    maps = solve_view(scene, view, view, found[0], config)
+    normals = np.zeros((*truth.mask.shape, 3))
+    normals[truth.mask] = truth.normals
+    sight = view.sight
     inner = (normals[sight.mask] * sight.views).sum(axis=1) > 0.4
-    inner &= found.confidence > 0.5
+    inner &= maps.confidence > 0.5
     assert inner.sum() > 1500
     return (
         angle_deg(maps.diffuse_normal, normals[sight.mask])[inner],
+        angle_deg(maps.specular_normal, normals[sight.mask])[inner],
         maps.albedo[inner],
         maps.specular[inner],
-        gloss.roughness[sums.count > 0],
+        maps.roughness[inner],
         sight.occlusion[inner],
     )
 
 
 @pytest.mark.parametrize(("specular", "roughness"), [(0.028, 0.25), (0.02, 0.3), (0.04, 0.22)])
-def test_refine_recovers_normal_albedo_gloss_and_open_sky_of_a_ball(
+def test_refine_recovers_normals_albedo_gloss_and_open_sky_of_a_ball(
     specular: float, roughness: float
 ) -> None:
     place = (15.0, -25.0, 10.0)
     ball = Ball(specular=specular, roughness=roughness, centre_mm=place, coated=True)
-    angle, albedo, found, width, occlusion = refined(ball)
-    assert angle.mean() < 0.3
-    assert np.abs(albedo - ball.albedo).mean() < 0.004
-    assert abs(found.mean() - specular) < 0.003
-    assert abs(np.median(width) - roughness) < 0.02
+    matte, glossy, albedo, found, width, occlusion = refined(ball)
+    assert matte.mean() < 0.1
+    assert glossy.mean() < 0.05
+    assert np.abs(albedo - ball.albedo).mean() < 0.002
+    assert abs(found.mean() - specular) < 0.001
+    assert abs(np.median(width) - roughness) < 0.005
     np.testing.assert_allclose(occlusion, 1.0, atol=0.02)
 
 
 def test_refine_of_a_noisy_ball_takes_its_relief_from_all_channels() -> None:
     ball = Ball(coated=True)
-    angle, albedo, found, _, _ = refined(ball, noise=0.004)
-    assert angle.mean() < 1.5  # chroma alone: about 2.5 degrees
+    matte, glossy, albedo, found, _, _ = refined(ball, noise=0.004)
+    assert glossy.mean() < 1.0
+    assert glossy.mean() < 0.5 * matte.mean()  # chroma alone: about 1.7 degrees
     assert np.sqrt(((albedo - ball.albedo) ** 2).mean()) < 0.01
     assert abs(found.mean() - ball.specular) < 0.004
 
@@ -248,17 +243,6 @@ def test_specular_evidence_agrees_with_least_squares_in_both_unknowns() -> None:
         np.testing.assert_allclose(s, known[1], rtol=1e-9, atol=1e-12)
         left = evidence.power[i] - evidence.weighed[i] ** 2 / evidence.weight[i]
         np.testing.assert_allclose(left, residual[0], rtol=1e-6, atol=1e-12)
-
-
-def test_misfit_is_the_variance_of_noise_over_albedo_squared() -> None:
-    rng = np.random.default_rng(2)
-    vectors = rng.normal(size=(20_000, 7, 3))
-    normals = rng.normal(size=(20_000, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    signal = 0.5 * np.einsum("npk,nk->np", vectors, normals)
-    signal += rng.normal(0, 0.01, signal.shape)
-    fitted = solve_normals(signal, vectors)
-    assert 0.8 < np.median(misfit(signal, vectors, fitted)) / (0.01 / 0.5) ** 2 < 1.3
 
 
 def bad_pixels(kind: str, rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
