@@ -88,7 +88,11 @@ class RefineConfig:
     dark_level: float = 0.004
     """A pixel whose brightest pattern stays below this tells nothing (1 = white under `full`)."""
     dark_power: float = 0.1
-    """Confidence falls where a pixel's squared irradiance is less."""
+    """Where a pixel's squared irradiance is so much (2 in the open) it is trusted by half."""
+    doubtful_misfit: float = 40.0
+    """Where the residual's variance is so many times what is expected, by half again."""
+    doubtful_turn_deg: float = 2.0
+    """Where noise turns the normal by so much, by half again."""
     edge_px: float = 3.0
     """Confidence falls to 0 over this many pixels before an edge of mask or depth."""
     depth_step_mm: float = 4.0
@@ -369,7 +373,7 @@ def grid_evidence(scene: Scene, view: View, solved: Solved, config: RefineConfig
 def steady(view: View, config: RefineConfig) -> np.ndarray:
     """(n,) 0..1: how far a pixel is from edges and from being seen edge on."""
     sight = view.sight
-    facing = np.einsum("nk,nk->n", sight.normals, sight.views) / 0.4
+    facing = (np.maximum(np.einsum("nk,nk->n", sight.normals, sight.views), 0) / 0.8) ** 0.7
     edges = depth_edges(sight.depth_mm, config.depth_step_mm)
     inside = edge_distance_px(sight.mask & ~edges)[sight.mask] * sight.step
     return np.asarray(np.clip(facing, 0, 1) * np.clip(inside / config.edge_px, 0, 1))
@@ -513,12 +517,17 @@ def solve_view(
     # A normal that the mesh could not have: mistaken shadows, or hair.
     agreement = np.einsum("nk,nk->n", solved.normal, sight.normals)
     good = view.usable & (agreement > 0)
-    colourful = np.clip(view.saturation / config.grey_saturation - 1, 0, 1)
-    light = np.clip(solved.power.mean(axis=1) / config.dark_power, 0, 1)
-    confidence = colourful * light * steady(view, config) * np.clip(2 * agreement, 0, 1)
-    confidence *= 1 / (1 + (solved.misfit / 100) ** 2)
-    confidence = np.where(good, confidence, 0).astype(np.float32)
-    lit, power = (np.where(good[:, None], x, 0) for x in (solved.lit, solved.power))
+    trust = steady(view, config) * np.clip(2 * agreement, 0, 1)
+    trust *= np.clip(view.saturation / config.grey_saturation - 1, 0, 1)
+    power = solved.power.mean(axis=1)
+    trust *= power / (power + config.dark_power)
+    trust /= 1 + solved.misfit / config.doubtful_misfit
+    turn2 = 1 / np.maximum(solved.certainty, 1e-12)
+    trust /= 1 + turn2 / np.radians(config.doubtful_turn_deg) ** 2
+    confidence = np.where(good, trust, 0).astype(np.float32)
+    # A pixel that is hardly trusted takes its neighbours' albedo.
+    weight = confidence[:, None] ** 2
+    lit, power = solved.lit * weight, solved.power * weight
     albedo = diffuse_albedo(lit, power, mask, view.px_per_mm, config.albedo_prior_power)
     matte = np.where(good[:, None], solved.matte, 0)
     normal = np.where(good[:, None], solved.normal, 0)
