@@ -31,8 +31,8 @@ CAPTIONS = {
     "diffuse_normal": "Diffuse normals in world axes: red, green, blue are right, up, front.",
     "specular_normal": "Specular normals: the surface itself, with its finest relief; diffuse ones "
     "look softer. The table of stages tells what they are taken from.",
-    "roughness": f"Roughness of the mirror lobe (Beckmann's m); {ROUGHNESS_WHITE} shows as white, "
-    "skin has .2 to .35, less is shinier. It should change slowly over the face.",
+    "roughness": f"Roughness of the mirror lobe (Beckmann's m); {ROUGHNESS_WHITE} shows as white "
+    "and half of it as mid grey, skin has .2 to .35, less is shinier. It should change slowly.",
     "ambient_occlusion": "Ambient occlusion, 1 is open. Folds should be darker.",
     "confidence": "Confidence, 0 to 1: white is well seen.",
 }
@@ -67,8 +67,11 @@ def show(name: str, image: np.ndarray) -> np.ndarray:
     """A map as an 8-bit picture for looking."""
     if name.endswith("_normal"):
         return display_normals(image)
-    white = {"specular_albedo": SPECULAR_WHITE, "roughness": ROUGHNESS_WHITE}
-    return display(image, 1 / white.get(name, 1.0))
+    if name == "roughness":
+        # A width is no light: without the screen's curve its differences show.
+        grey = np.round(255 * np.clip(np.nan_to_num(image) / ROUGHNESS_WHITE, 0, 1))
+        return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+    return display(image, 1 / SPECULAR_WHITE if name == "specular_albedo" else 1.0)
 
 
 def _stages(report: Mapping[str, Any]) -> list[str | Picture | Table]:

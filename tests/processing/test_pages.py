@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.formats.processed import ProcessedFolder
-from processing.pages import write_processed_report
+from processing.pages import CAPTIONS, show, write_processed_report
 
 REPORT = {
     "subject": "person <7>",
@@ -38,3 +38,12 @@ def test_a_folder_without_maps_has_a_page_too(tmp_path: Path) -> None:
     assert "<figure>" not in page
     assert "Warning" not in page
     assert "1.2" in page
+
+
+def test_roughness_is_shown_on_its_own_scale() -> None:
+    wide, none = np.full((4, 5), 0.25, np.float32), np.full((4, 5), np.nan, np.float32)
+    assert show("roughness", wide).shape == (4, 5, 3)
+    assert (show("roughness", wide) == 128).all()
+    assert (show("roughness", 9 * wide) == 255).all()
+    assert (show("roughness", none) == 0).all()
+    assert set(CAPTIONS) >= {"roughness", "specular_normal", "confidence"}
