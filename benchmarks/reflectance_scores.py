@@ -194,11 +194,13 @@ def scores(samples: Samples) -> dict[str, float]:
         albedo_rmse; specular_2mm_share and specular_pixel_share (errors over those of the best
         constant), specular_varies (99th percentile of the true 2 mm means over the 1st);
         diffuse_normal_deg (mean) and diffuse_normal_median_deg; specular_normal_deg; fine_deg,
-        fine_diffuse_deg and fine_nothing_deg (RMS in the fine band of n_s, of n_d for n_s, of no
-        relief), fine_gain (share by which n_s is nearer than n_d); solved_share.
+        fine_diffuse_deg and fine_nothing_deg (mean in the fine band of n_s, of n_d for n_s, of no
+        relief), fine_gain (share by which n_s is nearer than n_d), fine_gain_rms (the same of RMS,
+        which a few pixels in nostrils and lip lines decide); solved_share.
     """
     high, low = np.quantile(samples.mirror_mean_true, [0.99, 0.01])
-    fine, as_diffuse, nothing = (rms(column) for column in samples.fine_deg.T)
+    fine, as_diffuse, nothing = (float(column.mean()) for column in samples.fine_deg.T)
+    squares = [rms(column) for column in samples.fine_deg.T]
     return {
         "albedo_rmse": float(np.sqrt(samples.albedo.mean())),
         "specular_2mm_share": rms(samples.mirror_mean - samples.mirror_mean_true)
@@ -213,6 +215,7 @@ def scores(samples: Samples) -> dict[str, float]:
         "fine_diffuse_deg": as_diffuse,
         "fine_nothing_deg": nothing,
         "fine_gain": 1 - fine / max(as_diffuse, 1e-9),
+        "fine_gain_rms": 1 - squares[0] / max(squares[1], 1e-9),
         "solved_share": float(samples.solved.mean()),
     }
 

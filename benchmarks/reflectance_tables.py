@@ -53,7 +53,8 @@ TARGETS = (
     Target(
         "direct", "specular normal under 2 mm, nearer than n_d", "fine_gain", (0.2, 0.2), 3, True
     ),
-    Target("direct", "specular normal under 2 mm, RMS deg", "fine_deg", NO_GOAL, 2),
+    Target("direct", "the same by RMS", "fine_gain_rms", NO_GOAL, 3, True),
+    Target("direct", "specular normal under 2 mm, mean deg", "fine_deg", NO_GOAL, 2),
     Target("direct", "specular normal, mean deg", "specular_normal_deg", (4, 4), 2),
     Target(
         "direct",

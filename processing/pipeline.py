@@ -199,8 +199,9 @@ def _only(stage: str, records: dict[str, Record], keys: dict[str, str]) -> list[
 
 
 def _with_coarse_maps(planned: list[str], records: dict[str, Record]) -> list[str]:
-    """Put `separate` before a new reconstruction where `refine` has overwritten its maps."""
-    if "reconstruct" in planned and "separate" not in planned and "refine" in records:
+    """Put `separate` before what reads its maps where `refine` has overwritten them."""
+    reads = "reconstruct" in planned or "refine" in planned
+    if reads and "separate" not in planned and "refine" in records:
         return ["separate", *planned]
     return planned
 

@@ -30,17 +30,21 @@ class PixelMaps:
     confidence: np.ndarray
 
 
+MAP_NAMES = {
+    "diffuse_normal": "diffuse_normal",
+    "specular_normal": "specular_normal",
+    "albedo": "diffuse_albedo",
+    "specular": "specular_albedo",
+    "roughness": "roughness",
+    "confidence": "confidence",
+}
+"""Fields of `PixelMaps`, and the maps that they are written to."""
+
+
 def write_maps(folder: ProcessedFolder, camera_id: str, mask: np.ndarray, maps: PixelMaps) -> None:
     """Write one view's maps, zero outside the (h, w) mask."""
-    named = {
-        "diffuse_normal": maps.diffuse_normal,
-        "specular_normal": maps.specular_normal,
-        "diffuse_albedo": maps.albedo,
-        "specular_albedo": maps.specular,
-        "roughness": maps.roughness,
-        "confidence": maps.confidence,
-    }
-    for name, values in named.items():
+    for field, name in MAP_NAMES.items():
+        values = getattr(maps, field)
         image = np.zeros((*mask.shape, *values.shape[1:]), np.float32)
         image[mask] = values
         folder.write_view(camera_id, name, image)

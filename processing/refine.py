@@ -29,7 +29,7 @@ from processing.joint import (
 )
 from processing.lights import PatternLights, Shadows, pattern_lights, require_unpolarised
 from processing.masks import edge_distance_px
-from processing.pixels import PixelMaps, write_maps
+from processing.pixels import MAP_NAMES, PixelMaps, write_maps
 from processing.readings import px_per_mm, read_pixels
 from processing.scattering import scattered, unscattered
 from processing.surface import LitSurface, Sight, at_vertices_to, depth_edges, lit_surface, see
@@ -93,6 +93,10 @@ class RefineConfig:
     """Where the residual's variance is so many times what is expected, by half again."""
     doubtful_turn_deg: float = 2.0
     """Where noise turns the normal by so much, by half again."""
+    coarse_confidence: float = 0.3
+    """Share of their confidence that coarse maps keep where the mesh has a hole."""
+    steady_below: float = 0.4
+    """Normals of less confidence are drawn to the mesh's."""
     edge_px: float = 3.0
     """Confidence falls to 0 over this many pixels before an edge of mask or depth."""
     depth_step_mm: float = 4.0
@@ -187,10 +191,11 @@ def refine(
             view = read_view(read_frames(out, camera.id), camera, lit, scene, config)
         maps = solve_view(scene, view, grid, found[done], config)
         mask = view.sight.mask
-        write_maps(folder, camera.id, mask, maps)
-        occlusion = np.zeros(mask.shape, np.float32)
+        occlusion = np.ones(mask.shape, np.float32)
         occlusion[mask] = view.sight.occlusion
-        folder.write_view(camera.id, "ambient_occlusion", occlusion)
+        mask, maps = with_coarse(folder, camera.id, mask, maps, config.coarse_confidence)
+        write_maps(folder, camera.id, mask, maps)
+        folder.write_view(camera.id, "ambient_occlusion", np.where(mask, occlusion, 0))
         folder.write_mask(camera.id, mask)
         confidence[camera.id] = round(float(maps.confidence.mean()), 4)
         pixels += len(maps.confidence)
@@ -529,12 +534,55 @@ def solve_view(
     weight = confidence[:, None] ** 2
     lit, power = solved.lit * weight, solved.power * weight
     albedo = diffuse_albedo(lit, power, mask, view.px_per_mm, config.albedo_prior_power)
-    matte = np.where(good[:, None], solved.matte, 0)
-    normal = np.where(good[:, None], solved.normal, 0)
-    albedo[~good] = 0
-    return PixelMaps(
-        matte, normal, albedo, np.where(good, specular, 0), np.where(good, roughness, 0), confidence
+    matte, normal = (
+        steadied(found, sight.normals, confidence / config.steady_below, good)
+        for found in (solved.matte, solved.normal)
     )
+    albedo[~good] = 0
+    specular, roughness = np.where(good, specular, 0), np.where(good, roughness, 0)
+    return PixelMaps(matte, normal, albedo, specular, roughness, confidence)
+
+
+def steadied(
+    normals: np.ndarray, mesh: np.ndarray, trust: np.ndarray, good: np.ndarray
+) -> np.ndarray:
+    """(n, 3) unit normals, drawn to the mesh's where trust is below 1; zero where not good.
+
+    In a nostril, which hardly any light enters, readings tell less of the surface than the mesh.
+    """
+    share = np.clip(trust, 0, 1)[:, None]
+    mixed = share * normals + (1 - share) * mesh
+    length = np.linalg.norm(mixed, axis=1, keepdims=True)
+    good = good[:, None] & (length > 1e-6)
+    return np.where(good, mixed / np.where(good, length, 1), 0)
+
+
+def with_coarse(
+    folder: ProcessedFolder, camera_id: str, mask: np.ndarray, maps: PixelMaps, share: float
+) -> tuple[np.ndarray, PixelMaps]:
+    """A view's maps with those of `separate` where the mesh has a hole, if there are any.
+
+    Args:
+        folder: holds the coarse maps.
+        camera_id: the view.
+        mask: (h, w) bool with n true pixels.
+        maps: of these.
+        share: of their confidence that coarse maps keep.
+
+    Returns:
+        The (h, w) mask of all, and their maps.
+    """
+    if not folder.mask_path(camera_id).is_file():
+        return mask, maps
+    every = mask | folder.read_mask(camera_id)
+    values = {}
+    for field, name in MAP_NAMES.items():
+        whole = folder.read_view(camera_id, name)
+        if field == "confidence":
+            whole = whole * np.float32(share)
+        whole[mask] = getattr(maps, field)
+        values[field] = whole[every]
+    return every, PixelMaps(**values)
 
 
 def enlarged(
