@@ -377,8 +377,11 @@ def solve_kernel(
             _normal_equations(
                 light, diffuse, rgb[i], rho, s, kept, across, sensor2, model2, shade2, a, b, others
             )
-            certainty = _least_turn(a)
-            good = _solve_in_place(a, b[:, :1])
+            # Beside the step, two columns of the inverse: the covariance of the turns.
+            b[:, 1:] = 0
+            b[0, 1] = b[1, 2] = 1
+            good = _solve_in_place(a, b)
+            certainty = _least_turn(b[:2, 1:])
             x, y = b[0, 0], b[1, 0]
             turn = math.sqrt(x * x + y * y)
             good = good and turn < 1e9
@@ -534,13 +537,9 @@ def evidence_kernel(
 
 
 @njit(cache=True, error_model="numpy")
-def _least_turn(a: np.ndarray) -> float:
-    """Least information on a turn of the normal with the albedos free."""
-    t00, t01, t11 = a[0, 0], a[1, 0], a[1, 1]
-    for c in range(2, 5):
-        if a[c, c] > 0:
-            t00 -= a[c, 0] * a[c, 0] / a[c, c]
-            t01 -= a[c, 0] * a[c, 1] / a[c, c]
-            t11 -= a[c, 1] * a[c, 1] / a[c, c]
-    middle = (t00 + t11) / 2
-    return max(middle - math.sqrt(((t00 - t11) / 2) ** 2 + t01 * t01), 0.0)
+def _least_turn(covariance: np.ndarray) -> float:
+    """Least information on a turn of the normal with the albedos free, from (2, 2) covariance."""
+    middle = (covariance[0, 0] + covariance[1, 1]) / 2
+    half = (covariance[0, 0] - covariance[1, 1]) / 2
+    most = middle + math.sqrt(half * half + covariance[0, 1] * covariance[1, 0])
+    return 1 / most if most > 0 and math.isfinite(most) else 0.0

@@ -1,0 +1,290 @@
+"""The joint solve of a pixel against plain float64, and on whatever a camera may give."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lightstage.patterns import pattern_levels
+from processing.interface import skin_interface
+from processing.joint import Noise, Place, Scattered, Solved, gloss_evidence, solve_jointly
+from processing.lamps import nominal_lamps
+from processing.lights import PatternLights, Shadows, lights_of
+from processing.lobe import transport
+from tests.processing import joint_twin, lit_ball
+from tests.processing.joint_twin import Pixel
+from tests.processing.lit_ball import PATTERNS, angle_deg
+
+RIG = lit_ball.small_rig()
+INTERFACE = skin_interface()
+ALBEDO = np.array([0.55, 0.33, 0.22])
+SEEDS = st.integers(0, 2**31)
+
+
+def make_lights() -> PatternLights:
+    levels = np.stack([pattern_levels(name, RIG) for name in PATTERNS])
+    return lights_of(nominal_lamps(RIG), PATTERNS, levels)
+
+
+LIGHTS = make_lights()
+
+
+@dataclasses.dataclass(frozen=True)
+class Skin:
+    """Pixels of skin, each a vertex of its own.
+
+    Attributes: as the arguments of `solve_jointly`; truth holds the (n, 3) normals.
+    """
+
+    rgb: np.ndarray
+    place: Place
+    start: np.ndarray
+    roughness: np.ndarray
+    specular: np.ndarray
+    around: Scattered
+    truth: np.ndarray
+
+
+def across(normals: np.ndarray, rng: np.random.Generator, degrees: float) -> np.ndarray:
+    """Normals turned at random by about so much."""
+    turned = normals + np.radians(degrees) * rng.normal(size=normals.shape)
+    return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
+
+
+def skin(
+    seed: int, count: int = 12, *, noise: float = 0.001, off_deg: float = 2.0, lit: bool = True
+) -> Skin:
+    """Pixels of many normals, with or without light from other skin and from neighbours."""
+    rng = np.random.default_rng(seed)
+    normals = across(np.tile([[0.0, 0.0, 1.0]], (count, 1)), rng, 20)
+    views = across(normals, rng, 20)
+    points = 95 * normals + rng.normal(size=normals.shape)
+    roughness = rng.uniform(0.2, 0.34, count)
+    specular = rng.uniform(0.015, 0.045, count)
+    own = np.repeat(np.arange(count, dtype=np.int32)[:, None], 3, axis=1)
+    alone = np.tile(np.array([[1, 0, 0]], np.float32), (count, 1))
+    visible = np.ones((count, len(LIGHTS.position_mm)), np.uint8)
+    shadows = Shadows(own, alone, visible)
+    patterns = len(PATTERNS)
+    bounced = rng.uniform(0, 0.05, (count, patterns, 3)) * lit
+    kept = rng.uniform(0.7, 1.0, 3) if lit else np.ones(3)
+    e, b = transport(LIGHTS, points, normals, views, roughness, shadows, INTERFACE)
+    rest = (1 - kept) * e[:, :, None] * rng.uniform(0.9, 1.1, (count, patterns, 3))
+    inside = [
+        joint_twin.entering(INTERFACE, np.array(float(n @ v)), m)
+        for n, v, m in zip(normals, views, roughness, strict=True)
+    ]
+    diffuse = kept * e[:, :, None] + rest + np.array(inside)[:, None, None] * bounced
+    rgb = ALBEDO * diffuse + (specular[:, None] * b)[:, :, None]
+    rgb = rgb + noise * rng.normal(size=rgb.shape)
+    return Skin(
+        rgb.astype(np.float32),
+        Place(points, views, shadows, bounced.astype(np.float32)),
+        across(normals, rng, off_deg),
+        roughness,
+        specular,
+        Scattered(kept, rest.astype(np.float32)),
+        normals,
+    )
+
+
+def solved(s: Skin, noise: Noise, rounds: int = 1) -> Solved:
+    return solve_jointly(
+        s.rgb, LIGHTS, s.place, s.start, s.roughness, s.specular, INTERFACE, s.around, noise, rounds
+    )
+
+
+def evidence(s: Skin, noise: Noise) -> np.ndarray:
+    return gloss_evidence(
+        s.rgb, LIGHTS, s.place, s.start, s.roughness, s.specular, INTERFACE, s.around, noise
+    )
+
+
+def pixels(s: Skin) -> list[Pixel]:
+    return [
+        Pixel(
+            s.rgb[i].astype(float),
+            s.place.points_mm[i],
+            s.place.views[i],
+            s.start[i],
+            float(s.roughness[i]),
+            float(s.specular[i]),
+            s.place.bounced[i].astype(float),
+            s.around.kept,
+            s.around.rest[i].astype(float),
+        )
+        for i in range(len(s.rgb))
+    ]
+
+
+def test_the_twins_light_is_that_of_the_lobe() -> None:
+    s = skin(0)
+    e, b = transport(
+        LIGHTS, s.place.points_mm, s.start, s.place.views, s.roughness, s.place.shadows, INTERFACE
+    )
+    for i, pixel in enumerate(pixels(s)):
+        light = joint_twin.Light(LIGHTS, pixel, INTERFACE, pixel.start)
+        known_e, known_b = light.parts(pixel.start, pixel.roughness)
+        np.testing.assert_allclose(e[i], known_e, atol=1e-5)
+        np.testing.assert_allclose(b[i], known_b, rtol=1e-3, atol=1e-4)
+
+
+@given(seed=SEEDS, lit=st.booleans(), shade=st.sampled_from([0.0, 0.01, 0.1]))
+@settings(max_examples=8, deadline=None)
+def test_a_step_is_that_of_plain_float64(seed: int, lit: bool, shade: float) -> None:
+    s, noise = skin(seed, lit=lit), Noise(shade=shade)
+    found = solved(s, noise)
+    for i, pixel in enumerate(pixels(s)):
+        known = joint_twin.step(LIGHTS, pixel, INTERFACE, noise)
+        np.testing.assert_allclose(found.normal[i], known["normal"], atol=1e-4)
+        albedo = found.lit[i] / found.power[i]
+        np.testing.assert_allclose(albedo, known["albedo"], atol=1e-4)
+        np.testing.assert_allclose(found.power[i], known["power"], rtol=1e-4)
+        np.testing.assert_allclose(found.irradiance[i], known["irradiance"], atol=1e-4)
+        np.testing.assert_allclose(found.misfit[i], known["misfit"], rtol=0.02, atol=0.02)
+        np.testing.assert_allclose(found.certainty[i], known["certainty"], rtol=1e-3)
+
+
+@given(seed=SEEDS, lit=st.booleans(), shade=st.sampled_from([0.0, 0.03]))
+@settings(max_examples=8, deadline=None)
+def test_evidence_of_gloss_is_what_turns_and_albedos_cannot_explain(
+    seed: int, lit: bool, shade: float
+) -> None:
+    s, noise = skin(seed, off_deg=0.5, lit=lit), Noise(shade=shade)
+    found = evidence(s, noise)
+    for i, pixel in enumerate(pixels(s)):
+        known = joint_twin.evidence(LIGHTS, pixel, INTERFACE, noise)
+        scale = np.sqrt(np.array([known[0] ** 2, known[0] * known[2], known[2] ** 2]))
+        np.testing.assert_allclose(found[i, :3] / scale, known[:3] / scale, atol=2e-3)
+        pulls = known[3:] / np.sqrt(known[[0, 2]])
+        np.testing.assert_allclose(
+            found[i, 3:] / np.sqrt(known[[0, 2]]), pulls, rtol=5e-3, atol=0.02
+        )
+
+
+def test_albedo_and_both_normals_of_clean_readings_are_exact() -> None:
+    s = skin(1, 200, noise=0, off_deg=3)
+    found = solved(s, Noise(), rounds=4)
+    assert np.quantile(angle_deg(found.normal, s.truth), 0.95) < 0.05
+    assert np.abs(found.lit / found.power - ALBEDO).max() < 2e-3
+    calm = skin(1, 200, noise=0, off_deg=3, lit=False)
+    found = solved(calm, Noise(), rounds=4)
+    assert np.quantile(angle_deg(found.matte, calm.truth), 0.95) < 0.2
+
+
+def test_misfit_of_readings_as_noisy_as_said_is_one() -> None:
+    s = skin(2, 4000, noise=0, off_deg=0.3)
+    noise = Noise(sensor=0.002, model=0, shade=0)
+    rng = np.random.default_rng(0)
+    sigma = noise.sensor * np.sqrt(0.25 + s.rgb)
+    rgb = s.rgb + sigma * rng.normal(size=s.rgb.shape)
+    found = solved(dataclasses.replace(s, rgb=rgb.astype(np.float32)), noise, rounds=2)
+    # The albedos are found first, with equal weights.
+    assert 0.95 < found.misfit.mean() < 1.15
+
+
+@given(power=st.integers(-6, 6), seed=SEEDS)
+@settings(max_examples=15, deadline=None)
+def test_normals_do_not_depend_on_the_scale_of_readings_and_noise(power: int, seed: int) -> None:
+    s, noise = skin(seed), Noise(sensor=0)
+    scale = 10.0**power
+    scaled = dataclasses.replace(
+        s, rgb=(s.rgb.astype(float) * scale).astype(np.float32), specular=s.specular * scale
+    )
+    known, found = solved(s, noise), solved(scaled, noise)
+    np.testing.assert_allclose(found.normal, known.normal, atol=1e-4)
+    np.testing.assert_allclose(found.matte, known.matte, atol=1e-4)
+    np.testing.assert_allclose(found.lit / scale, known.lit, rtol=1e-3, atol=1e-5)
+
+
+BAD = st.floats(-1e6, 1e6) | st.sampled_from(
+    [0.0, -0.0, 1e-12, 1e-6, 1e6, 1e12, np.nan, np.inf, -np.inf]
+)
+
+
+def check_sane(found: Solved, gloss: np.ndarray) -> None:
+    for field in dataclasses.fields(found):
+        assert np.isfinite(getattr(found, field.name)).all(), field.name
+    for normals in (found.normal, found.matte):
+        length = np.linalg.norm(normals, axis=1)
+        assert ((length == 0) | (np.abs(length - 1) < 1e-5)).all()
+    assert (found.power >= 0).all()
+    assert (found.misfit >= 0).all()
+    assert (found.certainty >= 0).all()
+    assert np.isfinite(gloss).all()
+    assert (gloss[:, [0, 2]] >= 0).all()
+
+
+def both(s: Skin) -> Solved:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found, gloss = solved(s, Noise(), rounds=2), evidence(s, Noise())
+    check_sane(found, gloss)
+    return found
+
+
+@given(
+    readings=st.lists(BAD, min_size=21, max_size=21),
+    roughness=st.sampled_from([0.0, 1e-6, 0.05, 0.28, 0.45, 5.0, np.nan]),
+    specular=st.sampled_from([0.0, 0.03, 0.2, 1e6]),
+)
+@settings(max_examples=60, deadline=None)
+def test_whatever_is_read_is_finite_or_zero(
+    readings: list[float], roughness: float, specular: float
+) -> None:
+    s = skin(0, 1)
+    both(
+        dataclasses.replace(
+            s,
+            rgb=np.array(readings, np.float32).reshape(1, 7, 3),
+            roughness=np.array([roughness]),
+            specular=np.array([specular]),
+        )
+    )
+
+
+def test_pixels_that_hold_no_number_or_no_light_are_left_zero() -> None:
+    s = skin(3, 4)
+    rgb, start, roughness = s.rgb.copy(), s.start.copy(), s.roughness.copy()
+    rgb[0, 2, 1] = np.nan
+    start[1] = 0
+    roughness[2] = 0
+    bad = dataclasses.replace(s, rgb=rgb, start=start, roughness=roughness)
+    found = both(bad)
+    for field in dataclasses.fields(found):
+        assert not getattr(found, field.name)[:3].any(), field.name
+    good = solved(s, Noise(), rounds=2)
+    np.testing.assert_array_equal(found.normal[3], good.normal[3])
+
+
+@pytest.mark.parametrize("channel", range(3))
+def test_a_dead_channel_has_no_albedo_and_disturbs_no_number(channel: int) -> None:
+    s = skin(4)
+    rgb = s.rgb.copy()
+    rgb[:, :, channel] = 0
+    found = both(dataclasses.replace(s, rgb=rgb))
+    albedo = found.lit / np.maximum(found.power, 1e-9)
+    assert (np.abs(albedo[:, channel]) < 0.1).all()
+
+
+def test_in_full_shadow_nothing_is_solved() -> None:
+    s = skin(5, lit=False)
+    dark = dataclasses.replace(
+        s.place, shadows=dataclasses.replace(s.place.shadows, visible=0 * s.place.shadows.visible)
+    )
+    found = both(dataclasses.replace(s, place=dark))
+    assert not found.normal.any()
+
+
+def test_pixels_seen_edge_on_and_from_behind_are_finite() -> None:
+    s = skin(6, 64)
+    angle = np.linspace(0, np.pi, 64)
+    side = np.cross(s.start, [1.0, 0, 0])
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    views = np.cos(angle)[:, None] * s.start + np.sin(angle)[:, None] * side
+    both(dataclasses.replace(s, place=dataclasses.replace(s.place, views=views)))
