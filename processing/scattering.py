@@ -62,7 +62,7 @@ def scattered(
         kept += weight * own
         border = cv2.BORDER_CONSTANT
         near = [cv2.GaussianBlur(x, (0, 0), sigma_px, borderType=border)[mask] for x in planes]
-        total = np.maximum(near[-1], 1e-3)
+        total = np.maximum(near[-1], np.float32(own))
         for k in range(patterns):
             others = near[k] / total - np.float32(own) * irradiance[:, k]
             for c in range(3):
