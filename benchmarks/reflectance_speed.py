@@ -1,7 +1,8 @@
 """Speed of reflectance at 24 megapixels: one view from RAW to all maps, and nine views.
 
 Run `python -m benchmarks.reflectance_speed`; the data is made where it is missing. Every row runs
-in a process of its own, once to compile and once to be measured, files being in the system's cache.
+in a process of its own, once to compile and once or more to be measured (`refine` only once), files
+being in the system's cache.
 Processor seconds stand beside wall seconds: on a machine that does other work besides they are the
 ones to compare.
 """
@@ -55,9 +56,10 @@ class Cost:
         return Cost(self.wall_s + other.wall_s, self.own_s + other.own_s, peak)
 
 
-def timed(call: Callable[[], object], times: int = 3) -> Cost:
-    """Least of some calls, after one that compiles."""
-    call()
+def timed(call: Callable[[], object], times: int = 3, *, warm: bool = True) -> Cost:
+    """Least of some calls, after one that compiles unless compiled code is loaded anyway."""
+    if warm:
+        call()
     walls, owns = [], []
     for _ in range(times):
         wall, own = time.perf_counter(), time.process_time()
@@ -74,7 +76,7 @@ def naive(root: Path, out: Path, threads: int) -> Cost:
     patterns = opened.file.sequence
     paths = [opened.frame_path(opened.frame(name, CAMERA)) for name in patterns]
     mask = read_foreground(out, CAMERA)
-    return timed(lambda: printed_formula(all_developed(paths, threads), patterns, mask), 2)
+    return timed(lambda: printed_formula(all_developed(paths, threads), patterns, mask), 1)
 
 
 def formula(root: Path, out: Path) -> Cost:
@@ -124,14 +126,17 @@ def written(root: Path, out: Path) -> Cost:
 
 
 def refined(root: Path, out: Path) -> Cost:
-    """The stage `refine` on the one view with the true mesh, what it writes included."""
+    """The stage `refine` on the one view with the true mesh, what it writes included.
+
+    It is long enough to be measured at once; compiled code comes from numba's cache.
+    """
     opened = load_session(root)
     truth = ProcessedFolder(session(person(WHO)).with_name("session.truth"))
     with tempfile.TemporaryDirectory() as name:
         target = Path(name) / "out"
         shutil.copytree(out, target)
         shutil.copy(truth.base_mesh, ProcessedFolder(target).base_mesh)
-        return timed(lambda: refine(opened, target, RefineConfig()), 1)
+        return timed(lambda: refine(opened, target, RefineConfig()), 1, warm=False)
 
 
 def nine(root: Path, out: Path) -> Cost:
@@ -229,7 +234,7 @@ def main() -> None:
         f"One view of 4016 x 6016, seven DNG files, {mask.mean():.0%} of it face (window "
         f"{window.width} x {window.height}). The coarse pass moves {moved / 1e9:.2f} GB at "
         f"{rate:.2f} GB/s, {rate / memory:.0%} of the {memory:.1f} GB/s of a plain triad: "
-        "it is bound by arithmetic. Peaks hold mapped files and the compiler.",
+        "what bounds it is work on each pixel, not memory. Peaks hold mapped files and the compiler.",
     )
 
 
