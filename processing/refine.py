@@ -572,7 +572,7 @@ def with_coarse(
     Returns:
         The (h, w) mask of all, and their maps.
     """
-    if not folder.mask_path(camera_id).is_file():
+    if not all(folder.view_path(camera_id, name).is_file() for name in MAP_NAMES.values()):
         return mask, maps
     every = mask | folder.read_mask(camera_id)
     values = {}
