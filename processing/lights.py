@@ -160,7 +160,7 @@ def lights_of(lamps: Lamps, patterns: tuple[str, ...], driven: np.ndarray) -> Pa
     Raises:
         ProcessingError: patterns polarised in a way that is not known.
     """
-    lit = lamps.rgb.max(axis=1) > 0
+    lit = lamps.rgb.mean(axis=1) > 0
     rgb, driven = lamps.rgb[lit], np.asarray(driven, float)[:, lit].T
     # Lights of unlike strength that go on and off together are one group: what each has at most
     # goes into its weight.

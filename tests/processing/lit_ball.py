@@ -13,6 +13,8 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.session import Frame, SessionFile, save_session
 from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.rig import Camera, Rig, default_rig, save_rig
+from processing.lamps import nominal_lamps
+from processing.lights import PatternLights, lights_of
 
 PATTERNS = SEQUENCES["binary"]
 
@@ -44,6 +46,12 @@ def small_rig(cameras: int = 1, factor: float = 0.028) -> Rig:
     """The default rig with fewer and smaller cameras."""
     rig = default_rig().scaled(factor)
     return dataclasses.replace(rig, cameras=rig.cameras[:cameras])
+
+
+def lights_of_rig(rig: Rig, patterns: tuple[str, ...] = PATTERNS) -> PatternLights:
+    """A rig's nominal lights as processing reckons with them."""
+    levels = np.stack([pattern_levels(name, rig) for name in patterns])
+    return lights_of(nominal_lamps(rig), patterns, levels)
 
 
 def see(ball: Ball, camera: Camera) -> Sight:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from lightstage.formats.mesh import Mesh
-from lightstage.patterns import pattern_levels
 from processing.bounces import (
     bounced_light,
     cosine_directions,
@@ -17,8 +16,6 @@ from processing.bounces import (
     vertex_irradiance,
 )
 from processing.interface import BARE
-from processing.lamps import nominal_lamps
-from processing.lights import PatternLights, lights_of
 from processing.surface import LitSurface, lit_surface
 from tests.processing import lit_ball
 
@@ -26,17 +23,12 @@ RIG = lit_ball.small_rig()
 ALBEDO = np.array([0.6, 0.3, 0.1])
 
 
-def make_lights() -> PatternLights:
-    levels = np.stack([pattern_levels(name, RIG) for name in lit_ball.PATTERNS])
-    return lights_of(nominal_lamps(RIG), lit_ball.PATTERNS, levels)
+LIGHTS = lit_ball.lights_of_rig(RIG)
 
 
-LIGHTS = make_lights()
-
-
-def surface_of(mesh: Mesh, finest_mm: float = 1e3, lights: PatternLights = LIGHTS) -> LitSurface:
+def surface_of(mesh: Mesh, finest_mm: float = 1e3) -> LitSurface:
     return lit_surface(
-        mesh, lights, offset_mm=0.1, smoothing_mm=0, directions=16, most_faces=10**6,
+        mesh, LIGHTS, offset_mm=0.1, smoothing_mm=0, directions=16, most_faces=10**6,
         finest_mm=finest_mm,
     )  # fmt: skip
 
