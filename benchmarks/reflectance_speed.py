@@ -234,7 +234,7 @@ def main() -> None:
         f"One view of 4016 x 6016, seven DNG files, {mask.mean():.0%} of it face (window "
         f"{window.width} x {window.height}). The coarse pass moves {moved / 1e9:.2f} GB at "
         f"{rate:.2f} GB/s, {rate / memory:.0%} of the {memory:.1f} GB/s of a plain triad: "
-        "what bounds it is work on each pixel, not memory. Peaks hold mapped files and the compiler.",
+        "what bounds it is not memory. Peaks hold mapped files and the compiler.",
     )
 
 

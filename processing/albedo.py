@@ -87,12 +87,19 @@ def diffuse_albedo(
     Returns:
         (n, 3) float64, at least 0.
     """
-    near = np.stack([pooled(lit[:, c], mask, sigma_px) for c in range(3)], axis=1)
     power = power.reshape(len(lit), -1)
-    total = np.stack([pooled(column, mask, sigma_px) for column in power.T], axis=1)
-    prior = np.where(total > 0, near / np.where(total > 0, total, 1), 0)
-    albedo = (lit + prior_power * prior) / (power + prior_power)
-    return np.maximum(albedo, 0)
+    totals: dict[int, np.ndarray] = {}
+    albedo = np.empty(lit.shape)
+    # Channel by channel: at 24 megapixels all of them at once take a gigabyte.
+    for c in range(lit.shape[1]):
+        column = min(c, power.shape[1] - 1)
+        if column not in totals:
+            totals = {column: pooled(power[:, column], mask, sigma_px)}
+        near, total = pooled(lit[:, c], mask, sigma_px), totals[column]
+        prior = np.where(total > 0, near / np.where(total > 0, total, 1), 0)
+        own = power[:, column]
+        albedo[:, c] = np.maximum((lit[:, c] + prior_power * prior) / (own + prior_power), 0)
+    return albedo
 
 
 def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:

@@ -273,9 +273,20 @@ def read_view(
     chosen = np.zeros(foreground.shape, bool)
     chosen[::step, ::step] = sight.mask
     white = scene.lights.colour
-    rgb, _, saturation, usable = read_pixels(
-        frames.pixels(chosen), frames.valid[chosen], white, config.dark_level
-    )
+    count = int(sight.mask.sum())
+    rgb = np.empty((count, len(frames.patterns), 3), np.float32)
+    saturation, usable = np.empty(count, np.float32), np.empty(count, bool)
+    valid = frames.valid
+    done = 0
+    rows = max(1, BAND_PIXELS * step**2 // foreground.shape[1])
+    for first in range(0, len(chosen), rows):
+        some = np.zeros_like(chosen)
+        some[first : first + rows] = chosen[first : first + rows]
+        pixels = frames.pixels(some)
+        band = slice(done, done + len(pixels))
+        clean, _, colourful, good = read_pixels(pixels, valid[some], white, config.dark_level)
+        rgb[band], saturation[band], usable[band] = clean, colourful, good
+        done += len(pixels)
     rgb /= white.astype(np.float32)
     return View(sight, rgb, saturation, usable, px_per_mm(camera) / step)
 
@@ -487,37 +498,40 @@ def solve_view(
     )
     around = around_of(scene, grid, found)
     start = found.normal
-    if grid.sight.step > 1:
-        columns, near = enlarged(np.column_stack([start, roughness, specular]), grid.sight, sight)
+    whole = grid.sight.step == 1
+    if not whole:
+        flat = around.rest.reshape(len(around.rest), -1)
+        of_grid = np.column_stack([start, roughness, specular, flat])
         # Where the grid has no pixel nearby the mesh's own gloss and normals are all there is.
-        roughness, specular = (
-            np.where(near, found, own)
-            for found, own in zip(columns[:, 3:].T, gloss_of(scene, sight), strict=True)
-        )
-        length = np.linalg.norm(columns[:, :3], axis=1, keepdims=True)
-        start = np.where(length > 0.5, columns[:, :3] / np.maximum(length, 0.5), sight.normals)
-        start = np.where(view.usable[:, None], start, 0)
+        roughness, specular = gloss_of(scene, sight)
     parts = []
-    for first in range(0, len(start), BAND_PIXELS):
+    for first in range(0, len(sight.normals), BAND_PIXELS):
         band = slice(first, first + BAND_PIXELS)
-        rest = around.rest[band]
-        if grid.sight.step > 1:
-            flat = around.rest.reshape(len(around.rest), -1)
-            rest = enlarged(flat, grid.sight, sight, band)[0].reshape(-1, *around.rest.shape[1:])
-        parts.append(
-            solve_jointly(
-                view.rgb[band],
-                scene.lights,
-                place_of(scene, sight, band),
-                start[band],
-                roughness[band],
-                specular[band],
-                skin_interface(),
-                dataclasses.replace(around, rest=rest),
-                config.noise,
-                rounds=config.rounds,
+        if whole:
+            begin, rest = start[band], around.rest[band]
+        else:
+            columns, near = enlarged(of_grid, grid.sight, sight, band)
+            roughness[band][near], specular[band][near] = columns[near, 3:5].T
+            length = np.linalg.norm(columns[:, :3], axis=1, keepdims=True)
+            begin = np.where(
+                length > 0.5, columns[:, :3] / np.maximum(length, 0.5), sight.normals[band]
             )
+            begin = np.where(view.usable[band, None], begin, 0)
+            rest = columns[:, 5:].reshape(-1, *around.rest.shape[1:])
+        part = solve_jointly(
+            view.rgb[band],
+            scene.lights,
+            place_of(scene, sight, band),
+            begin,
+            roughness[band],
+            specular[band],
+            skin_interface(),
+            dataclasses.replace(around, rest=rest),
+            config.noise,
+            rounds=config.rounds,
         )
+        # Light on its way to neighbours is asked of the grid alone.
+        parts.append(dataclasses.replace(part, irradiance=part.irradiance[:, :0].copy()))
     solved = joined(parts)
     # A normal that the mesh could not have: mistaken shadows, or hair.
     agreement = np.einsum("nk,nk->n", solved.normal, sight.normals)

@@ -18,6 +18,8 @@ from processing.rays import MeshRays
 
 MOST_ROUNDS = 100
 MOST_SPLITS = 4
+BAND_PIXELS = 2_000_000
+"""Pixels of a picture whose rays are held at once."""
 SEEN_STEP = 3
 """Every so many pixels a ray finds the triangles that a camera sees."""
 SKY_MM = 1e5
@@ -231,15 +233,45 @@ def see(surface: LitSurface, camera: Camera, foreground: np.ndarray, step: int =
         step: only every so many pixels of every so many rows.
     """
     camera, foreground = _every(camera, step), foreground[::step, ::step]
+    height, width = foreground.shape
+    rows = max(1, BAND_PIXELS // width)
+    parts = [
+        _see_rows(
+            surface, _rows(camera, first, min(height, first + rows)), foreground[first:][:rows]
+        )
+        for first in range(0, height, rows)
+    ]
+    joined = {
+        name: np.concatenate([part.pop(name) for part in parts])
+        for name in (
+            "mask",
+            "points",
+            "normals",
+            "views",
+            "occlusion",
+            "corners",
+            "weights",
+            "depth",
+        )
+    }
+    return Sight(
+        mask=joined["mask"],
+        points_mm=joined["points"],
+        normals=joined["normals"],
+        views=joined["views"],
+        occlusion=joined["occlusion"],
+        shadows=Shadows(joined["corners"], joined["weights"], surface.visible),
+        depth_mm=joined["depth"],
+        step=step,
+    )
+
+
+def _see_rows(surface: LitSurface, camera: Camera, foreground: np.ndarray) -> dict[str, np.ndarray]:
+    """What `see` says of a camera whose rays are few enough to be held at once."""
     hits = surface.rays.cast_camera(camera, foreground)
     found = hits.face >= 0
-    hits = dataclasses.replace(
-        hits,
-        face=hits.face[found],
-        barycentric=hits.barycentric[found],
-        distance_mm=hits.distance_mm[found],
-    )
-    face, weights = hits.face.astype(np.int64), hits.barycentric.astype(np.float64)
+    distance_mm = hits.distance_mm[found]
+    face, weights = hits.face[found].astype(np.int64), hits.barycentric[found].astype(np.float64)
     for _ in range(surface.splits):
         face, weights = _in_part(face, weights)
     weights = np.ascontiguousarray(weights, np.float32)
@@ -252,17 +284,22 @@ def see(surface: LitSurface, camera: Camera, foreground: np.ndarray, step: int =
     directions = rays.reshape(-1, 3)[found]
     mask = found.reshape(foreground.shape)
     depth = np.full(foreground.shape, np.inf, np.float32)
-    depth[mask] = hits.distance_mm
-    return Sight(
-        mask=mask,
-        points_mm=(origin + directions * hits.distance_mm[:, None]).astype(np.float32),
-        normals=normals,
-        views=-directions.astype(np.float32),
-        occlusion=at_pixels[:, 3],
-        shadows=Shadows(corners, weights, surface.visible),
-        depth_mm=depth,
-        step=step,
-    )
+    depth[mask] = distance_mm
+    return {
+        "mask": mask,
+        "points": (origin + directions * distance_mm[:, None]).astype(np.float32),
+        "normals": normals,
+        "views": -directions.astype(np.float32),
+        "occlusion": at_pixels[:, 3],
+        "corners": corners,
+        "weights": weights,
+        "depth": depth,
+    }
+
+
+def _rows(camera: Camera, first: int, beyond: int) -> Camera:
+    """The camera that has only some of another one's rows."""
+    return dataclasses.replace(camera, height_px=beyond - first, cy_px=camera.cy_px - first)
 
 
 def _every(camera: Camera, step: int) -> Camera:
