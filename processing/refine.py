@@ -533,6 +533,7 @@ def solve_view(
         # Light on its way to neighbours is asked of the grid alone.
         parts.append(dataclasses.replace(part, irradiance=part.irradiance[:, :0].copy()))
     solved = joined(parts)
+    parts.clear()
     # A normal that the mesh could not have: mistaken shadows, or hair.
     agreement = np.einsum("nk,nk->n", solved.normal, sight.normals)
     good = view.usable & (agreement > 0)
@@ -546,8 +547,11 @@ def solve_view(
     confidence = np.where(good, trust, 0).astype(np.float32)
     # A pixel that is hardly trusted takes its neighbours' albedo.
     weight = confidence[:, None] ** 2
-    lit, power = solved.lit * weight, solved.power * weight
-    albedo = diffuse_albedo(lit, power, mask, view.px_per_mm, config.albedo_prior_power)
+    np.multiply(solved.lit, weight, out=solved.lit)
+    np.multiply(solved.power, weight, out=solved.power)
+    albedo = diffuse_albedo(
+        solved.lit, solved.power, mask, view.px_per_mm, config.albedo_prior_power
+    )
     matte, normal = (
         steadied(found, sight.normals, confidence / config.steady_below, good)
         for found in (solved.matte, solved.normal)
