@@ -1,8 +1,8 @@
 """Speed of reflectance at 24 megapixels: one view from RAW to all maps, and nine views.
 
 Run `python -m benchmarks.reflectance_speed`; the data is made where it is missing. Every row runs
-in a process of its own, once to compile and once or more to be measured (`refine` only once), files
-being in the system's cache.
+in a process of its own, once to compile and once or more to be measured (rows of many seconds only
+once, compiled code loaded), files being in the system's cache.
 Processor seconds stand beside wall seconds: on a machine that does other work besides they are the
 ones to compare.
 """
@@ -113,7 +113,8 @@ def maps_of(opened: Session, out: Path, method: str) -> PixelMaps:
 def coarse(root: Path, out: Path, method: str) -> Cost:
     """One view's maps from mapped half floats."""
     opened = load_session(root)
-    return timed(lambda: maps_of(opened, out, method), 3 if method == "colour" else 1)
+    quick = method == "colour"
+    return timed(lambda: maps_of(opened, out, method), 3 if quick else 1, warm=quick)
 
 
 def written(root: Path, out: Path) -> Cost:
@@ -122,7 +123,7 @@ def written(root: Path, out: Path) -> Cost:
     maps, mask = maps_of(opened, out, "colour"), read_foreground(out, CAMERA)
     with tempfile.TemporaryDirectory() as name:
         folder = ProcessedFolder(Path(name))
-        return timed(lambda: write_maps(folder, CAMERA, mask, maps), 1)
+        return timed(lambda: write_maps(folder, CAMERA, mask, maps), 1, warm=False)
 
 
 def refined(root: Path, out: Path) -> Cost:
@@ -153,7 +154,7 @@ def nine(root: Path, out: Path) -> Cost:
 
         views = [f"view{k}" for k in range(VIEWS)]
         at_once = workers(bytes_of_view(mask))
-        return timed(lambda: list(over_views(one, views, at_once)), 1)
+        return timed(lambda: list(over_views(one, views, at_once)), 1, warm=False)
 
 
 def bytes_of_view(mask: np.ndarray) -> int:
@@ -208,7 +209,7 @@ def main() -> None:
         costs["decode: RAW to half floats of the window, mask, checks"] = ours_raw
         costs["coarse: half floats to all maps"] = ours_maps
         costs["RAW to all coarse maps"] = ours_raw.plus(ours_maps)
-        for method in ("kampouris", "ratios", "linear"):
+        for method in ("kampouris", "ratios"):
             costs[f"plain arrays: method {method}"] = apart(coarse, root, out, method)
         costs["writing the maps (EXR)"] = apart(written, root, out)
         costs["refine, true mesh, maps written"] = apart(refined, root, out)
