@@ -17,7 +17,14 @@ import numpy as np
 from benchmarks.reflectance_people import folder, person, session
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import atomic_folder, sha256_file
-from lightstage.formats.session import Calibration, Frame, SessionFile, load_session, save_session
+from lightstage.formats.session import (
+    Calibration,
+    Driven,
+    Frame,
+    SessionFile,
+    load_session,
+    save_session,
+)
 from lightstage.rig import default_rig, save_rig
 from sim.camera.dng import Exif, dng_bytes
 from sim.camera.sensor import SensorConfig, make_sensor
@@ -64,7 +71,7 @@ def _make(out: Path) -> None:
         "cameras": {CAMERA: {"linear_from_raw": matrix, "exposure_s": sensor.exposure_s}},
     }
     (out / "colour.json").write_text(json.dumps(colour))
-    levels = {name: {"levels": list(small.levels(name))} for name in small.file.sequence}
+    levels = {n: Driven(levels=small.levels(n).tolist()) for n in small.file.sequence}
     file = SessionFile(
         id="24mp",
         created_utc="2026-01-01T00:00:00Z",

@@ -35,7 +35,8 @@ from processing.frames import Frames, foreground_path, write_foreground, write_f
 from processing.masks import foreground
 from processing.methods.config import SeparateConfig
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
-from processing.refine import RefineConfig, refine
+from processing.refine import refine
+from processing.refining.config import RefineConfig
 from processing.separation import separate
 from sim.session import truth_path
 

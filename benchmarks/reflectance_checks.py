@@ -23,7 +23,8 @@ from lightstage.formats.session import Session
 from processing.decode import DecodeConfig, decode
 from processing.methods.config import SeparateConfig
 from processing.preparation import PrepareConfig
-from processing.refine import RefineConfig, refine
+from processing.refine import refine
+from processing.refining.config import RefineConfig
 from processing.separation import separate
 
 OFF = PrepareConfig(still_px=1e9, least_flicker=1e9, least_ambient=1e9)

@@ -37,7 +37,8 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from processing.decode import DecodeConfig, decode
 from processing.methods.config import SeparateConfig
-from processing.refine import RefineConfig, refine
+from processing.refine import refine
+from processing.refining.config import RefineConfig
 from processing.separation import separate
 from sim.camera.flaws import CaptureFlaws, RoomConfig, SwayConfig
 from sim.camera.sway import moved

@@ -71,7 +71,7 @@ def printed_formula(
 
 
 @njit(cache=True)
-def _delta(p: np.ndarray, m: np.ndarray) -> tuple[float, float]:
+def _delta(p: np.ndarray, m: np.ndarray) -> tuple[np.float32, np.float32]:
     """Specular part of the brighter of a pair, and the ratio along their axis."""
     plus = np.float32(p[0]) + np.float32(p[1]) + np.float32(p[2])
     minus = np.float32(m[0]) + np.float32(m[1]) + np.float32(m[2])

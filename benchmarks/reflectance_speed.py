@@ -36,7 +36,8 @@ from processing.methods.config import SeparateConfig
 from processing.methods.view import separate_view
 from processing.parallel import over_views, workers
 from processing.pixels import PixelMaps, write_maps
-from processing.refine import RefineConfig, refine
+from processing.refine import refine
+from processing.refining.config import RefineConfig
 
 R = TypeVar("R")
 VIEWS = 9

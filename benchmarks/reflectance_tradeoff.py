@@ -27,7 +27,8 @@ from processing.lights import pattern_lights
 from processing.masks import foreground
 from processing.methods.config import KampourisConfig, RatiosConfig, SeparateConfig
 from processing.methods.view import separate_view
-from processing.refine import RefineConfig, refine
+from processing.refine import refine
+from processing.refining.config import RefineConfig
 
 WHO = ("tone3", "tone6")
 PICTURE = RESULTS.with_name("reflectance_tradeoff.png")

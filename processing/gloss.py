@@ -56,6 +56,7 @@ def better_gloss(
     roughness_pool_mm: float,
     specular_pool_mm: float,
     prior: float,
+    spread: float,
 ) -> Gloss:
     """Gloss nearer to what the pixels say, by one step of Gauss-Newton.
 
@@ -65,6 +66,8 @@ def better_gloss(
         surface: whose vertices these are.
         roughness_pool_mm, specular_pool_mm: sigma over which vertices share one.
         prior: the whole face's own answer counts as this share of a typical vertex's information.
+        spread: standard deviation of the specular albedo over a face: where noise would make it
+            larger, the whole face's answer counts instead.
 
     Returns:
         Gloss, finite everywhere; the given one where there is no evidence at all.
@@ -88,6 +91,9 @@ def better_gloss(
     found = s_left - sm * step + ss * gloss.specular
     # The whole face's own level stands for a place that says little.
     typical = prior * ss.sum() / max(int((ss > 0).sum()), 1)
+    # Averages stand for so many vertices of their own.
+    together = max(4 * np.pi * (specular_pool_mm / surface.edge_mm) ** 2, 1.0)
+    typical += 1 / (together * spread**2)
     top = found + typical * found.sum() / ss.sum()
     specular = np.clip(top / (ss + typical), *SPECULAR_RANGE)
     return Gloss(roughness, specular)

@@ -33,7 +33,8 @@ from processing.records import (
     versions,
     write_records,
 )
-from processing.refine import RefineConfig, refine
+from processing.refine import refine
+from processing.refining.config import RefineConfig
 from processing.registration.stage import RegisterConfig, register
 from processing.separation import separate
 

@@ -23,7 +23,7 @@ from processing.gloss import (
 )
 from processing.lights import no_shadows
 from processing.lobe import SKIN_F0
-from processing.refine import enlarged
+from processing.refining.every_pixel import enlarged
 from processing.surface import LitSurface, Sight, lit_surface
 from tests.processing import lit_ball
 
@@ -64,6 +64,7 @@ def better(gloss: Gloss, sums: np.ndarray, pool_mm: float = 6.0, prior: float = 
             roughness_pool_mm=pool_mm,
             specular_pool_mm=pool_mm,
             prior=prior,
+            spread=1e12,
         )
 
 

@@ -34,7 +34,10 @@ from processing.methods.colour import separate_pixels
 from processing.methods.config import SeparateConfig
 from processing.normals import ratio_normals, solve_far_normals, solve_normals
 from processing.readings import px_per_mm
-from processing.refine import RefineConfig, find_gloss, prepare_scene, read_view, solve_view
+from processing.refining.config import RefineConfig
+from processing.refining.every_pixel import solve_view
+from processing.refining.gloss_search import find_gloss
+from processing.refining.scene import prepare_scene, read_view
 from tests.processing import lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 

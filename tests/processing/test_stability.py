@@ -23,7 +23,8 @@ from processing.decode import DecodeConfig, decode
 from processing.frames import Frames, read_frames, write_foreground, write_frames
 from processing.methods.config import SeparateConfig
 from processing.normals import chroma_signal, solve_normals
-from processing.refine import RefineConfig, refine
+from processing.refine import refine
+from processing.refining.config import RefineConfig
 from processing.separation import separate
 from tests.processing import lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball
