@@ -36,7 +36,7 @@ class RefineConfig:
     """Of the readings: see `joint.Noise`; for gloss, colour counts more than the model of light."""
     gloss_rounds: int = 3
     """Steps of the search for roughness and specular albedo."""
-    gloss_pixels: int = 500_000
+    gloss_pixels: int = 150_000
     """At most this many pixels of a view, on a regular grid, give evidence of gloss."""
     roughness: float = 0.28
     """Beckmann's m to start from; skin has .2 to .35."""
