@@ -16,11 +16,8 @@ from processing.joint import (
 from processing.pixels import PixelMaps
 from processing.refining.config import RefineConfig
 from processing.refining.gloss_search import around_of, grid_evidence
-from processing.refining.scene import ALL, Scene, View, gloss_of, place_of, steady
+from processing.refining.scene import ALL, BAND_PIXELS, Scene, View, gloss_of, place_of, steady
 from processing.surface import Sight
-
-BAND_PIXELS = 1_000_000
-"""Pixels that are solved at a time: what they need besides their maps is held no longer."""
 
 
 def solve_view(

@@ -18,10 +18,11 @@ from processing.lights import PatternLights, Shadows
 from processing.masks import edge_distance_px
 from processing.readings import px_per_mm, read_pixels
 from processing.refining.config import RefineConfig
-from processing.refining.every_pixel import BAND_PIXELS
 from processing.surface import LitSurface, Sight, at_vertices_to, depth_edges, lit_surface, see
 
 ALL = slice(None)
+BAND_PIXELS = 1_000_000
+"""Pixels that are solved at a time: what they need besides their maps is held no longer."""
 
 
 @dataclasses.dataclass(frozen=True)
