@@ -24,9 +24,8 @@ from lightstage.formats.mesh import Mesh, read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from lightstage.rig import Camera
-from processing.decode import DecodeConfig, decode
-from processing.frames import Frames, read_foreground, read_frames, write_frames
-from processing.methods.config import SeparateConfig
+from processing.decode.stage import DecodeConfig, decode
+from processing.frames.read import Frames, read_foreground, read_frames, write_frames
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import consistent_points
 from processing.reconstruction.fusion import fuse
@@ -34,7 +33,8 @@ from processing.reconstruction.poses import tone_mapped
 from processing.reconstruction.stage import read_views
 from processing.reconstruction.stereo import focus_point, match_views
 from processing.reconstruction.views import Level, View, pyramid
-from processing.separation import separate
+from processing.separation.config import SeparateConfig
+from processing.separation.stage import separate
 from sim.errors import SimError
 from sim.people.subjects import load_subject
 

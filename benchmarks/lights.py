@@ -29,8 +29,8 @@ from processing.calibration.ratios import (
     ratio_vectors,
     unit,
 )
-from processing.lamps import NO_STRAY, Lamps, measured_rig, nominal_lamps
-from processing.lights import lights_of
+from processing.lighting.lamps import NO_STRAY, Lamps, measured_rig, nominal_lamps
+from processing.lighting.lights import lights_of
 from sim.light.lamps import LampConfig, lamps_of
 from sim.light.lamps import Lamps as TrueLamps
 from sim.targets.ball import Ball, photograph_grey, photograph_mirror

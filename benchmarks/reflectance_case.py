@@ -31,13 +31,13 @@ from lightstage.formats.exr import read_exr
 from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
-from processing.frames import Frames, foreground_path, write_foreground, write_frames
+from processing.frames.read import Frames, foreground_path, write_foreground, write_frames
 from processing.masks import foreground
-from processing.methods.config import SeparateConfig
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
-from processing.refine import refine
-from processing.refining.config import RefineConfig
-from processing.separation import separate
+from processing.refinement.config import RefineConfig
+from processing.refinement.stage import refine
+from processing.separation.config import SeparateConfig
+from processing.separation.stage import separate
 from sim.session import truth_path
 
 FOREGROUND_SHARE = 0.03

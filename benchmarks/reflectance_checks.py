@@ -20,12 +20,12 @@ from benchmarks.reflectance_curves import Setting, Stage, photographed
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
-from processing.decode import DecodeConfig, decode
-from processing.methods.config import SeparateConfig
-from processing.preparation import PrepareConfig
-from processing.refine import refine
-from processing.refining.config import RefineConfig
-from processing.separation import separate
+from processing.decode.preparation import PrepareConfig
+from processing.decode.stage import DecodeConfig, decode
+from processing.refinement.config import RefineConfig
+from processing.refinement.stage import refine
+from processing.separation.config import SeparateConfig
+from processing.separation.stage import separate
 
 OFF = PrepareConfig(still_px=1e9, least_flicker=1e9, least_ambient=1e9)
 ON = PrepareConfig()

@@ -35,11 +35,11 @@ from lightstage.formats.config import make_config
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
-from processing.decode import DecodeConfig, decode
-from processing.methods.config import SeparateConfig
-from processing.refine import refine
-from processing.refining.config import RefineConfig
-from processing.separation import separate
+from processing.decode.stage import DecodeConfig, decode
+from processing.refinement.config import RefineConfig
+from processing.refinement.stage import refine
+from processing.separation.config import SeparateConfig
+from processing.separation.stage import separate
 from sim.camera.flaws import CaptureFlaws, RoomConfig, SwayConfig
 from sim.camera.sway import moved
 from sim.light.lamps import LampConfig, lamps_of

@@ -20,10 +20,10 @@ from benchmarks.reflectance_case import Case
 from benchmarks.reflectance_scores import Maps
 from lightstage.formats.mesh import read_ply
 from processing.albedo import diffuse_albedo, diffuse_light, pooled
-from processing.frames import read_foreground, read_frames
-from processing.interface import skin_interface
-from processing.lights import PatternLights, irradiance_vectors, pattern_lights
-from processing.lobe import transport
+from processing.frames.read import read_foreground, read_frames
+from processing.lighting.interface import skin_interface
+from processing.lighting.lights import PatternLights, irradiance_vectors, pattern_lights
+from processing.lighting.lobe import transport
 from processing.normals import solve_normals
 from processing.readings import px_per_mm
 from processing.surface import Sight, lit_surface, see

@@ -23,10 +23,10 @@ from benchmarks.reflectance_people import person, session
 from lightstage.formats.exr import read_exr
 from lightstage.formats.processed import ProcessedFolder
 from processing.colour import ColourCorrection
+from processing.frames.window import Window, whole
 from processing.raw.develop import Settings, develop
 from processing.raw.file import open_raw
 from processing.raw.region import find_window, preview
-from processing.window import Window, whole
 from sim.camera.dng import Exif, dng_bytes
 from sim.camera.sensor import Sensor, SensorConfig, make_sensor
 

@@ -12,10 +12,10 @@ from benchmarks.reflectance_people import new_lights, new_rig
 from benchmarks.reflectance_scores import Maps, TrueView
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.rig import Camera, Rig
-from processing.interface import skin_interface
-from processing.lamps import Lamps
-from processing.lights import PatternLights, Shadows, lights_of
-from processing.lobe import transport
+from processing.lighting.interface import skin_interface
+from processing.lighting.lamps import Lamps
+from processing.lighting.lights import PatternLights, Shadows, lights_of
+from processing.lighting.lobe import transport
 from processing.rays import MeshRays, interpolate
 
 PEAK_QUANTILE = 0.999

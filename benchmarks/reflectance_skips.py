@@ -19,13 +19,13 @@ import numpy as np
 from benchmarks.record import record
 from benchmarks.reflectance_24mp import CAMERA, large_session
 from lightstage.formats.session import load_session
-from processing.decode import DecodeConfig, decode
-from processing.frames import Frames, read_foreground, read_frames
-from processing.lights import pattern_lights
-from processing.methods import colour
-from processing.methods.config import SeparateConfig
-from processing.methods.view import separate_view
+from processing.decode.stage import DecodeConfig, decode
+from processing.frames.read import Frames, read_foreground, read_frames
+from processing.lighting.lights import pattern_lights
 from processing.pixels import PixelMaps
+from processing.separation import colour
+from processing.separation.config import SeparateConfig
+from processing.separation.view import separate_view
 
 R = TypeVar("R")
 

@@ -29,15 +29,15 @@ from benchmarks.reflectance_naive import all_developed, printed_formula
 from benchmarks.reflectance_people import person, session
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
-from processing.decode import DecodeConfig, decode
-from processing.frames import read_foreground, read_frames
-from processing.lights import pattern_lights
-from processing.methods.config import SeparateConfig
-from processing.methods.view import separate_view
+from processing.decode.stage import DecodeConfig, decode
+from processing.frames.read import read_foreground, read_frames
+from processing.lighting.lights import pattern_lights
 from processing.parallel import over_views, workers
 from processing.pixels import PixelMaps, write_maps
-from processing.refine import refine
-from processing.refining.config import RefineConfig
+from processing.refinement.config import RefineConfig
+from processing.refinement.stage import refine
+from processing.separation.config import SeparateConfig
+from processing.separation.view import separate_view
 
 R = TypeVar("R")
 VIEWS = 9

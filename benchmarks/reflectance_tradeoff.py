@@ -22,13 +22,13 @@ from benchmarks.scatter import Panel, draw
 from lightstage.formats.exr import read_exr
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
-from processing.frames import Frames, read_frames, write_foreground, write_frames
-from processing.lights import pattern_lights
+from processing.frames.read import Frames, read_frames, write_foreground, write_frames
+from processing.lighting.lights import pattern_lights
 from processing.masks import foreground
-from processing.methods.config import KampourisConfig, RatiosConfig, SeparateConfig
-from processing.methods.view import separate_view
-from processing.refine import refine
-from processing.refining.config import RefineConfig
+from processing.refinement.config import RefineConfig
+from processing.refinement.stage import refine
+from processing.separation.config import KampourisConfig, RatiosConfig, SeparateConfig
+from processing.separation.view import separate_view
 
 WHO = ("tone3", "tone6")
 PICTURE = RESULTS.with_name("reflectance_tradeoff.png")
@@ -112,25 +112,20 @@ def errors(case: Case, maps: Maps, mask: np.ndarray) -> tuple[float, float, floa
 def settings() -> dict[str, Callable[[Case], tuple[Maps, np.ndarray, float]]]:
     """What is compared, by name."""
     base = SeparateConfig()
-
-    def change(**values: object) -> SeparateConfig:
-        return dataclasses.replace(base, **values)  # type: ignore[arg-type]
-
+    weighted = KampourisConfig(combine="weighted", field="lights")
     return {
         "colour": coarse("colour", base),
-        "colour, 1 solve": coarse("colour", change(iterations=1)),
-        "colour, 3 solves": coarse("colour", change(iterations=3)),
-        "colour, prior 10": coarse("colour", change(specular_prior_share=10.0)),
-        "colour, m .3": coarse("colour", change(roughness=0.3)),
-        "colour, red normals": coarse("colour", change(normals="red")),
-        "colour, blue normals": coarse("colour", change(normals="blue")),
+        "colour, 1 solve": coarse("colour", SeparateConfig(iterations=1)),
+        "colour, 3 solves": coarse("colour", SeparateConfig(iterations=3)),
+        "colour, prior 10": coarse("colour", SeparateConfig(specular_prior_share=10.0)),
+        "colour, m .3": coarse("colour", SeparateConfig(roughness=0.3)),
+        "colour, red normals": coarse("colour", SeparateConfig(normals="red")),
+        "colour, blue normals": coarse("colour", SeparateConfig(normals="blue")),
         "linear (arrays)": coarse("linear", base),
         "kampouris, printed": coarse("kampouris", base),
-        "kampouris, weighted, lights": coarse(
-            "kampouris", change(kampouris=KampourisConfig(combine="weighted", field="lights"))
-        ),
+        "kampouris, weighted, lights": coarse("kampouris", SeparateConfig(kampouris=weighted)),
         "ratios, printed": coarse("ratios", base),
-        "ratios, lights": coarse("ratios", change(ratios=RatiosConfig(field="lights"))),
+        "ratios, lights": coarse("ratios", SeparateConfig(ratios=RatiosConfig(field="lights"))),
         "refine, true mesh": with_mesh,
     }
 

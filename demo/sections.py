@@ -21,7 +21,7 @@ from lightstage.formats.mesh import read_obj, read_ply
 from lightstage.formats.template import default_template_path, load_template
 from lightstage.rig import Camera
 from processing.closest import ClosestPoints
-from processing.frames import read_frames
+from processing.frames.read import read_frames
 from processing.pages import SPECULAR_WHITE, show
 from processing.report import (
     Picture,

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
-from processing.frames import Frames
-from processing.halves import half_value
+from processing.frames.halves import as_float
+from processing.frames.read import Frames
 
 SMALL_PX = 2_000_000
 """A foreground is looked for in about this many pixels, and in means of squares where there are
@@ -80,7 +80,7 @@ def _brightest(bits: np.ndarray, side: int, out: np.ndarray) -> None:
             for k in range(bits.shape[0]):
                 line = bits[k, y].reshape(-1)
                 for i in range(len(best)):
-                    best[i] = max(best[i], half_value(line[i]))
+                    best[i] = max(best[i], as_float(line[i]))
             for x in range(width):
                 sums[x] += max(best[3 * x], max(best[3 * x + 1], best[3 * x + 2]))
         for column in range(out.shape[1]):

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
-from processing.lights import OCTAHEDRON, octahedral_cell
+from processing.lighting.lights import OCTAHEDRON, octahedral_cell
 
 ILL_POSED = 1e-4
 """A 3 x 3 system whose determinant is below this share of its mean diagonal cubed is not solved."""

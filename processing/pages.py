@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.formats.processed import ProcessedFolder
-from processing.diagnosis_page import light_section
+from processing.decode.diagnosis_page import light_section
 from processing.report import (
     Picture,
     Section,

@@ -16,10 +16,9 @@ from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import AtlasConfig, atlas
-from processing.completing import unmendable_frames, with_complements
-from processing.decode import DecodeConfig, decode
+from processing.decode.completing import unmendable_frames, with_complements
+from processing.decode.stage import DecodeConfig, decode
 from processing.errors import ProcessingError
-from processing.methods.config import SeparateConfig
 from processing.pages import write_processed_report
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
@@ -33,10 +32,11 @@ from processing.records import (
     versions,
     write_records,
 )
-from processing.refine import refine
-from processing.refining.config import RefineConfig
+from processing.refinement.config import RefineConfig
+from processing.refinement.stage import refine
 from processing.registration.stage import RegisterConfig, register
-from processing.separation import separate
+from processing.separation.config import SeparateConfig
+from processing.separation.stage import separate
 
 STAGES = ("decode", "separate", "reconstruct", "refine", "register", "atlas")
 WITH_TEMPLATE = ("register", "atlas")

@@ -13,7 +13,7 @@ from scipy import sparse
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.rig import Camera
-from processing.lights import PatternLights, Shadows
+from processing.lighting.lights import PatternLights, Shadows
 from processing.rays import MeshRays
 
 MOST_ROUNDS = 100

@@ -32,8 +32,8 @@ from processing.calibration.ratios import (
     unit,
 )
 from processing.errors import ProcessingError
-from processing.lamps import NO_STRAY, Lamps
-from processing.lights import lights_of
+from processing.lighting.lamps import NO_STRAY, Lamps
+from processing.lighting.lights import lights_of
 
 AXES = ("x", "y", "z")
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from processing.calibration.grey_ball import Readings
-from processing.lights import PatternLights, irradiance_vectors, no_shadows
+from processing.lighting.lights import PatternLights, irradiance_vectors, no_shadows
 from processing.normals import solve_normals
 
 AXES = ("x", "y", "z")

@@ -9,12 +9,12 @@ import numpy as np
 
 from processing.calibration.flat_file import FlatField
 from processing.colour import ColourCorrection
-from processing.drafts import NOT_A_NUMBER
-from processing.halves import LARGEST
+from processing.frames.drafts import NOT_A_NUMBER
+from processing.frames.halves import LARGEST
+from processing.frames.window import Window
 from processing.raw.bayer import CLIP_REACH, REACH, SIDE
 from processing.raw.file import RawFile
 from processing.raw.mosaic import develop_mosaic, development
-from processing.window import Window
 
 
 @dataclasses.dataclass(frozen=True)

@@ -12,8 +12,8 @@ import dataclasses
 
 import numpy as np
 
+from processing.frames.window import Window
 from processing.raw.bayer import SIDE, develop
-from processing.window import Window
 
 
 @dataclasses.dataclass(frozen=True)

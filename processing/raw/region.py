@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lightstage.rig import Camera
+from processing.frames.window import Window, box_of, whole
 from processing.masks import foreground
 from processing.raw.file import RawFile
-from processing.window import Window, box_of, whole
 
 LONG_SIDE = 400
 """Cells along a preview's longer side, about."""

@@ -12,7 +12,7 @@ from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.errors import ReconstructionError
-from processing.frames import Frames, read_foreground, read_frames
+from processing.frames.read import Frames, read_foreground, read_frames
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import consistent_points
 from processing.reconstruction.fusion import Holes, boundary_loops, fuse

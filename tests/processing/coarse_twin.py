@@ -7,12 +7,12 @@ import dataclasses
 import cv2
 import numpy as np
 
-from processing.interface import skin_interface
-from processing.lights import PatternLights
-from processing.lobe import SKIN_F0
-from processing.methods.colour import SETTLED
-from processing.methods.config import SeparateConfig
-from processing.methods.far_tables import CELLS, ROWS, FarTables
+from processing.lighting.interface import skin_interface
+from processing.lighting.lights import PatternLights
+from processing.lighting.lobe import SKIN_F0
+from processing.separation.colour import SETTLED
+from processing.separation.config import SeparateConfig
+from processing.separation.far_tables import CELLS, ROWS, FarTables
 from tests.processing.lit_ball import exact_fresnel, smith
 
 

@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 
-from processing.fresnel import fresnel
-from processing.interface import ROUGHNESS_RANGE, Interface
-from processing.joint import Noise
-from processing.lights import PatternLights
+from processing.lighting.fresnel import fresnel
+from processing.lighting.interface import ROUGHNESS_RANGE, Interface
+from processing.lighting.lights import PatternLights
+from processing.refinement.joint import Noise
 
 STEP = 1e-6
 SKIN = ((1.4 - 1) / (1.4 + 1)) ** 2

@@ -13,8 +13,8 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.session import Frame, SessionFile, save_session
 from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.rig import Camera, Rig, default_rig, save_rig
-from processing.lamps import nominal_lamps
-from processing.lights import PatternLights, lights_of
+from processing.lighting.lamps import nominal_lamps
+from processing.lighting.lights import PatternLights, lights_of
 
 PATTERNS = SEQUENCES["binary"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from lightstage.formats.session import Calibration, Session
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig
-from processing.lights import PatternLights, pattern_lights
+from processing.lighting.lights import PatternLights, pattern_lights
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball, Sight
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.ndimage import convolve
 
 from processing.colour import ColourCorrection
+from processing.frames.window import Window, whole
 from processing.raw.bayer import NOISE
 from processing.raw.mosaic import develop_mosaic, development, neutral_gains
-from processing.window import Window, whole
 from tests.processing.made_raw import BLACK, WHITE, counts_of, gradient
 
 ORDERS = {

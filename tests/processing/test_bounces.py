@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from lightstage.formats.mesh import Mesh
-from processing.bounces import (
+from processing.lighting.interface import BARE
+from processing.refinement.bounces import (
     bounced_light,
     cosine_directions,
     mesh_triangles,
     other_skin,
     vertex_irradiance,
 )
-from processing.interface import BARE
 from processing.surface import LitSurface, lit_surface
 from tests.processing import lit_ball
 

@@ -30,7 +30,7 @@ from processing.calibration.highlights import expected_px, find_highlights, mirr
 from processing.calibration.lights_fit import LightsConfig, fit_lights, normal_errors
 from processing.calibration.mirror_ball import MirrorConfig, solve_lamps
 from processing.errors import ProcessingError
-from processing.lamps import nominal_lamps
+from processing.lighting.lamps import nominal_lamps
 from sim.devices.target_photographer import TargetPhotographer
 from sim.light.lamps import LampConfig, lamps_of
 from sim.targets.ball import Ball, highlights_mm, photograph_mirror

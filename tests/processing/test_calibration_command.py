@@ -25,9 +25,9 @@ from processing.calibration.picture import read_mosaic
 from processing.calibration.stage import CalibrateConfig, calibrate, lights_of
 from processing.calibration.white import white_at
 from processing.colour import read_colour
-from processing.decode import DecodeConfig, decode
+from processing.decode.stage import DecodeConfig, decode
 from processing.errors import ProcessingError
-from processing.frames import read_frames
+from processing.frames.read import read_frames
 from sim.camera.flaws import PRESETS
 from sim.camera.optics import make_lens
 from sim.light.lamps import LampConfig, lamps_of

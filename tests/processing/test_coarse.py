@@ -11,21 +11,23 @@ from hypothesis import strategies as st
 from numba import njit
 
 from lightstage.patterns import pattern_levels
-from processing.interface import BARE, skin_interface
-from processing.lamps import nominal_lamps
-from processing.lights import PatternLights, far_field, lights_of
-from processing.methods.colour import (
+from processing.frames.halves import as_float
+from processing.lighting.interface import BARE, skin_interface
+from processing.lighting.lamps import nominal_lamps
+from processing.lighting.lights import PatternLights, far_field, lights_of
+from processing.pixels import PixelMaps
+from processing.readings import px_per_mm
+from processing.separation.colour import (
     Readings,
     camera_rays,
     separate_pixels,
     separate_window,
     window_readings,
 )
-from processing.methods.config import SeparateConfig
-from processing.methods.far_tables import far_tables
-from processing.methods.lanes import (
+from processing.separation.config import SeparateConfig
+from processing.separation.far_tables import far_tables
+from processing.separation.lanes import (
     LANES,
-    as_float,
     at_least,
     every,
     lane,
@@ -36,8 +38,6 @@ from processing.methods.lanes import (
     store_turned,
     totals,
 )
-from processing.pixels import PixelMaps
-from processing.readings import px_per_mm
 from tests.processing import coarse_twin, lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 

@@ -13,8 +13,8 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
 from lightstage.patterns import pattern_levels
-from processing.completing import missing_patterns, pairs_of, with_complements
-from processing.frames import read_frames
+from processing.decode.completing import missing_patterns, pairs_of, with_complements
+from processing.frames.read import read_frames
 from processing.pipeline import PipelineConfig, run
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball

@@ -10,21 +10,21 @@ import cv2
 import numpy as np
 import pytest
 
-import processing.decoding
+import processing.decode.files
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
 from processing.calibration.flat_file import FlatField, write_flats
-from processing.decode import DecodeConfig, decode
-from processing.decoding import CameraJob, lookers
-from processing.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
+from processing.decode.files import CameraJob, lookers
+from processing.decode.photographs import Photograph
+from processing.decode.stage import DecodeConfig, decode
 from processing.errors import ProcessingError
-from processing.frames import Frames, read_foreground, read_frames
-from processing.photographs import Photograph
+from processing.frames.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
+from processing.frames.read import Frames, read_foreground, read_frames
+from processing.frames.window import Window, whole
 from processing.raw.region import find_window, mesh_window, preview
-from processing.window import Window, whole
 from tests.processing.lit_ball import small_rig
 from tests.processing.made_raw import (
     counts_of,
@@ -178,7 +178,7 @@ def test_a_window_that_is_too_small_is_given_up(
 ) -> None:
     expected, _ = decoded(root, tmp_path / "whole", DecodeConfig(crop=False))
     middle = Window(SHAPE[0] // 2, SHAPE[1] // 3, 20, 20)
-    monkeypatch.setattr(processing.decoding, "find_window", lambda *_: middle)
+    monkeypatch.setattr(processing.decode.files, "find_window", lambda *_: middle)
     found, _ = decoded(root, tmp_path / "out")
     assert found.window == whole(SHAPE)
     same(found, expected)

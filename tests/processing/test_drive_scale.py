@@ -25,9 +25,9 @@ from lightstage.formats.session import (
 )
 from lightstage.patterns import SEQUENCES, Drive, drive_levels
 from lightstage.rig import default_rig, save_rig
-from processing.decode import DecodeConfig, decode
-from processing.refine import refine
-from processing.refining.config import RefineConfig
+from processing.decode.stage import DecodeConfig, decode
+from processing.refinement.config import RefineConfig
+from processing.refinement.stage import refine
 from sim.devices.photographer import Photographer
 from sim.light.world import World
 from sim.people.subjects import load_subject

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lightstage.errors import FormatError
-from processing.drafts import HALVES, NOT_A_NUMBER, frames_path, new_frames
-from processing.frames import Frames, power_of_two, read_frames, write_frames
-from processing.window import Window, box_of, whole
+from processing.frames.drafts import HALVES, NOT_A_NUMBER, frames_path, new_frames
+from processing.frames.read import Frames, power_of_two, read_frames, write_frames
+from processing.frames.window import Window, box_of, whole
 
 PATTERNS = ("full", "x+", "x-")
 

@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from lightstage.formats.mesh import Mesh
-from processing.gloss import (
+from processing.lighting.lights import no_shadows
+from processing.lighting.lobe import SKIN_F0
+from processing.refinement.every_pixel import enlarged
+from processing.refinement.gloss import (
     LONGEST_STEP,
     ROUGHNESS_RANGE,
     SPECULAR_RANGE,
@@ -21,9 +24,6 @@ from processing.gloss import (
     skin_gloss,
     sum_at_vertices,
 )
-from processing.lights import no_shadows
-from processing.lobe import SKIN_F0
-from processing.refining.every_pixel import enlarged
 from processing.surface import LitSurface, Sight, lit_surface
 from tests.processing import lit_ball
 

@@ -10,10 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.interface import skin_interface
-from processing.joint import Noise, Place, Scattered, Solved, gloss_evidence, solve_jointly
-from processing.lights import Shadows
-from processing.lobe import transport
+from processing.lighting.interface import skin_interface
+from processing.lighting.lights import Shadows
+from processing.lighting.lobe import transport
+from processing.refinement.joint import (
+    Noise,
+    Place,
+    Scattered,
+    Solved,
+    gloss_evidence,
+    solve_jointly,
+)
 from tests.processing import joint_twin, lit_ball
 from tests.processing.joint_twin import Pixel
 from tests.processing.lit_ball import PATTERNS, angle_deg

@@ -23,8 +23,8 @@ from lightstage.formats.session import Calibration, Session, SessionFile
 from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.rig import Rig, default_rig
 from processing.errors import ProcessingError
-from processing.lamps import NO_STRAY, Lamps, measured_rig, nominal_lamps
-from processing.lights import (
+from processing.lighting.lamps import NO_STRAY, Lamps, measured_rig, nominal_lamps
+from processing.lighting.lights import (
     far_field,
     irradiance_vectors,
     lights_of,
@@ -34,7 +34,7 @@ from processing.lights import (
     pattern_lights,
     rank,
 )
-from processing.lobe import transport
+from processing.lighting.lobe import transport
 
 RIG = default_rig()
 COUNT = len(RIG.lights)

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from lightstage.formats.config import make_config
 from lightstage.patterns import SEQUENCES
 from processing.errors import ProcessingError
-from processing.methods import kampouris, linear, mux, polarised, ratios
-from processing.methods.choice import METHODS, chosen_method, fitting_methods
-from processing.methods.config import KampourisConfig, RatiosConfig, SeparateConfig, relief_of
-from processing.methods.pairs import axis_pairs
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
+from processing.separation import kampouris, linear, mux, polarised, ratios
+from processing.separation.choice import METHODS, chosen_method, fitting_methods
+from processing.separation.config import KampourisConfig, RatiosConfig, SeparateConfig, relief_of
+from processing.separation.pairs import axis_pairs
 from tests.processing import lit_ball, shots
 from tests.processing.lit_ball import Ball, angle_deg
 

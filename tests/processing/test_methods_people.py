@@ -14,9 +14,9 @@ from lightstage.formats.config import make_config
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.rig import default_rig
-from processing.decode import DecodeConfig, decode
-from processing.methods.config import SeparateConfig
-from processing.separation import separate
+from processing.decode.stage import DecodeConfig, decode
+from processing.separation.config import SeparateConfig
+from processing.separation.stage import separate
 from sim.light.world import World
 from sim.people.subjects import load_subject
 from sim.session import SessionConfig, truth_path, write_direct

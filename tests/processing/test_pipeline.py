@@ -16,7 +16,7 @@ from lightstage.formats.files import sha256_file
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from processing.errors import ProcessingError
-from processing.frames import Frames, read_frames, write_frames
+from processing.frames.read import Frames, read_frames, write_frames
 from processing.masks import foreground
 from processing.pipeline import PipelineConfig, read_config, run
 from tests.processing import lit_ball

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from lightstage.formats.session import Session, SessionFile
 from lightstage.patterns import SEQUENCES
-from processing.diagnosis import read_diagnosis
-from processing.diagnosis_page import grid, light_section, signed
-from processing.motion import Flow, monomials, solve_pair, warp
-from processing.preparation import PrepareConfig, prepare_view, prepare_warnings
+from processing.decode.diagnosis import read_diagnosis
+from processing.decode.diagnosis_page import grid, light_section, signed
+from processing.decode.motion import Flow, monomials, solve_pair, warp
+from processing.decode.preparation import PrepareConfig, prepare_view, prepare_warnings
+from processing.decode.shrinking import shrunk
 from processing.report import Picture, Table
-from processing.shrinking import shrunk
 from tests.processing import lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball
 

@@ -10,10 +10,10 @@ import pytest
 from lightstage.errors import FormatError
 from processing.calibration.flat_file import FlatField
 from processing.colour import ColourCorrection
-from processing.drafts import NOT_A_NUMBER
+from processing.frames.drafts import NOT_A_NUMBER
+from processing.frames.window import Window, whole
 from processing.raw.develop import Settings, develop, lying, store
 from processing.raw.file import open_raw, read_exposure
-from processing.window import Window, whole
 from sim.camera.tiff import BYTE, LONG, SHORT
 from tests.processing.made_raw import (
     BLACK,

@@ -16,10 +16,10 @@ from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig
 from processing.albedo import specular_evidence
 from processing.errors import ProcessingError
-from processing.frames import Frames
-from processing.fresnel import fresnel
-from processing.interface import skin_interface
-from processing.lights import (
+from processing.frames.read import Frames
+from processing.lighting.fresnel import fresnel
+from processing.lighting.interface import skin_interface
+from processing.lighting.lights import (
     PatternLights,
     far_field,
     irradiance_vectors,
@@ -29,15 +29,15 @@ from processing.lights import (
     pattern_lights,
     require_unpolarised,
 )
-from processing.lobe import transport
-from processing.methods.colour import separate_pixels
-from processing.methods.config import SeparateConfig
+from processing.lighting.lobe import transport
 from processing.normals import ratio_normals, solve_far_normals, solve_normals
 from processing.readings import px_per_mm
-from processing.refining.config import RefineConfig
-from processing.refining.every_pixel import solve_view
-from processing.refining.gloss_search import find_gloss
-from processing.refining.scene import prepare_scene, read_view
+from processing.refinement.config import RefineConfig
+from processing.refinement.every_pixel import solve_view
+from processing.refinement.gloss_search import find_gloss
+from processing.refinement.scene import prepare_scene, read_view
+from processing.separation.colour import separate_pixels
+from processing.separation.config import SeparateConfig
 from tests.processing import lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 

@@ -23,8 +23,8 @@ from benchmarks.reflectance_scores import (
 )
 from benchmarks.reflectance_tuning import PEOPLE, ROWS, chosen
 from lightstage.rig import default_rig
-from processing.lights import no_shadows
-from processing.lobe import transport
+from processing.lighting.lights import no_shadows
+from processing.lighting.lobe import transport
 
 SIDE, PER_MM = 64, 4.0
 

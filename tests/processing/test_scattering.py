@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.scattering import VARIANCES_MM2, WEIGHTS, scattered, unscattered
+from processing.refinement.scattering import VARIANCES_MM2, WEIGHTS, scattered, unscattered
 
 AMOUNTS = st.sampled_from([0.0, 0.25, 0.5, 1.0])
 

@@ -19,13 +19,13 @@ from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from processing.albedo import diffuse_light, specular_evidence
-from processing.decode import DecodeConfig, decode
-from processing.frames import Frames, read_frames, write_foreground, write_frames
-from processing.methods.config import SeparateConfig
+from processing.decode.stage import DecodeConfig, decode
+from processing.frames.read import Frames, read_frames, write_foreground, write_frames
 from processing.normals import chroma_signal, solve_normals
-from processing.refine import refine
-from processing.refining.config import RefineConfig
-from processing.separation import separate
+from processing.refinement.config import RefineConfig
+from processing.refinement.stage import refine
+from processing.separation.config import SeparateConfig
+from processing.separation.stage import separate
 from tests.processing import lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball
 

@@ -1,0 +1,1 @@
+"""Photographs to linear, aligned, checked half-float frames: the stage `decode`."""

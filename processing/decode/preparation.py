@@ -1,0 +1,247 @@
+"""Decoded photographs made ready: missing ones rebuilt, moved ones aligned, light evened out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from lightstage.formats.session import Session
+from processing.decode.completing import Pair, Recipe, fill, pairs_of
+from processing.decode.diagnosis import Diagnosis, write_diagnosis
+from processing.decode.motion import Flow, solve_pair, warp
+from processing.decode.shrinking import shrunk
+from processing.decode.sums import ambient_ratio, fit_sums, residual, wrong_patterns
+from processing.readings import px_per_mm
+
+ALIKE = 0.5
+"""Pairs show ambient light alike when they differ by less than this share of it."""
+TOLD_AMBIENT, TOLD_APART = 0.01, 0.01
+"""Shares of full above which the report warns."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PrepareConfig:
+    """What the checks of a view's photographs may be told."""
+
+    cells_per_mm: float = 2.0
+    """Of the small pictures that motion and light are looked at in."""
+    still_px: float = 0.25
+    """A photograph displaced by less (root mean square) is left as it is."""
+    least_explained: float = 0.15
+    """Share of what a pair leaves over that a displacement must take away to be believed."""
+    least_flicker: float = 0.01
+    """A photograph brighter or darker than the others by more is evened out."""
+    least_ambient: float = 0.003
+    """Ambient light above this share of full is taken off, where all pairs show it alike."""
+    ambient_sigma_mm: float = 3.0
+    """Over which ambient light is smoothed, as a share of full."""
+
+
+def prepare_view(
+    out: Path,
+    camera_id: str,
+    patterns: Sequence[str],
+    images: np.ndarray,
+    usable: np.ndarray,
+    session: Session,
+    config: PrepareConfig,
+    recipes: Mapping[str, Recipe],
+) -> dict[str, Any]:
+    """Check one view's photographs against each other and mend what can be mended, in place.
+
+    Missing photographs are rebuilt. Photographs that moved are laid upon full, complements
+    together; where nothing moved nothing is touched. Flicker of single photographs and ambient
+    light that all pairs show alike are taken off. Pictures of it all are kept for the report.
+
+    Args:
+        out: processed folder; pictures go to its work/diagnosis.
+        camera_id: who photographed.
+        patterns: P names.
+        images: (P, h, w, 3) halves or floats on any common scale, ambient light of a dark frame
+            taken off.
+        usable: (h, w) bool, nothing clipped and all finite.
+        session: its rig, what was driven.
+        config: see there.
+        recipes: missing patterns of this camera.
+
+    Returns:
+        Facts, JSON-ready: ``displaced_px`` and ``aligned`` patterns, ``flicker``, ``ambient`` share
+        of full by colour, ``pairs_apart``, ``left`` per axis, ``looks_like``, ``rebuilt``.
+    """
+    names = tuple(patterns)
+    fill(images, names, dict(recipes))
+    scale = px_per_mm(session.rig.camera(camera_id))
+    cell = max(1, round(scale / config.cells_per_mm))
+    view = View(images, usable, names, cell, scale)
+    facts: dict[str, Any] = {
+        "rebuilt": sorted(recipes),
+        "displaced_px": {},
+        "aligned": [],
+        "flicker": {},
+        "ambient": None,
+        "pairs_apart": None,
+        "left": {},
+        "looks_like": {},
+    }
+    pictures = Diagnosis(view.small[names[0]], 1 - view.free.astype(np.float32))
+    groups = _groups(session, names, recipes)
+    for place, (whole, pairs) in enumerate(groups.items()):
+        if not place:
+            pictures.whole = view.small[whole]
+        gradients = [name for pair in pairs for name in (pair.first, pair.second)]
+        found = wrong_patterns(view.small, whole, gradients, view.free, session, camera_id)
+        facts["looks_like"] |= found[0]
+        pictures.unlike |= found[1]
+        pictures.residuals |= {pair.axis: residual(view.small, pair) for pair in pairs}
+        good = [pair for pair in pairs if not {pair.first, pair.second} & set(found[0])]
+        if good:
+            _align(view, good, config, facts)
+            _even_out(view, good, config, facts, pictures)
+    if recipes and (facts["aligned"] or facts["flicker"] or pictures.ambient is not None):
+        fill(images, names, dict(recipes))
+    write_diagnosis(out, camera_id, pictures)
+    return facts
+
+
+def prepare_warnings(facts: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """What a user should know of the views' facts, most cameras in one sentence.
+
+    Args:
+        facts: camera to what `prepare_view` returned.
+    """
+    out: dict[str, list[str]] = {}
+    for camera, own in facts.items():
+        told = [
+            f"{a} looks like {b}: was another pattern lit?" for a, b in own["looks_like"].items()
+        ]
+        if own["aligned"]:
+            told.append(
+                "the subject moved between shots; " + ", ".join(own["aligned"]) + " aligned"
+            )
+        told += [f"{name} was {gain:.3g} times as bright" for name, gain in own["flicker"].items()]
+        apart, ambient = own["pairs_apart"], own["ambient"]
+        if ambient is not None and max(map(abs, ambient)) > TOLD_AMBIENT:
+            told.append(f"about {100 * float(np.mean(ambient)):.1f} % of full is no lamp's light")
+        if apart is not None and apart > TOLD_APART:
+            told.append("pairs do not sum to full alike: see the pictures of light and motion")
+        for sentence in told:
+            out.setdefault(sentence, []).append(camera)
+    return [f"{', '.join(cameras)}: {sentence}" for sentence, cameras in out.items()]
+
+
+class View:
+    """One camera's photographs, to be changed in place, with small pictures of them.
+
+    Attributes:
+        images: (P, h, w, 3).
+        usable: (h, w) bool.
+        names: P patterns.
+        cell_px: pixels a cell of the small pictures.
+        px_per_mm: pixels a millimetre.
+        small: pattern to (h', w', 3) float32.
+        free: (h', w') bool, cells all of whose pixels are usable.
+    """
+
+    def __init__(
+        self,
+        images: np.ndarray,
+        usable: np.ndarray,
+        names: tuple[str, ...],
+        cell_px: int,
+        px_per_mm: float,
+    ) -> None:
+        self.images, self.usable, self.names = images, usable, names
+        self.cell_px, self.px_per_mm = cell_px, px_per_mm
+        self.small: dict[str, np.ndarray] = {}
+        self.look(names)
+
+    def look(self, names: Sequence[str]) -> None:
+        """Make small pictures of some patterns anew."""
+        self.free = shrunk(self.usable.astype(np.float32), self.cell_px) > 0.999
+        for name in names:
+            self.small[name] = shrunk(self.images[self.names.index(name)], self.cell_px)
+
+
+def _groups(
+    session: Session, names: Sequence[str], recipes: Mapping[str, Recipe]
+) -> dict[str, list[Pair]]:
+    """Pairs by their whole; a rebuilt photograph tells nothing of its own."""
+    groups: dict[str, list[Pair]] = {}
+    for pair in pairs_of(session):
+        three = {pair.first, pair.second, pair.whole}
+        if three <= set(names) and not three & set(recipes):
+            groups.setdefault(pair.whole, []).append(pair)
+    return groups
+
+
+def _align(view: View, pairs: Sequence[Pair], config: PrepareConfig, facts: dict[str, Any]) -> None:
+    """Lay the photographs that moved upon the whole."""
+    flows: dict[int, Flow] = {}
+    for pair in pairs:
+        three = [view.small[n].mean(axis=2) for n in (pair.first, pair.second, pair.whole)]
+        motion = solve_pair(
+            three[0],
+            three[1],
+            three[2],
+            view.free,
+            cell_px=view.cell_px,
+            px_per_mm=view.px_per_mm,
+            still_px=config.still_px,
+        )
+        if motion is None:
+            continue
+        believed = motion.after < (1 - config.least_explained) * motion.before
+        sides = ((pair.first, motion.first), (pair.second, motion.second))
+        for (name, flow), rms in zip(sides, motion.rms_px, strict=True):
+            facts["displaced_px"][name] = round(rms, 3)
+            if believed and rms > config.still_px:
+                flows[view.names.index(name)] = flow
+    if flows:
+        warp(view.images, flows, view.usable)
+        moved = [view.names[row] for row in sorted(flows)]
+        facts["aligned"] += moved
+        view.look(moved)
+
+
+def _even_out(
+    view: View,
+    pairs: Sequence[Pair],
+    config: PrepareConfig,
+    facts: dict[str, Any],
+    pictures: Diagnosis,
+) -> None:
+    """Take off flicker, and ambient light where all pairs show it alike."""
+    fit = fit_sums(view.small, pairs, view.free, config.least_flicker)
+    if fit is None:
+        return
+    changed = {name: gain for name, gain in fit.flicker.items() if gain != 1}
+    for name, gain in changed.items():
+        row = view.names.index(name)
+        view.images[row] = np.asarray(view.images[row], np.float32) * np.float32(gain)
+    facts["flicker"] |= {name: round(1 / gain, 4) for name, gain in changed.items()}
+    facts["left"] |= {axis: round(left, 5) for axis, left in fit.left.items()}
+    share = float(fit.ambient.mean())
+    if facts["ambient"] is None or share > float(np.mean(facts["ambient"])):
+        facts["ambient"] = [round(float(x), 5) for x in fit.ambient]
+    facts["pairs_apart"] = round(max(fit.apart, facts["pairs_apart"] or 0.0), 5)
+    sigma = config.ambient_sigma_mm * view.px_per_mm / view.cell_px
+    ratio = ambient_ratio(view.small, pairs, view.free, fit.flicker, sigma)
+    pictures.ambient = ratio
+    if share > config.least_ambient and fit.apart < ALIKE * share:
+        _take_off(view, pairs[0].whole, ratio)
+
+
+def _take_off(view: View, whole: str, ratio: np.ndarray) -> None:
+    """Subtract `ratio` times the whole from every photograph of its kind."""
+    height, width = view.usable.shape
+    ambient = cv2.resize(ratio, (width, height), interpolation=cv2.INTER_LINEAR)
+    ambient *= np.asarray(view.images[view.names.index(whole)], np.float32)
+    kind = whole.partition("@")[2]
+    for row, name in enumerate(view.names):
+        if name.partition("@")[2] == kind:
+            view.images[row] = np.asarray(view.images[row], np.float32) - ambient

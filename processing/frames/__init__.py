@@ -1,0 +1,1 @@
+"""Decoded photographs: mapped half floats of the window that holds the face."""

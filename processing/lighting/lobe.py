@@ -1,0 +1,169 @@
+"""What a point reflects under each pattern: the Lambertian part and skin's mirror lobe.
+
+A pattern k gives a point of albedo rho and specular albedo s the radiance rho E_k + s B_k: E_k its
+irradiance, s B_k the microfacet lobe summed over the lights. The lobe is that of a dielectric of
+n = 1.4, scaled so that it reflects s at normal incidence.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from processing.lighting.fresnel import fresnel
+from processing.lighting.interface import BARE, Interface, let_through, row_of
+from processing.lighting.lights import PatternLights, Shadows, as_seen, off_axis
+
+SKIN_F0 = 0.028
+"""Reflectance at normal incidence of skin, n = 1.4."""
+FRESNEL_STEPS = 256
+FARTHEST_TAN = 9.0
+"""The lobe is cut where tan^2 of the half angle is this many times roughness squared (1e-4)."""
+GRAZING = 0.05
+"""Smallest cosine to the camera that the lobe is divided by."""
+
+
+@functools.cache
+def fresnel_table() -> np.ndarray:
+    """(FRESNEL_STEPS + 1,) skin's F over its F at normal incidence, for cosines 0, 1/steps .. 1."""
+    return fresnel(SKIN_F0, np.linspace(0, 1, FRESNEL_STEPS + 1)) / SKIN_F0
+
+
+def transport(
+    lights: PatternLights,
+    points_mm: np.ndarray,
+    normals: np.ndarray,
+    views: np.ndarray,
+    roughness: np.ndarray | float,
+    shadows: Shadows,
+    interface: Interface = BARE,
+) -> tuple[np.ndarray, np.ndarray]:
+    """E_k and B_k of pixels.
+
+    Args:
+        lights: of P patterns.
+        points_mm: (n, 3) surface points.
+        normals: (n, 3) unit.
+        views: (n, 3) unit, toward the camera.
+        roughness: Beckmann's m, one or (n,).
+        shadows: of the n points.
+        interface: that light passes on its way into the diffuse layer and out; E_k holds both.
+
+    Returns:
+        Two (n, P) float32.
+
+    Source: [Walter2007] for Beckmann's distribution and Smith's shadowing.
+    """
+    count = len(points_mm)
+    out = np.zeros((2, count, len(lights.patterns)), np.float32)
+    _transport(
+        np.ascontiguousarray(points_mm, np.float32),
+        np.ascontiguousarray(normals, np.float32),
+        np.ascontiguousarray(views, np.float32),
+        np.ascontiguousarray(np.broadcast_to(np.asarray(roughness, np.float32), count)),
+        shadows.corners,
+        shadows.weights,
+        shadows.visible,
+        lights.position_mm.astype(np.float32),
+        lights.radius_mm.astype(np.float32),
+        lights.weight.astype(np.float32),
+        lights.levels.astype(np.float32),
+        lights.group_end,
+        fresnel_table().astype(np.float32),
+        interface.table,
+        interface.mean,
+        np.float32(lights.exponent),
+        out,
+    )
+    as_seen(lights, normals, out[0], out[1])
+    return out[0], out[1]
+
+
+@njit(cache=True)
+def shadowing(cosine: float, roughness: float) -> float:
+    """Smith's G1 for Beckmann, the rational fit."""
+    tangent = math.sqrt(max(0.0, 1 - cosine * cosine)) / cosine
+    if roughness * tangent <= 0.625:  # a = 1 / (m tan) >= 1.6
+        return 1.0
+    a = 1 / (roughness * tangent)
+    return (3.535 * a + 2.181 * a * a) / (1 + 2.276 * a + 2.577 * a * a)
+
+
+@njit(parallel=True, cache=True)
+def _transport(
+    points: np.ndarray,
+    normals: np.ndarray,
+    views: np.ndarray,
+    roughnesses: np.ndarray,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    visible: np.ndarray,
+    position: np.ndarray,
+    radius: np.ndarray,
+    weight: np.ndarray,
+    levels: np.ndarray,
+    group_end: np.ndarray,
+    table: np.ndarray,
+    through: np.ndarray,
+    mean: np.ndarray,
+    exponent: float,
+    out: np.ndarray,
+) -> None:
+    steps = len(table) - 1
+    for i in prange(len(points)):
+        roughness = roughnesses[i]
+        m2 = roughness * roughness
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
+        nv = max(nx * vx + ny * vy + nz * vz, np.float32(GRAZING))
+        shadow_v = shadowing(nv, roughness)
+        row, part = row_of(roughness, len(through))
+        leaving = let_through(through, row, part, nv)
+        leaving /= mean[row] * (1 - part) + mean[row + 1] * part
+        c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
+        first = 0
+        for group in range(len(group_end)):
+            e = mirror = np.float32(0)
+            for j in range(first, group_end[group]):
+                seen = (
+                    weights[i, 0] * visible[c0, j]
+                    + weights[i, 1] * visible[c1, j]
+                    + weights[i, 2] * visible[c2, j]
+                )
+                if seen <= 0:
+                    continue
+                lx = position[j, 0] - points[i, 0]
+                ly = position[j, 1] - points[i, 1]
+                lz = position[j, 2] - points[i, 2]
+                nl = nx * lx + ny * ly + nz * lz
+                if nl <= 0:
+                    continue
+                distance = math.sqrt(lx * lx + ly * ly + lz * lz)
+                fall = radius[j] / distance
+                seen *= weight[j] * fall * fall
+                aside = position[j, 0] * lx + position[j, 1] * ly + position[j, 2] * lz
+                seen *= off_axis(exponent, aside / (radius[j] * distance))
+                nl /= distance
+                e += seen * nl * leaving * let_through(through, row, part, nl)
+                hx, hy, hz = lx / distance + vx, ly / distance + vy, lz / distance + vz
+                length = math.sqrt(hx * hx + hy * hy + hz * hz)
+                if length <= 0:
+                    continue
+                nh = (nx * hx + ny * hy + nz * hz) / length
+                nh2 = nh * nh
+                if nh <= 0 or (1 - nh2) > FARTHEST_TAN * m2 * nh2:
+                    continue
+                # pi D / (4 nv), the cosine to the light cancelled against the BRDF's.
+                lobe = math.exp((nh2 - 1) / (nh2 * m2)) / (4 * m2 * nh2 * nh2 * nv)
+                lobe *= seen * shadow_v * shadowing(nl, roughness)
+                place = min(1.0, (vx * hx + vy * hy + vz * hz) / length) * steps
+                below = min(steps - 1, int(place))
+                rest = place - below
+                mirror += lobe * (table[below] * (1 - rest) + table[below + 1] * rest)
+            first = group_end[group]
+            for k in range(levels.shape[1]):
+                out[0, i, k] += levels[group, k] * e
+                out[1, i, k] += levels[group, k] * mirror

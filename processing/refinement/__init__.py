@@ -1,0 +1,1 @@
+"""Exact maps, with the mesh known: the stage `refine`."""

@@ -1,0 +1,83 @@
+"""What `refine` may be told."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from processing.refinement.joint import Noise
+
+
+@dataclasses.dataclass(frozen=True)
+class RefineConfig:
+    """What `refine` may be told."""
+
+    most_faces: int = 120_000
+    """A denser mesh is thinned: shadows are cast from its vertices."""
+    finest_mm: float = 1.2
+    """A coarser mesh is split to edges of this length, which hold the edges of shadows."""
+    shadow_offset_mm: float = 0.1
+    """Shadow rays start this far off the mesh, beyond its own roughness."""
+    smoothing_mm: float = 1.0
+    """Over which the mesh's normals are averaged."""
+    occlusion_directions: int = 200
+    """Directions over the sphere for ambient occlusion."""
+    bounce_rays: int = 512
+    """Rays of each vertex to other skin, at most; 0 leaves out light from skin to skin."""
+    bounce_rays_all: int = 8_000_000
+    """Rays of all vertices together, at most."""
+    scattering: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
+    """Shares of light that wanders inside the skin that are tried."""
+    noise_sensor: float = 0.001
+    noise_model: float = 0.003
+    noise_shade_gloss: float = 0.03
+    noise_shade: float = 0.003
+    """Of the readings: see `joint.Noise`; for gloss, colour counts more than the model of light."""
+    gloss_rounds: int = 3
+    """Steps of the search for roughness and specular albedo."""
+    gloss_pixels: int = 150_000
+    """At most this many pixels of a view, on a regular grid, give evidence of gloss."""
+    roughness: float = 0.28
+    """Beckmann's m to start from; skin has .2 to .35."""
+    roughness_pool_mm: float = 5.0
+    specular_pool_mm: float = 3.0
+    """Sigma over which all views' evidence is pooled on the mesh."""
+    specular_detail_mm: float = 0.5
+    """Sigma over which one view's pixels share a specular albedo finer than the mesh's."""
+    specular_detail_spread: float = 0.002
+    """Standard deviation of that detail."""
+    gloss_prior: float = 0.02
+    """The face's own mean counts as this share of a typical vertex's evidence."""
+    gloss_spread: float = 0.003
+    """Standard deviation of the specular albedo over a face."""
+    rounds: int = 2
+    """Steps of the last solve of each pixel."""
+    albedo_prior_power: float = 0.005
+    """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
+    grey_saturation: float = 0.05
+    """Below this saturation colour tells nothing; from twice as much it is trusted."""
+    dark_level: float = 0.004
+    """A pixel whose brightest pattern stays below this tells nothing (1 = white under `full`)."""
+    dark_power: float = 0.1
+    """Where a pixel's squared irradiance is so much (2 in the open) it is trusted by half."""
+    doubtful_misfit: float = 40.0
+    """Where the residual's variance is so many times what is expected, by half again."""
+    doubtful_turn_deg: float = 2.0
+    """Where noise turns the normal by so much, by half again."""
+    coarse_confidence: float = 0.3
+    """Share of their confidence that coarse maps keep where the mesh has a hole."""
+    steady_below: float = 0.4
+    """Normals of less confidence are drawn to the mesh's."""
+    edge_px: float = 3.0
+    """Confidence falls to 0 over this many pixels before an edge of mask or depth."""
+    depth_step_mm: float = 4.0
+    """A larger step between neighbouring pixels is an edge."""
+
+    @property
+    def noise(self) -> Noise:
+        """Of the readings, for normals and albedo."""
+        return Noise(self.noise_sensor, self.noise_model, self.noise_shade)
+
+    @property
+    def gloss_noise(self) -> Noise:
+        """Of the readings, for gloss."""
+        return Noise(self.noise_sensor, self.noise_model, self.noise_shade_gloss)

@@ -1,0 +1,130 @@
+"""Skin's gloss on the mesh: specular albedo and lobe width that explain all views together.
+
+One pixel's seven readings hold too little of its mirror reflection to beat a constant. What the
+pixels of all views say (`joint.gloss_evidence`) is summed at the mesh's vertices; a lobe width is
+found over some millimetres, and with it the specular albedo over one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+from scipy import sparse
+
+from processing.lighting.lobe import SKIN_F0
+from processing.surface import LitSurface
+
+ROUGHNESS_RANGE = (0.12, 0.45)
+SPECULAR_RANGE = (0.0, 0.2)
+"""Reflectances above .2 are metals, not faces."""
+LONGEST_STEP = 0.05
+"""Of the roughness: beyond it the lobe is not linear in it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Gloss:
+    """Beckmann's m and the reflectance at normal incidence: (V,) each."""
+
+    roughness: np.ndarray
+    specular: np.ndarray
+
+
+def skin_gloss(vertices: int, roughness: float) -> Gloss:
+    """Gloss before anything was seen."""
+    same = np.ones(vertices)
+    return Gloss(roughness * same, SKIN_F0 * same)
+
+
+def sum_at_vertices(
+    evidence: np.ndarray, corners: np.ndarray, weights: np.ndarray, vertices: int
+) -> np.ndarray:
+    """(V, k) sums of n pixels' (n, k) values at the (n, 3) corners of their triangles."""
+    columns = [
+        np.bincount(corners.ravel(), (weights * values[:, None]).ravel(), minlength=vertices)
+        for values in evidence.T
+    ]
+    return np.stack(columns, axis=1)
+
+
+def better_gloss(
+    gloss: Gloss,
+    sums: np.ndarray,
+    surface: LitSurface,
+    *,
+    roughness_pool_mm: float,
+    specular_pool_mm: float,
+    prior: float,
+    spread: float,
+) -> Gloss:
+    """Gloss nearer to what the pixels say, by one step of Gauss-Newton.
+
+    Args:
+        gloss: about which the evidence was taken.
+        sums: (V, 5) of `joint.gloss_evidence` over all views.
+        surface: whose vertices these are.
+        roughness_pool_mm, specular_pool_mm: sigma over which vertices share one.
+        prior: the whole face's own answer counts as this share of a typical vertex's information.
+        spread: standard deviation of the specular albedo over a face: where noise would make it
+            larger, the whole face's answer counts instead.
+
+    Returns:
+        Gloss, finite everywhere; the given one where there is no evidence at all.
+    """
+    total = sums.sum(axis=0)
+    if not total[0] > 0:
+        return gloss
+    near = smooth(sums, surface.average, surface.rounds(specular_pool_mm))
+    ss, sm, mm, s_left, m_left = near.T
+    safe = np.where(ss > 0, ss, 1)
+    # What is left for the roughness once each place has the specular albedo that suits it.
+    wide = np.stack([mm - sm**2 / safe, m_left - sm * s_left / safe], axis=1)
+    wide[~(ss > 0)] = 0
+    whole = wide.sum(axis=0)
+    wide = smooth(wide, surface.average, surface.rounds(roughness_pool_mm))
+    wide += prior * whole / max(int((ss > 0).sum()), 1)
+    step = np.divide(wide[:, 1], wide[:, 0], out=np.zeros(len(wide)), where=wide[:, 0] > 0)
+    step = np.clip(step, -LONGEST_STEP, LONGEST_STEP)
+    roughness = np.clip(gloss.roughness + step, *ROUGHNESS_RANGE)
+    step = roughness - gloss.roughness
+    found = s_left - sm * step + ss * gloss.specular
+    # The whole face's own level stands for a place that says little.
+    typical = prior * ss.sum() / max(int((ss > 0).sum()), 1)
+    # Averages stand for so many vertices of their own.
+    together = max(4 * np.pi * (specular_pool_mm / surface.edge_mm) ** 2, 1.0)
+    typical += 1 / (together * spread**2)
+    top = found + typical * found.sum() / ss.sum()
+    specular = np.clip(top / (ss + typical), *SPECULAR_RANGE)
+    return Gloss(roughness, specular)
+
+
+def smooth(values: np.ndarray, average: sparse.csr_array, rounds: int) -> np.ndarray:
+    """(V, k) values after so many rounds of averaging over neighbours."""
+    for _ in range(rounds):
+        values = average @ values
+    return np.asarray(values)
+
+
+def local_specular(
+    evidence: np.ndarray, specular: np.ndarray, mask: np.ndarray, sigma_px: float, spread: float
+) -> np.ndarray:
+    """Specular albedo of one view's pixels, finer than the mesh holds.
+
+    Args:
+        evidence: (n, 5) of `joint.gloss_evidence` about `specular`.
+        specular: (n,) what all views gave on the mesh.
+        mask: (h, w) bool with n true pixels, in row order.
+        sigma_px: over which pixels share one.
+        spread: standard deviation of the truth about the mesh's.
+
+    Returns:
+        (n,).
+    """
+    image = np.zeros((*mask.shape, 2), np.float32)
+    image[mask] = evidence[:, [0, 3]]
+    # Sums over the Gaussian's own weight: so many pixels count as independent.
+    count = max(4 * np.pi * sigma_px**2, 1.0)
+    near = cv2.GaussianBlur(image, (0, 0), max(sigma_px, 0.3), borderType=cv2.BORDER_CONSTANT)
+    information, left = (near[mask] * count).T
+    return np.clip(specular + left / (information + 1 / spread**2), *SPECULAR_RANGE)

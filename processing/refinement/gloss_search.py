@@ -1,0 +1,184 @@
+"""Gloss, light from skin to skin and scattering, found from a grid of every view's pixels."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from lightstage.commands import ProgressCallback, quiet
+from processing.lighting.interface import skin_interface
+from processing.refinement.bounces import bounced_light, other_skin, vertex_irradiance
+from processing.refinement.config import RefineConfig
+from processing.refinement.gloss import better_gloss, sum_at_vertices
+from processing.refinement.joint import (
+    Scattered,
+    Solved,
+    gloss_evidence,
+    solve_jointly,
+)
+from processing.refinement.scattering import scattered, unscattered
+from processing.refinement.scene import Scene, View, gloss_of, place_of, steady
+from processing.surface import LitSurface, at_vertices_to
+
+
+def find_gloss(
+    scene: Scene, grids: list[View], config: RefineConfig, progress: ProgressCallback = quiet
+) -> list[Solved]:
+    """Find gloss, bounced light and scattering from grids of the views' pixels.
+
+    Args:
+        scene: changed in place.
+        grids: the views.
+        config: see there.
+        progress: of rounds.
+
+    Returns:
+        Each grid's pixels as solved.
+    """
+    surface = scene.surface
+    interface = skin_interface()
+    between, entered = None, np.zeros(0)
+    if config.bounce_rays:
+        rays = max(16, min(config.bounce_rays, config.bounce_rays_all // surface.coarse))
+        between = other_skin(surface, rays)
+        entered = vertex_irradiance(surface, scene.lights, interface, config.roughness)
+    solved = [solve_grid(scene, grid, None, config) for grid in grids]
+    for done in range(config.gloss_rounds):
+        if done:
+            solved = [solve_grid(scene, g, b, config) for g, b in zip(grids, solved, strict=True)]
+        if between is not None:
+            albedo = vertex_albedo(surface, grids, solved)
+            bounced = bounced_light(surface, between, entered, albedo)
+            if done == 0:
+                scene.bounces = best_bounces(scene, bounced, grids[0], solved[0], config)
+            scene.bounced = np.float32(scene.bounces) * bounced
+        if done == 0:
+            scene.scattering = best_scattering(scene, grids[0], solved[0], config)
+        scene.doubt = doubt(grids, solved, config)
+        sums = np.zeros((len(surface.vertices), 5))
+        for grid, found in zip(grids, solved, strict=True):
+            evidence = grid_evidence(scene, grid, found, config)
+            corners, weights = grid.sight.shadows.corners, grid.sight.shadows.weights
+            sums += sum_at_vertices(evidence, corners, weights, len(surface.vertices))
+        scene.gloss = better_gloss(
+            scene.gloss,
+            sums,
+            surface,
+            roughness_pool_mm=config.roughness_pool_mm,
+            specular_pool_mm=config.specular_pool_mm,
+            prior=config.gloss_prior,
+            spread=config.gloss_spread / np.sqrt(scene.doubt),
+        )
+        progress(done + 1, config.gloss_rounds)
+    return solved
+
+
+def doubt(grids: list[View], solved: list[Solved], config: RefineConfig) -> float:
+    """By what factor the residuals' variance is above what is expected, at least 1.
+
+    Photographs may be noisier than the configuration says; then their evidence is worth less.
+    """
+    misfits = [
+        found.misfit[(found.misfit > 0) & (steady(grid, config) > 0.5)]
+        for grid, found in zip(grids, solved, strict=True)
+    ]
+    every = np.concatenate(misfits)
+    return max(1.0, float(np.median(every))) if len(every) else 1.0
+
+
+def solve_grid(scene: Scene, view: View, before: Solved | None, config: RefineConfig) -> Solved:
+    """One step with what the scene knows so far, from the step before or the mesh's normals."""
+    sight = view.sight
+    if before is None:
+        start = np.where(view.usable[:, None], sight.normals, 0)
+        around = unscattered(len(start), len(scene.lights.patterns))
+    else:
+        start, around = before.normal, around_of(scene, view, before)
+    return solve_jointly(
+        view.rgb,
+        scene.lights,
+        place_of(scene, sight),
+        start,
+        *gloss_of(scene, sight),
+        skin_interface(),
+        around,
+        config.noise,
+        rounds=1,
+    )
+
+
+def around_of(scene: Scene, view: View, solved: Solved) -> Scattered:
+    """Light that wanders to each pixel of a view from its neighbours."""
+    # A slope is shorter in the picture than it is.
+    shrunk = float(np.sqrt(np.einsum("nk,nk->n", view.sight.normals, view.sight.views).mean()))
+    px_per_mm = view.px_per_mm * shrunk
+    return scattered(solved.irradiance, view.sight.mask, px_per_mm, scene.scattering)
+
+
+def grid_evidence(scene: Scene, view: View, solved: Solved, config: RefineConfig) -> np.ndarray:
+    """(n, 5) what the pixels say of the gloss; those at steep angles and edges say nothing."""
+    sight = view.sight
+    evidence = gloss_evidence(
+        view.rgb,
+        scene.lights,
+        place_of(scene, sight),
+        solved.normal,
+        *gloss_of(scene, sight),
+        skin_interface(),
+        around_of(scene, view, solved),
+        config.gloss_noise,
+    )
+    return np.asarray(evidence * steady(view, config)[:, None])
+
+
+def best_bounces(
+    scene: Scene, bounced: np.ndarray, view: View, solved: Solved, config: RefineConfig
+) -> float:
+    """1 where light from other skin explains one view's pixels better than its absence, else 0.
+
+    A stage is never without it, but renderings may be; the pixels that it lights most are asked.
+    """
+    sight = view.sight
+    share = at_vertices_to(bounced.mean(axis=(1, 2)), sight.shadows.corners, sight.shadows.weights)
+    good = (solved.misfit > 0) & (steady(view, config) > 0.5)
+    if not good.any():
+        return 0.0
+    good &= share >= np.median(share[good])
+    misfits = []
+    for light in (0.0, 1.0):
+        tried = dataclasses.replace(scene, bounced=np.float32(light) * bounced)
+        again = solve_grid(tried, view, solved, config)
+        misfits.append(float(np.median(again.misfit[good])))
+    return float(misfits[1] < misfits[0])
+
+
+def best_scattering(scene: Scene, view: View, solved: Solved, config: RefineConfig) -> float:
+    """The share of wandering light that explains one view's pixels best.
+
+    Relief that is calmer in red than in blue is light that wandered: another share leaves more of
+    the readings unexplained.
+    """
+    misfits: list[float] = []
+    for amount in config.scattering if len(config.scattering) > 1 else ():
+        tried = dataclasses.replace(scene, scattering=amount)
+        again = solve_grid(tried, view, solve_grid(tried, view, solved, config), config)
+        good = (again.misfit > 0) & (steady(view, config) > 0.5)
+        misfits.append(float(np.median(again.misfit[good])) if good.any() else 0.0)
+    return config.scattering[int(np.argmin(misfits)) if misfits else 0]
+
+
+def vertex_albedo(surface: LitSurface, grids: list[View], solved: list[Solved]) -> np.ndarray:
+    """(coarse, 3) diffuse albedo at the mesh's vertices; the face's mean where no view saw them."""
+    sums = np.zeros((surface.coarse, 6))
+    for grid, found in zip(grids, solved, strict=True):
+        shadows = grid.sight.shadows
+        both = np.column_stack([found.lit, found.power])
+        # A split vertex is none of the mesh's: its share goes to nobody, others are near enough.
+        all_sums = sum_at_vertices(both, shadows.corners, shadows.weights, len(surface.vertices))
+        sums += all_sums[: surface.coarse]
+    lit, power = sums[:, :3], sums[:, 3:]
+    mean = lit.sum(axis=0) / np.maximum(power.sum(axis=0), 1e-30)
+    enough = power > 1e-3
+    albedo = np.where(enough, lit / np.where(enough, power, 1), mean)
+    return np.clip(albedo, 0, 1)

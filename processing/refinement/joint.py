@@ -1,0 +1,209 @@
+"""Normal, diffuse albedo and specular albedo of a pixel, solved together from all its readings.
+
+What pattern k and channel c read is modelled as rho_c E_k(n) + s B_k(n, m). Gauss-Newton on it
+needs, beside E and B, how both turn with the normal; the relief moves the highlight between
+patterns, so that gloss found with the normal held fast is wrong. Readings are weighted by their
+noise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from processing.lighting.interface import Interface
+from processing.lighting.lights import PatternLights, Shadows
+from processing.lighting.lobe import fresnel_table
+from processing.refinement.joint_kernels import evidence_kernel, solve_kernel
+
+
+@dataclasses.dataclass(frozen=True)
+class Noise:
+    """Variance of a reading I is sensor^2 (0.25 + I) + (model I)^2, and shade's beside it.
+
+    Attributes:
+        sensor: standard deviation of a reading of .75.
+        model: what a channel's reading is wrong by, as a share of it.
+        shade: what a pattern's irradiance is wrong by, as a share of it, in all channels alike:
+            shadows, bounces and lamps that are not quite as modelled. Colour still tells gloss.
+    """
+
+    sensor: float = 0.001
+    model: float = 0.003
+    shade: float = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where n pixels lie on the mesh.
+
+    Attributes:
+        points_mm: (n, 3).
+        views: (n, 3) unit, toward the camera.
+        shadows: lights that each sees.
+        bounced: (V, P, 3) float32 irradiance at the shadows' vertices by light from other skin.
+    """
+
+    points_mm: np.ndarray
+    views: np.ndarray
+    shadows: Shadows
+    bounced: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Scattered:
+    """Light that leaves the skin elsewhere than it entered.
+
+    What leaves in channel c under pattern k is kept_c E_k + rest_kc: its own part turns with the
+    pixel's normal, the neighbours' does not.
+
+    Attributes:
+        kept: (3,) float64 share of each channel that leaves where it entered; 1 without scattering.
+        rest: (n, P, 3) float32 what comes from neighbours; zero without.
+    """
+
+    kept: np.ndarray
+    rest: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Solved:
+    """Of n pixels; zero where not solved.
+
+    Attributes:
+        normal: (n, 3) float32 unit, from all that was read.
+        matte: (n, 3) float32 unit, from the part of the readings that no white gloss holds.
+        lit: (n, 3) float32 least squares of the diffuse albedo is lit / power.
+        power: (n, 3) float32 the sum of squared irradiance.
+        misfit: (n,) float32 mean squared residual over its expected variance.
+        irradiance: (n, P) float32 what enters straight from the lights, for the normals found.
+        certainty: (n,) float32 least information on a turn of the normal, one over rad^2.
+    """
+
+    normal: np.ndarray
+    matte: np.ndarray
+    lit: np.ndarray
+    power: np.ndarray
+    misfit: np.ndarray
+    irradiance: np.ndarray
+    certainty: np.ndarray
+
+
+def solve_jointly(
+    rgb: np.ndarray,
+    lights: PatternLights,
+    place: Place,
+    normals: np.ndarray,
+    roughness: np.ndarray,
+    specular: np.ndarray,
+    interface: Interface,
+    scattered: Scattered,
+    noise: Noise,
+    rounds: int = 2,
+) -> Solved:
+    """Normals and albedo of pixels whose gloss is known, by Gauss-Newton from given normals.
+
+    Args:
+        rgb: (n, P, 3) readings in the lights' own colour.
+        lights: of P patterns.
+        place: of the n pixels.
+        normals: (n, 3) unit, to start from; zero where there is none.
+        roughness: (n,) Beckmann's m.
+        specular: (n,) reflectance at normal incidence.
+        interface: that light passes on its way into the diffuse layer and out.
+        scattered: inside the skin.
+        noise: of the readings.
+        rounds: steps.
+    """
+    count = len(rgb)
+    normal, matte, lit, power = np.zeros((4, count, 3), np.float32)
+    out = Solved(
+        normal,
+        matte,
+        lit,
+        power,
+        misfit=np.zeros(count, np.float32),
+        irradiance=np.zeros(rgb.shape[:2], np.float32),
+        certainty=np.zeros(count, np.float32),
+    )
+    solve_kernel(
+        *_arguments(rgb, lights, place, normals, roughness, specular, interface, scattered, noise),
+        rounds,
+        out.normal,
+        out.matte,
+        out.lit,
+        out.power,
+        out.misfit,
+        out.irradiance,
+        out.certainty,
+    )
+    return out
+
+
+def gloss_evidence(
+    rgb: np.ndarray,
+    lights: PatternLights,
+    place: Place,
+    normals: np.ndarray,
+    roughness: np.ndarray,
+    specular: np.ndarray,
+    interface: Interface,
+    scattered: Scattered,
+    noise: Noise,
+) -> np.ndarray:
+    """What each pixel says of its specular albedo and roughness, normal and albedo left free.
+
+    Args:
+        rgb, lights, place, normals, interface, scattered, noise: as in `solve_jointly`.
+        roughness, specular: (n,) about which the lobe is taken as linear.
+
+    Returns:
+        (n, 5) float32: information on s, on s and m together, on m; its product with the offsets
+        of s and of m from the given ones that fit best. Sums over pixels of one gloss are that
+        gloss's. Zero where a pixel cannot be solved; outliers count little.
+    """
+    out = np.zeros((len(rgb), 5), np.float32)
+    given = (rgb, lights, place, normals, roughness, specular, interface, scattered, noise)
+    evidence_kernel(*_arguments(*given), out)
+    return out
+
+
+def _arguments(
+    rgb: np.ndarray,
+    lights: PatternLights,
+    place: Place,
+    normals: np.ndarray,
+    roughness: np.ndarray,
+    specular: np.ndarray,
+    interface: Interface,
+    scattered: Scattered,
+    noise: Noise,
+) -> tuple[object, ...]:
+    """What both kernels take."""
+    stray = lights.stray.copy() * lights.diffuse_share[:, None, None]
+    given = (rgb, place.points_mm, normals, place.views, roughness, specular)
+    return (
+        *(np.ascontiguousarray(values, np.float32) for values in given),
+        place.shadows.corners,
+        place.shadows.weights,
+        place.shadows.visible,
+        lights.position_mm.astype(np.float32),
+        lights.radius_mm.astype(np.float32),
+        lights.weight.astype(np.float32),
+        lights.levels.astype(np.float32),
+        lights.group_end,
+        np.float32(lights.exponent),
+        lights.diffuse_share.astype(np.float32),
+        lights.mirror_share.astype(np.float32),
+        stray.astype(np.float32),
+        place.bounced,
+        fresnel_table().astype(np.float32),
+        interface.table,
+        interface.mean,
+        np.ascontiguousarray(scattered.kept, np.float64),
+        np.ascontiguousarray(scattered.rest, np.float32),
+        float(noise.sensor) ** 2,
+        float(noise.model) ** 2,
+        float(noise.shade) ** 2,
+    )

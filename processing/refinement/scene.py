@@ -1,0 +1,174 @@
+"""What the views show of the mesh, and what all of them share."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from lightstage.formats.mesh import Mesh
+from lightstage.rig import Camera
+from processing.errors import ProcessingError
+from processing.frames.read import Frames
+from processing.lighting.lights import PatternLights, Shadows
+from processing.masks import edge_distance_px
+from processing.readings import px_per_mm, read_pixels
+from processing.refinement.config import RefineConfig
+from processing.refinement.gloss import Gloss, skin_gloss
+from processing.refinement.joint import Place
+from processing.surface import (
+    LitSurface,
+    Sight,
+    at_vertices_to,
+    depth_edges,
+    lit_surface,
+    see,
+)
+
+ALL = slice(None)
+BAND_PIXELS = 1_000_000
+"""Pixels that are solved at a time: what they need besides their maps is held no longer."""
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """One view's readings and what the mesh says of its n pixels.
+
+    Attributes:
+        sight: what the camera sees of the mesh.
+        rgb: (n, P, 3) float32 readings in the lights' own colour, 0 where not usable.
+        saturation: (n,) of the sum over patterns.
+        usable: (n,) bool: not clipped, not dark, finite.
+        px_per_mm: pixels a millimetre.
+    """
+
+    sight: Sight
+    rgb: np.ndarray
+    saturation: np.ndarray
+    usable: np.ndarray
+    px_per_mm: float
+
+
+@dataclasses.dataclass
+class Scene:
+    """What all views share, and what has been found of it so far.
+
+    Attributes:
+        lights: of P patterns.
+        surface: the mesh under them.
+        gloss: of its vertices.
+        bounced: (V, P, 3) float32 irradiance of its vertices by light from other skin.
+        bounces: 1 where `bounced` explains the readings better than nothing does, else 0.
+        scattering: share of light that wanders inside the skin.
+        doubt: by what factor the residuals' variance is above what is expected, at least 1.
+    """
+
+    lights: PatternLights
+    surface: LitSurface
+    gloss: Gloss
+    bounced: np.ndarray
+    bounces: float
+    scattering: float
+    doubt: float = 1.0
+
+
+def prepare_scene(
+    mesh: Mesh,
+    lights: PatternLights,
+    seen_by: list[tuple[Camera, np.ndarray]],
+    config: RefineConfig,
+) -> Scene:
+    """Cast the mesh's rays; gloss is a typical skin's, and no light goes from skin to skin yet."""
+    surface = lit_surface(
+        mesh,
+        lights,
+        offset_mm=config.shadow_offset_mm,
+        smoothing_mm=config.smoothing_mm,
+        directions=config.occlusion_directions,
+        most_faces=config.most_faces,
+        finest_mm=config.finest_mm,
+        seen_by=seen_by,
+    )
+    count = len(surface.vertices)
+    dark = np.zeros((count, len(lights.patterns), 3), np.float32)
+    return Scene(lights, surface, skin_gloss(count, config.roughness), dark, 0.0, 0.0)
+
+
+def read_view(
+    frames: Frames,
+    camera: Camera,
+    foreground: np.ndarray,
+    scene: Scene,
+    config: RefineConfig,
+    most: int | None = None,
+) -> View:
+    """One view's readings, and what it shows of the mesh.
+
+    Args:
+        frames: the camera's photographs.
+        camera: the view.
+        foreground: (h, w) bool.
+        scene: the mesh under the lights.
+        config: see there.
+        most: at most about so many pixels, on a regular grid; None for all.
+
+    Raises:
+        ProcessingError: nothing of the mesh is seen.
+    """
+    step = 1
+    if most is not None:
+        step = max(1, int(np.ceil(np.sqrt(foreground.sum() / most))))
+    sight = see(scene.surface, camera, foreground, step)
+    if not sight.mask.any():
+        raise ProcessingError(
+            f"camera {camera.id}",
+            found="no pixel that shows the mesh",
+            expected="a face in front of the camera",
+            hint="Do base_mesh.ply and the rig belong to this session?",
+        )
+    chosen = np.zeros(foreground.shape, bool)
+    chosen[::step, ::step] = sight.mask
+    white = scene.lights.colour
+    count = int(sight.mask.sum())
+    rgb = np.empty((count, len(frames.patterns), 3), np.float32)
+    saturation, usable = np.empty(count, np.float32), np.empty(count, bool)
+    valid = frames.valid
+    done = 0
+    rows = max(1, BAND_PIXELS * step**2 // foreground.shape[1])
+    for first in range(0, len(chosen), rows):
+        some = np.zeros_like(chosen)
+        some[first : first + rows] = chosen[first : first + rows]
+        pixels = frames.pixels(some)
+        band = slice(done, done + len(pixels))
+        clean, _, colourful, good = read_pixels(pixels, valid[some], white, config.dark_level)
+        rgb[band], saturation[band], usable[band] = clean, colourful, good
+        done += len(pixels)
+    rgb /= white.astype(np.float32)
+    return View(sight, rgb, saturation, usable, px_per_mm(camera) / step)
+
+
+def place_of(scene: Scene, sight: Sight, band: slice = ALL) -> Place:
+    """Where a view's pixels lie."""
+    return Place(
+        sight.points_mm[band],
+        sight.views[band],
+        Shadows(sight.shadows.corners[band], sight.shadows.weights[band], sight.shadows.visible),
+        scene.bounced,
+    )
+
+
+def gloss_of(scene: Scene, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) roughness and (n,) specular albedo of a view's pixels, from the mesh."""
+    corners, weights = sight.shadows.corners, sight.shadows.weights
+    both = np.stack([scene.gloss.roughness, scene.gloss.specular], axis=1).astype(np.float32)
+    roughness, specular = at_vertices_to(both, corners, weights).T
+    return np.ascontiguousarray(roughness), np.ascontiguousarray(specular)
+
+
+def steady(view: View, config: RefineConfig) -> np.ndarray:
+    """(n,) 0..1: how far a pixel is from edges and from being seen edge on."""
+    sight = view.sight
+    facing = (np.maximum(np.einsum("nk,nk->n", sight.normals, sight.views), 0) / 0.8) ** 0.7
+    edges = depth_edges(sight.depth_mm, config.depth_step_mm)
+    inside = edge_distance_px(sight.mask & ~edges)[sight.mask] * sight.step
+    return np.asarray(np.clip(facing, 0, 1) * np.clip(inside / config.edge_px, 0, 1))

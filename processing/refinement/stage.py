@@ -1,0 +1,111 @@
+"""Stage `refine`: exact maps of each view, with the mesh's positions, shadows and lobes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.mesh import read_ply
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import Session
+from processing.frames.read import read_foreground, read_frames
+from processing.lighting.lights import pattern_lights, require_unpolarised
+from processing.pixels import MAP_NAMES, PixelMaps, write_maps
+from processing.refinement.config import RefineConfig
+from processing.refinement.every_pixel import solve_view
+from processing.refinement.gloss_search import find_gloss
+from processing.refinement.scene import prepare_scene, read_view
+
+
+def refine(
+    session: Session, out: Path, config: RefineConfig, progress: ProgressCallback = quiet
+) -> dict[str, Any]:
+    """Solve reflectance again with the mesh, and overwrite the views' maps and masks.
+
+    Gloss, light from skin to skin and scattering are found first, from a grid of every view's
+    pixels; then each view's pixels are solved one by one.
+
+    Returns:
+        Facts: pixels, vertices, mean confidence, gloss and scattering found.
+
+    Raises:
+        FormatError: no base mesh, or no decoded photographs.
+        ProcessingError: a camera that sees nothing of the mesh.
+    """
+    folder = ProcessedFolder(out)
+    mesh = read_ply(folder.base_mesh)
+    cameras = [session.rig.camera(camera_id) for camera_id in session.camera_ids()]
+    lights = pattern_lights(session, read_frames(out, cameras[0].id).patterns)
+    require_unpolarised(lights)
+    steps = 3 + config.gloss_rounds + len(cameras)
+    seen_by = [(camera, read_foreground(out, camera.id)) for camera in cameras]
+    scene = prepare_scene(mesh, lights, seen_by, config)
+    progress(1, steps)
+    grids = [
+        read_view(read_frames(out, camera.id), camera, lit, scene, config, config.gloss_pixels)
+        for camera, lit in seen_by
+    ]
+    progress(2, steps)
+    found = find_gloss(scene, grids, config, lambda done, _: progress(2 + done, steps))
+    confidence: dict[str, float] = {}
+    pixels = 0
+    for done, (camera, lit) in enumerate(seen_by):
+        grid = view = grids[done]
+        if grid.sight.step > 1:
+            view = read_view(read_frames(out, camera.id), camera, lit, scene, config)
+        maps = solve_view(scene, view, grid, found[done], config)
+        mask = view.sight.mask
+        occlusion = np.ones(mask.shape, np.float32)
+        occlusion[mask] = view.sight.occlusion
+        mask, maps = with_coarse(folder, camera.id, mask, maps, config.coarse_confidence)
+        write_maps(folder, camera.id, mask, maps)
+        folder.write_view(camera.id, "ambient_occlusion", np.where(mask, occlusion, 0))
+        folder.write_mask(camera.id, mask)
+        confidence[camera.id] = round(float(maps.confidence.mean()), 4)
+        pixels += len(maps.confidence)
+        progress(3 + config.gloss_rounds + done, steps)
+    seen = np.unique(np.concatenate([grid.sight.shadows.corners.ravel() for grid in grids]))
+    return {
+        "views": len(cameras),
+        "pixels": pixels,
+        "vertices": len(scene.surface.vertices),
+        "mean_confidence": confidence,
+        "roughness_mean": round(float(scene.gloss.roughness[seen].mean()), 4),
+        "specular_mean": round(float(scene.gloss.specular[seen].mean()), 5),
+        "light_from_skin_to_skin": bool(scene.bounces),
+        "scattering": scene.scattering,
+        "specular_normals": "all channels and the highlights, the relief of the diffuse light "
+        "calmed by scattering",
+        "warnings": [],
+    }
+
+
+def with_coarse(
+    folder: ProcessedFolder, camera_id: str, mask: np.ndarray, maps: PixelMaps, share: float
+) -> tuple[np.ndarray, PixelMaps]:
+    """A view's maps with those of `separate` where the mesh has a hole, if there are any.
+
+    Args:
+        folder: holds the coarse maps.
+        camera_id: the view.
+        mask: (h, w) bool with n true pixels.
+        maps: of these.
+        share: of their confidence that coarse maps keep.
+
+    Returns:
+        The (h, w) mask of all, and their maps.
+    """
+    if not all(folder.view_path(camera_id, name).is_file() for name in MAP_NAMES.values()):
+        return mask, maps
+    every = mask | folder.read_mask(camera_id)
+    values = {}
+    for field, name in MAP_NAMES.items():
+        whole = folder.read_view(camera_id, name)
+        if field == "confidence":
+            whole = whole * np.float32(share)
+        whole[mask] = getattr(maps, field)
+        values[field] = whole[every]
+    return every, PixelMaps(**values)

@@ -1,0 +1,97 @@
+"""Which method a session's patterns allow, and each method's function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from processing.errors import ProcessingError
+from processing.lighting.lights import PatternLights, rank
+from processing.pixels import PixelMaps
+from processing.separation import colour, kampouris, linear, mux, polarised, ratios
+from processing.separation.config import SeparateConfig
+
+Method = Callable[
+    [np.ndarray, np.ndarray, np.ndarray, np.ndarray, PatternLights, float, SeparateConfig],
+    PixelMaps,
+]
+"""Separates one view's pixels; arguments and result are those of `colour.separate_pixels`."""
+
+METHODS: dict[str, Method] = {
+    "colour": colour.separate_pixels,
+    "kampouris": kampouris.separate_pixels,
+    "ratios": ratios.separate_pixels,
+    "polarised": polarised.separate_pixels,
+    "linear": linear.separate_pixels,
+    "mux": mux.separate_pixels,
+}
+ONLY_NORMALS: dict[str, tuple[str, ...]] = {"mux": ()}
+ONLY_RELIEF: dict[str, tuple[str, ...]] = {"mux": ("diffuse",), "ratios": ("diffuse",)}
+"""Methods that have no choice of normals, and what they may be told."""
+
+
+def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
+    """The method that separates a session's photographs.
+
+    Args:
+        lights: of the session's patterns, without dark ones.
+        config: its `method`, where it is not ``auto``, is taken if the patterns allow it.
+
+    Raises:
+        ProcessingError: no method, or not the one named, can separate these patterns.
+    """
+    fitting = fitting_methods(lights)
+    found = ", ".join(lights.patterns)
+    if not fitting:
+        raise ProcessingError(
+            "session.json",
+            field="sequence",
+            found=found,
+            expected="patterns that light a face from three directions, such as `binary`",
+            hint="Capture with `--sequence binary`.",
+        )
+    method = fitting[0] if config.method == "auto" else config.method
+    if method not in fitting:
+        raise ProcessingError(
+            "configuration",
+            field="separate.method",
+            found=f"{config.method} for the patterns {found}",
+            expected=f"auto, {', '.join(fitting)} for these patterns",
+            hint="Leave the method to `auto`, or capture the sequence that it needs.",
+        )
+    for option, known in (("normals", ONLY_NORMALS), ("specular_normals", ONLY_RELIEF)):
+        asked = getattr(config, option)
+        if asked not in ("auto", *known.get(method, (asked,))):
+            raise ProcessingError(
+                "configuration",
+                field=f"separate.{option}",
+                found=asked,
+                expected=", ".join(("auto", *known[method])) + f" with the method {method}",
+                hint="It has no others.",
+            )
+    return method
+
+
+def fitting_methods(lights: PatternLights) -> list[str]:
+    """Methods that can separate photographs under these lights, the best first."""
+    names = lights.patterns
+    if lights.polarised:
+        banks = [
+            tuple(n for n in names if n.endswith(f"@{bank}")) for bank in ("cross", "parallel")
+        ]
+        whole = all(banks) and len(banks[0]) + len(banks[1]) == len(names)
+        return ["polarised"] if whole and rank(lights.of(banks[0])) == 3 else []
+    if rank(lights) < 3:
+        return []
+    if mux_shots(lights):
+        return ["mux"]
+    if any(name.startswith("lin-") for name in names):
+        return ["linear", "colour"]
+    pairs = all(f"{axis}{sign}" in names for axis in "xyz" for sign in "+-")
+    return ["colour", "linear", *(("kampouris", "ratios") if pairs else ())]
+
+
+def mux_shots(lights: PatternLights) -> bool:
+    """Whether these are two shots whose colour channels hold three gradients of their own."""
+    return set(lights.patterns) == {"mux-1", "mux-2"}

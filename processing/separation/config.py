@@ -1,0 +1,107 @@
+"""What the stage `separate` may be told."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+from processing.lighting.lobe import SKIN_F0
+from processing.separation.lobe_fit import LobeFitConfig
+
+OWN_NORMALS = {
+    "colour": "chroma",
+    "linear": "chroma",
+    "kampouris": "separated",
+    "ratios": "mean",
+    "polarised": "crossed",
+    "mux": "channels",
+}
+"""What each method takes its diffuse normals from by itself."""
+OWN_RELIEF = {"polarised": "mirror", "linear": "detail", "kampouris": "mirror"}
+"""What specular normals a method has by itself, the diffuse ones where it is not named."""
+
+
+@dataclasses.dataclass(frozen=True)
+class KampourisConfig:
+    """The published formulas by colour."""
+
+    combine: Literal["maximum", "median", "mean", "weighted"] = "median"
+    """How the specular parts found along x, y and z become one; `weighted` by how little noise and
+    model error each pair passes on, with the pair swapped where the brighter photograph is the more
+    saturated one."""
+    field: Literal["uniform", "lights"] = "uniform"
+    """What normals and albedo take the light for: even, as printed, or the stage's own lights."""
+    least_saturation: float = 0.02
+    """A darker photograph less saturated than this has no specular part taken off."""
+    most_specular: float = 0.2
+    pool_mm: float = 0.0
+    """Sigma over which neighbours' specular parts are averaged; 0 leaves each pixel its own."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RatiosConfig:
+    """Plain ratios of complements, nothing separated."""
+
+    field: Literal["uniform", "lights"] = "uniform"
+    specular: float = SKIN_F0
+    """Taken off `full` and written as specular albedo everywhere."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MuxConfig:
+    """Two shots hold six numbers a pixel for six unknowns, so that gloss leans on its prior."""
+
+    specular_pool_mm: float = 6.0
+    """Sigma over which pixels share one specular albedo."""
+    specular_prior_share: float = 0.3
+    """Weight of the prior against the median pixel's evidence."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SeparateConfig:
+    """What `separate` may be told."""
+
+    method: Literal["auto", "colour", "kampouris", "ratios", "polarised", "linear", "mux"] = "auto"
+    """`auto`: by what the session's patterns are."""
+    normals: Literal["auto", "chroma", "red", "blue", "mean"] = "auto"
+    """The part of RGB that diffuse normals are taken from; `auto`: the method's own."""
+    iterations: int = 5
+    roughness: float = 0.25
+    """Beckmann's m of skin, for the lobe."""
+    specular_pool_mm: float = 4.0
+    """Sigma over which pixels share one specular albedo."""
+    specular_prior: float = SKIN_F0
+    specular_prior_share: float = 10.0
+    """Weight of the prior against the median pixel's evidence: without shadows that is poor."""
+    albedo_prior_power: float = 0.005
+    """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
+    grey_saturation: float = 0.05
+    """Below this saturation colour tells nothing; from twice as much it is trusted."""
+    dark_level: float = 0.004
+    """A pixel whose brightest pattern stays below this tells nothing (1 = white under `full`)."""
+    specular_normals: Literal["auto", "mirror", "detail", "diffuse"] = "auto"
+    """Specular normals of `colour`, `linear` and `polarised`: from mirror directions, their relief
+    on the diffuse normals, or the diffuse normals themselves. `auto`: the best of each method."""
+    noise: float = 0.001
+    """Standard deviation of a reading I over sqrt(.25 + I), as a camera at base sensitivity has."""
+    half_trust_deg: float = 5.0
+    """Standard deviation of a normal that halves its confidence."""
+    kampouris: KampourisConfig = dataclasses.field(default_factory=KampourisConfig)
+    ratios: RatiosConfig = dataclasses.field(default_factory=RatiosConfig)
+    polarised: LobeFitConfig = dataclasses.field(default_factory=LobeFitConfig)
+    linear: LobeFitConfig = dataclasses.field(
+        default_factory=lambda: LobeFitConfig(specular_pool_mm=4.0, specular_prior_share=3.0)
+    )
+    mux: MuxConfig = dataclasses.field(default_factory=MuxConfig)
+
+
+def normals_of(method: str, config: SeparateConfig) -> str:
+    """What a method's diffuse normals are taken from, in a word."""
+    return OWN_NORMALS[method] if config.normals == "auto" else config.normals
+
+
+def relief_of(method: str, config: SeparateConfig) -> str:
+    """What a method's specular normals are: ``mirror``, ``detail`` or ``diffuse``."""
+    if config.specular_normals != "auto":
+        return config.specular_normals
+    return OWN_RELIEF.get(method, "diffuse")

@@ -1,0 +1,241 @@
+"""Albedo, gloss and specular normals of one view once its diffuse normals are known.
+
+The lobe's width and the specular albedo are those that leave least of the readings unexplained,
+pooled over neighbours; what the diffuse part leaves then says which way the facets turn.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from processing.albedo import (
+    Evidence,
+    diffuse_albedo,
+    diffuse_light,
+    pooled,
+    specular_evidence,
+)
+from processing.lighting.interface import BARE, Interface, skin_interface
+from processing.lighting.lights import PatternLights, Shadows, no_shadows
+from processing.lighting.lobe import SKIN_F0, transport
+from processing.normals import blurred
+from processing.pixels import PixelMaps
+from processing.separation.lobe_table import lobe_table, table_lobe
+from processing.separation.mirror import MirrorConfig, mirror_normals
+from processing.surface import Sight
+
+MOST_SPECULAR = 0.2
+"""Reflectances above are metals, not faces."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LobeFitConfig:
+    """Gloss and specular normals from readings whose diffuse normals are known."""
+
+    roughness: tuple[float, ...] = (0.18, 0.22, 0.26, 0.30, 0.34)
+    """Beckmann's m that are tried, ascending, at least three."""
+    roughness_pool_mm: float = 6.0
+    """Sigma over which pixels share one lobe width."""
+    specular_pool_mm: float = 1.0
+    """Sigma over which pixels share one specular albedo."""
+    specular_prior: float = SKIN_F0
+    specular_prior_share: float = 0.02
+    """Weight of the prior against the median pixel's evidence."""
+    albedo_prior_power: float = 0.005
+    """Weight of the neighbours' albedo against a pixel's squared irradiance (2 in the open)."""
+    model_error: float = 0.02
+    """What the diffuse part is wrong by, as a share of it."""
+    detail_mm: float = 2.0
+    """Relief finer than this sigma is detail."""
+    mirror: MirrorConfig = dataclasses.field(default_factory=MirrorConfig)
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Where n pixels lie, and what light they get.
+
+    Attributes:
+        lights: of P patterns.
+        mirror: the same as mirror reflection shows them.
+        points_mm: (n, 3).
+        shadows: of the n points.
+        interface: that light passes on its way in and out.
+    """
+
+    lights: PatternLights
+    mirror: PatternLights
+    points_mm: np.ndarray
+    shadows: Shadows
+    interface: Interface
+
+    def irradiance(self, normal: np.ndarray, views: np.ndarray, m: float) -> np.ndarray:
+        """(n, P) E_k."""
+        seen = (self.points_mm, normal, views, m, self.shadows, self.interface)
+        return transport(self.lights, *seen)[0]
+
+    def lobe(self, normal: np.ndarray, views: np.ndarray, m: np.ndarray | float) -> np.ndarray:
+        """(n, P) B_k."""
+        return transport(self.mirror, self.points_mm, normal, views, m, self.shadows)[1]
+
+
+def maps_by_lobe(
+    rgb: np.ndarray,
+    normal: np.ndarray,
+    trust: np.ndarray,
+    lights: PatternLights,
+    mirror: PatternLights,
+    views: np.ndarray,
+    mask: np.ndarray,
+    px_per_mm: float,
+    noise: float,
+    relief: str,
+    config: LobeFitConfig,
+    sight: Sight | None = None,
+    shares: np.ndarray | None = None,
+    points_mm: np.ndarray | None = None,
+) -> PixelMaps:
+    """Maps of one view's pixels.
+
+    Args:
+        rgb: (n, P, 3) readings, white where the lights are; finite.
+        normal: (n, 3) unit diffuse normals, zero where unsolved.
+        trust: (n,) confidence.
+        lights: of the P patterns.
+        mirror: the same as mirror reflection shows them to this camera.
+        views: (n, 3) unit, toward the camera.
+        mask: (h, w) bool with n true pixels.
+        px_per_mm: pixels a millimetre at the sphere's centre.
+        noise: standard deviation of a reading I over sqrt(.25 + I).
+        relief: what specular normals are: ``mirror``, ``detail`` or ``diffuse``.
+        config: see there.
+        sight: what the camera sees of a mesh, None for lights far away and no shadows.
+        shares: (n, P) what the camera gets of the irradiance; None for all.
+        points_mm: (n, 3) where the pixels lie, about, where there is no mesh; None for the centre.
+
+    Returns:
+        PixelMaps, zero where there is no normal.
+    """
+    solved = np.einsum("nk,nk->n", normal, normal) > 0.5
+    if not solved.any():
+        zeros = np.zeros_like(normal)
+        nothing = np.zeros(len(normal))
+        return PixelMaps(zeros, zeros, zeros, nothing, nothing, nothing)
+    place = Place(lights, mirror, np.zeros_like(normal), no_shadows(len(rgb), lights), BARE)
+    if points_mm is not None:
+        place = dataclasses.replace(place, points_mm=points_mm, interface=skin_interface())
+    if sight is not None:
+        place = Place(lights, mirror, sight.points_mm, sight.shadows, skin_interface())
+    e = place.irradiance(normal, views, config.roughness[len(config.roughness) // 2])
+    if shares is not None:
+        e = e * shares
+    table = lobe_table(mirror, views[solved].mean(axis=0), config.roughness)
+    mean = rgb.mean(axis=2)
+    weight = 1 / np.sqrt(_variance(mean, mean, noise, config))
+    near = sight is not None
+
+    def lobe_of(m: np.ndarray | float) -> np.ndarray:
+        return place.lobe(normal, views, m) if near else table_lobe(table, normal, views, m)
+
+    roughness, specular = _gloss(mean, e, weight, lobe_of, solved, mask, px_per_mm, config)
+    lobe = lobe_of(roughness)
+    lit, power = diffuse_light(rgb, e, lobe, specular)
+    lit[~solved], power[~solved] = 0, 0
+    albedo = diffuse_albedo(lit, power, mask, px_per_mm, config.albedo_prior_power)
+    matte = e * albedo.mean(axis=1)[:, None]
+    facets = normal
+    if relief != "diffuse":
+        apart = lobe - table_lobe(table, normal, views, roughness) if near else None
+        sigma = np.sqrt(_variance(mean, matte, noise, config))
+        found = mirror_normals(
+            mean - matte, sigma, table, normal, views, roughness, config.mirror, apart
+        )
+        facets = found.normal
+    if relief == "detail":
+        facets = with_detail(normal, facets, solved, mask, config.detail_mm * px_per_mm)
+    flat = (specular, roughness, trust)
+    specular, roughness, confidence = (np.where(solved, x, 0) for x in flat)
+    albedo[~solved] = 0
+    return PixelMaps(normal, facets, albedo, specular, roughness, confidence)
+
+
+def with_detail(
+    base: np.ndarray, relief: np.ndarray, solved: np.ndarray, mask: np.ndarray, sigma_px: float
+) -> np.ndarray:
+    """Normals with the relief of others: base + relief - blurred relief, unit.
+
+    Args:
+        base, relief: (n, 3) unit.
+        solved: (n,) bool where both are.
+        mask: (h, w) bool with n true pixels.
+        sigma_px: finer than this is relief.
+
+    Source: [Ma2007] for hybrid normals.
+    """
+    apart = relief - base
+    vector = base + apart - blurred(apart, solved, mask, sigma_px)
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    good = solved[:, None] & (length > 1e-6)
+    return np.where(good, vector / np.where(good, length, 1), 0)
+
+
+def _variance(
+    reading: np.ndarray, matte: np.ndarray, noise: float, config: LobeFitConfig
+) -> np.ndarray:
+    """Variance of a reading's mean channel: of the sensor, and of what the model is wrong by."""
+    sensor = noise**2 * (0.25 + np.maximum(reading, 0)) / 3
+    return np.asarray(sensor + (config.model_error * np.maximum(matte, 0)) ** 2)
+
+
+def _gloss(
+    mean: np.ndarray,
+    e: np.ndarray,
+    weight: np.ndarray,
+    lobe_of: Callable[[float], np.ndarray],
+    solved: np.ndarray,
+    mask: np.ndarray,
+    px_per_mm: float,
+    config: LobeFitConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) lobe width and (n,) specular albedo that explain the neighbourhood best."""
+    wide, near = config.roughness_pool_mm * px_per_mm, config.specular_pool_mm * px_per_mm
+    layers = []
+    left = []
+    for m in config.roughness:
+        found = specular_evidence(mean * weight, e * weight, lobe_of(m) * weight)
+        found = Evidence(
+            *(np.where(solved, x, 0) for x in (found.weighed, found.weight, found.power))
+        )
+        top, bottom, power = (
+            pooled(x, mask, wide) for x in (found.weighed, found.weight, found.power)
+        )
+        left.append(power - top**2 / np.maximum(bottom, 1e-30))
+        layers.append(found)
+    grid = np.array(config.roughness)
+    roughness = _hollow(grid, np.stack(left))
+    below = np.clip(np.searchsorted(grid, roughness) - 1, 0, len(layers) - 2)
+    part = (roughness - grid[below]) / (grid[below + 1] - grid[below])
+    at = np.arange(len(mean))
+    weighed, power = (
+        stack[below, at] * (1 - part) + stack[below + 1, at] * part
+        for stack in (
+            np.stack([x.weighed for x in layers]),
+            np.stack([x.weight for x in layers]),
+        )
+    )
+    prior = config.specular_prior_share * float(np.median(power[solved]))
+    top = pooled(weighed, mask, near) + config.specular_prior * prior
+    bottom = pooled(power, mask, near) + prior
+    specular = np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1), config.specular_prior)
+    return roughness, np.clip(specular, 0, MOST_SPECULAR)
+
+
+def _hollow(grid: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """(n,) the lowest point of parabolas through (M, n) residuals, within the grid."""
+    curve, slope, _ = np.polyfit(grid, residual, 2)
+    best = grid[np.argmin(residual, axis=0)]
+    inside = curve > 0
+    best = np.where(inside, -slope / np.where(inside, 2 * curve, 1), best)
+    return np.asarray(np.clip(best, grid[0], grid[-1]))

@@ -1,0 +1,85 @@
+"""Stage `separate`: coarse maps of each view, lights far away, no shadows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import Session
+from processing.frames.read import read_foreground, read_frames
+from processing.lighting.lights import PatternLights, pattern_lights
+from processing.parallel import over_views, workers
+from processing.pixels import write_maps
+from processing.separation.choice import chosen_method
+from processing.separation.config import SeparateConfig, normals_of, relief_of
+from processing.separation.view import separate_view
+
+BYTES_A_PIXEL, BYTES_OF_ARRAYS = 50, 400
+"""What a view takes at most for a pixel of its picture: by the one pass of `colour`, and by methods
+that make arrays of all readings."""
+COLOUR_SPREAD = 0.02
+"""Lights whose colours differ by more than this are worth a warning."""
+
+
+def separate(
+    session: Session, out: Path, config: SeparateConfig, progress: ProgressCallback = quiet
+) -> dict[str, Any]:
+    """Write coarse diffuse albedo, specular albedo, normals and confidence of every view.
+
+    Returns:
+        Facts: method, normals, lights, views, pixels, mean confidence, share of pixels that are
+        ill-posed (eyes, teeth, grey hair, rims: confidence below .5), warnings.
+
+    Raises:
+        ProcessingError: patterns that no method, or not the one asked for, can separate.
+    """
+    folder = ProcessedFolder(out)
+    cameras = session.camera_ids()
+    confidence: dict[str, float] = {}
+    ill_posed: dict[str, float] = {}
+    pixels = 0
+    warnings: list[str] = []
+    lights = pattern_lights(session, read_frames(out, cameras[0]).patterns)
+    method = chosen_method(lights, config)
+    warnings += _warnings(lights, method)
+
+    def one(camera_id: str) -> tuple[float, float, int]:
+        frames = read_frames(out, camera_id)
+        mask = read_foreground(out, camera_id)
+        camera = session.rig.camera(camera_id)
+        maps = separate_view(method, frames, mask, camera, lights, config)
+        write_maps(folder, camera_id, mask, maps)
+        folder.write_mask(camera_id, mask)
+        found = maps.confidence
+        return float(found.mean()), float((found < 0.5).mean()), len(found)
+
+    sizes = [session.rig.camera(c).width_px * session.rig.camera(c).height_px for c in cameras]
+    each = BYTES_A_PIXEL if method == "colour" else BYTES_OF_ARRAYS
+    at_once = workers(each * max(sizes))
+    for camera_id, (mean, unsure, count) in over_views(one, cameras, at_once):
+        confidence[camera_id] = round(mean, 4)
+        ill_posed[camera_id] = round(unsure, 4)
+        pixels += count
+        progress(len(confidence), len(cameras))
+    return {
+        "method": method,
+        "diffuse_normals": normals_of(method, config),
+        "specular_normals": relief_of(method, config),
+        "lights": lights.source,
+        "views": len(cameras),
+        "pixels": pixels,
+        "mean_confidence": confidence,
+        "ill_posed_share": ill_posed,
+        "warnings": warnings,
+    }
+
+
+def _warnings(lights: PatternLights, method: str) -> list[str]:
+    if method == "mux" or lights.colour_spread <= COLOUR_SPREAD:
+        return []
+    return [
+        f"light colours differ by up to {lights.colour_spread:.2f} of their mean; "
+        "separation by colour takes them as equal"
+    ]
