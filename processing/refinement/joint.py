@@ -15,7 +15,13 @@ import numpy as np
 from processing.lighting.interface import Interface
 from processing.lighting.lights import PatternLights, Shadows
 from processing.lighting.lobe import fresnel_table
-from processing.refinement.joint_kernels import evidence_kernel, solve_kernel
+from processing.refinement.joint_kernels import (
+    Pixels,
+    Spread,
+    evidence_kernel,
+    solve_kernel,
+)
+from processing.refinement.joint_light import Lamps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,31 +185,46 @@ def _arguments(
     interface: Interface,
     scattered: Scattered,
     noise: Noise,
-) -> tuple[object, ...]:
+) -> tuple[Pixels, Lamps, Spread]:
     """What both kernels take."""
-    stray = lights.stray.copy() * lights.diffuse_share[:, None, None]
-    given = (rgb, place.points_mm, normals, place.views, roughness, specular)
-    return (
-        *(np.ascontiguousarray(values, np.float32) for values in given),
-        place.shadows.corners,
-        place.shadows.weights,
-        place.shadows.visible,
-        lights.position_mm.astype(np.float32),
-        lights.radius_mm.astype(np.float32),
-        lights.weight.astype(np.float32),
-        lights.levels.astype(np.float32),
-        lights.group_end,
-        np.float32(lights.exponent),
-        lights.diffuse_share.astype(np.float32),
-        lights.mirror_share.astype(np.float32),
-        stray.astype(np.float32),
-        place.bounced,
-        fresnel_table().astype(np.float32),
-        interface.table,
-        interface.mean,
-        np.ascontiguousarray(scattered.kept, np.float64),
-        np.ascontiguousarray(scattered.rest, np.float32),
-        float(noise.sensor) ** 2,
-        float(noise.model) ** 2,
-        float(noise.shade) ** 2,
+
+    def single(values: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(values, np.float32)
+
+    pixels = Pixels(
+        rgb=single(rgb),
+        points=single(place.points_mm),
+        starts=single(normals),
+        views=single(place.views),
+        roughness=single(roughness),
+        specular=single(specular),
+        corners=place.shadows.corners,
+        weights=place.shadows.weights,
+        rests=single(scattered.rest),
+    )
+    kept = np.ascontiguousarray(scattered.kept, np.float64)
+    spread = Spread(
+        float(noise.sensor) ** 2, float(noise.model) ** 2, float(noise.shade) ** 2, kept
+    )
+    return pixels, lamps_of(lights, place, interface), spread
+
+
+def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps:
+    """What `joint_light.gather` takes of the stage."""
+    stray = lights.stray * lights.diffuse_share[:, None, None]
+    return Lamps(
+        visible=place.shadows.visible,
+        position=lights.position_mm.astype(np.float32),
+        radius=lights.radius_mm.astype(np.float32),
+        weight=lights.weight.astype(np.float32),
+        levels=lights.levels.astype(np.float32),
+        group_end=lights.group_end,
+        exponent=np.float32(lights.exponent),
+        diffuse_share=lights.diffuse_share.astype(np.float32),
+        mirror_share=lights.mirror_share.astype(np.float32),
+        stray=stray.astype(np.float32),
+        bounced=place.bounced,
+        table=fresnel_table().astype(np.float32),
+        through=interface.table,
+        mean=interface.mean,
     )

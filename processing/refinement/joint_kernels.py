@@ -3,16 +3,49 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
-from processing.refinement.joint_light import gather
+from processing.refinement.joint_light import Lamps, gather
 
 LONGEST_TURN = 0.15
 """A step of Gauss-Newton turns the normal by at most this tangent: the lobe is some 20 deg wide."""
-FAST = {"reassoc", "contract", "nsz", "arcp"}
-"""Sums may be taken in any order; NaN and infinities must still be seen."""
+
+
+class Pixels(NamedTuple):
+    """n pixels as compiled code takes them, in float32 but for the corners.
+
+    Attributes:
+        rgb: (n, P, 3) readings.
+        points: (n, 3) mm.
+        starts, views: (n, 3) unit.
+        roughness, specular: (n,).
+        corners, weights: (n, 3) of `Shadows`.
+        rests: (n, P, 3) of `Scattered`.
+    """
+
+    rgb: np.ndarray
+    points: np.ndarray
+    starts: np.ndarray
+    views: np.ndarray
+    roughness: np.ndarray
+    specular: np.ndarray
+    corners: np.ndarray
+    weights: np.ndarray
+    rests: np.ndarray
+
+
+class Spread(NamedTuple):
+    """Variances of `joint.Noise`, and (3,) float64 `kept` of `joint.Scattered`."""
+
+    sensor2: float
+    model2: float
+    shade2: float
+    kept: np.ndarray
+
+
 UNSHADOWED = np.float32(0.390625)
 """Facets whose slope squared times m squared stays below (.625 squared) hide nothing."""
 
@@ -215,33 +248,9 @@ def _add(
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def solve_kernel(
-    rgb: np.ndarray,
-    points: np.ndarray,
-    starts: np.ndarray,
-    views: np.ndarray,
-    roughness: np.ndarray,
-    specular: np.ndarray,
-    corners: np.ndarray,
-    weights: np.ndarray,
-    visible: np.ndarray,
-    position: np.ndarray,
-    radius: np.ndarray,
-    weight: np.ndarray,
-    levels: np.ndarray,
-    group_end: np.ndarray,
-    exponent: float,
-    diffuse_share: np.ndarray,
-    mirror_share: np.ndarray,
-    stray: np.ndarray,
-    bounced: np.ndarray,
-    table: np.ndarray,
-    through: np.ndarray,
-    mean: np.ndarray,
-    kept: np.ndarray,
-    rests: np.ndarray,
-    sensor2: float,
-    model2: float,
-    shade2: float,
+    pixels: Pixels,
+    lamps: Lamps,
+    spread: Spread,
     rounds: int,
     normals: np.ndarray,
     mattes: np.ndarray,
@@ -252,12 +261,15 @@ def solve_kernel(
     certainties: np.ndarray,
 ) -> None:
     """Fill in what `joint.solve_jointly` returns; arguments as there."""
+    rgb, points, views, roughness = pixels.rgb, pixels.points, pixels.views, pixels.roughness
+    corners, weights, rests = pixels.corners, pixels.weights, pixels.rests
+    sensor2, model2, shade2, kept = spread.sensor2, spread.model2, spread.shade2, spread.kept
     patterns = rgb.shape[1]
     for i in prange(len(rgb)):
-        n = starts[i].copy()
+        n = pixels.starts[i].copy()
         if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and roughness[i] > 0):
             continue
-        s = float(specular[i])
+        s = float(pixels.specular[i])
         light = np.zeros((patterns, 12), np.float32)
         across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
         diffuse = np.zeros((patterns, 3))
@@ -266,11 +278,7 @@ def solve_kernel(
         good = True
         certainty = 0.0
         for _ in range(rounds):
-            gather(
-                points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
-                position, radius, weight, levels, group_end, exponent, diffuse_share,
-                mirror_share, stray, bounced, table, through, mean, light,
-            )  # fmt: skip
+            gather(points[i], n, views[i], roughness[i], corners[i], weights[i], lamps, light)
             _diffuse(light, kept, rests[i], diffuse)
             _albedo(light, diffuse, rgb[i], s, rho, power)
             _across(n, across)
@@ -358,51 +366,26 @@ def _matte_normal(light: np.ndarray, rgb: np.ndarray, rho: np.ndarray, out: np.n
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def evidence_kernel(
-    rgb: np.ndarray,
-    points: np.ndarray,
-    starts: np.ndarray,
-    views: np.ndarray,
-    roughness: np.ndarray,
-    specular: np.ndarray,
-    corners: np.ndarray,
-    weights: np.ndarray,
-    visible: np.ndarray,
-    position: np.ndarray,
-    radius: np.ndarray,
-    weight: np.ndarray,
-    levels: np.ndarray,
-    group_end: np.ndarray,
-    exponent: float,
-    diffuse_share: np.ndarray,
-    mirror_share: np.ndarray,
-    stray: np.ndarray,
-    bounced: np.ndarray,
-    table: np.ndarray,
-    through: np.ndarray,
-    mean: np.ndarray,
-    kept: np.ndarray,
-    rests: np.ndarray,
-    sensor2: float,
-    model2: float,
-    shade2: float,
+    pixels: Pixels,
+    lamps: Lamps,
+    spread: Spread,
     out: np.ndarray,
 ) -> None:
     """Fill in what `joint.gloss_evidence` returns; arguments as there."""
+    rgb, points, views, roughness = pixels.rgb, pixels.points, pixels.views, pixels.roughness
+    corners, weights, rests = pixels.corners, pixels.weights, pixels.rests
+    sensor2, model2, shade2, kept = spread.sensor2, spread.model2, spread.shade2, spread.kept
     patterns = rgb.shape[1]
     for i in prange(len(rgb)):
-        n = starts[i]
+        n = pixels.starts[i]
         if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and roughness[i] > 0):
             continue
-        s = float(specular[i])
+        s = float(pixels.specular[i])
         light = np.zeros((patterns, 12), np.float32)
         across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
         diffuse = np.zeros((patterns, 3))
         a, b, others = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
-        gather(
-            points[i], n, views[i], roughness[i], corners[i], weights[i], visible,
-            position, radius, weight, levels, group_end, exponent, diffuse_share, mirror_share,
-            stray, bounced, table, through, mean, light,
-        )  # fmt: skip
+        gather(points[i], n, views[i], roughness[i], corners[i], weights[i], lamps, light)
         _diffuse(light, kept, rests[i], diffuse)
         _albedo(light, diffuse, rgb[i], s, rho, power)
         _across(n, across)

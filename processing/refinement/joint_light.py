@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -11,12 +12,39 @@ from processing.lighting.interface import let_through, row_of
 from processing.lighting.lights import off_axis
 from processing.lighting.lobe import FARTHEST_TAN, GRAZING, shadowing
 
-LONGEST_TURN = 0.15
-"""A step of Gauss-Newton turns the normal by at most this tangent: the lobe is some 20 deg wide."""
 FAST = {"reassoc", "contract", "nsz", "arcp"}
 """Sums may be taken in any order; NaN and infinities must still be seen."""
 UNSHADOWED = np.float32(0.390625)
 """Facets whose slope squared times m squared stays below (.625 squared) hide nothing."""
+
+
+class Lamps(NamedTuple):
+    """The stage's light as compiled code takes it: L lights in groups, P patterns, V vertices.
+
+    Attributes:
+        visible: (V, L) uint8.
+        position, radius, weight, levels, group_end, exponent, diffuse_share, mirror_share: as of
+            `PatternLights`, in float32.
+        stray: (P, 3, 4) float32, what a camera's polariser leaves of it.
+        bounced: (V, P, 3) float32 irradiance by light from other skin.
+        table: of `lobe.fresnel_table`.
+        through, mean: of `Interface`.
+    """
+
+    visible: np.ndarray
+    position: np.ndarray
+    radius: np.ndarray
+    weight: np.ndarray
+    levels: np.ndarray
+    group_end: np.ndarray
+    exponent: np.float32
+    diffuse_share: np.ndarray
+    mirror_share: np.ndarray
+    stray: np.ndarray
+    bounced: np.ndarray
+    table: np.ndarray
+    through: np.ndarray
+    mean: np.ndarray
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -27,23 +55,14 @@ def gather(
     roughness: float,
     corners: np.ndarray,
     weights: np.ndarray,
-    visible: np.ndarray,
-    position: np.ndarray,
-    radius: np.ndarray,
-    weight: np.ndarray,
-    levels: np.ndarray,
-    group_end: np.ndarray,
-    exponent: float,
-    diffuse_share: np.ndarray,
-    mirror_share: np.ndarray,
-    stray: np.ndarray,
-    bounced: np.ndarray,
-    table: np.ndarray,
-    through: np.ndarray,
-    mean: np.ndarray,
+    lamps: Lamps,
     out: np.ndarray,
 ) -> None:
     """Fill out (P, 12): E, its gradient (3), B, its gradient (3), B's slope over m, bounced rgb."""
+    visible, position, radius, weight = lamps.visible, lamps.position, lamps.radius, lamps.weight
+    levels, group_end, exponent, stray = lamps.levels, lamps.group_end, lamps.exponent, lamps.stray
+    diffuse_share, mirror_share = lamps.diffuse_share, lamps.mirror_share
+    bounced, table, through, mean = lamps.bounced, lamps.table, lamps.through, lamps.mean
     out[:] = 0
     # Whole numbers would make every float32 beside them a float64, which takes twice as long.
     zero, one, two, four = np.float32(0), np.float32(1), np.float32(2), np.float32(4)
