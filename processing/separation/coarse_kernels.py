@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit, prange
 
 from processing.frames.halves import as_float
-from processing.separation.coarse_pixel import FAST, LENGTH, solve_pixel
+from processing.separation.coarse_pixel import FAST, LENGTH, OUT, solve_pixel
 from processing.separation.lanes import LANES, every, load_row, store_turned
 
 RUN = 128
@@ -87,7 +87,7 @@ def _load_few(
 
 
 @njit(cache=True, fastmath=FAST, forceinline=True)
-def _put(
+def put(
     found: bool,
     out: np.ndarray,
     at: int,
@@ -159,9 +159,9 @@ def solve_window(
     for strip in prange(len(sums)):
         # A little longer: eight readings at a time reach beyond a run.
         rgb = np.zeros(groups * beyond + LANES * LANES, np.float32)
-        signal = np.zeros(groups * LANES, np.float32)
+        signal = np.zeros(2 * groups * LANES, np.float32)
         line = np.zeros((rays.shape[1], 3), np.float32)
-        out = np.zeros(LENGTH + 1, np.float32)
+        out = np.zeros(OUT, np.float32)
         for y in range(strip * block, min(height, strip * block + block)):
             at = row_start[y]
             gy = (np.float32(y + origin[0])) / np.float32(step)
@@ -211,7 +211,7 @@ def solve_window(
                         signal,
                         out,
                     )
-                    _put(
+                    put(
                         found,
                         out,
                         at,

@@ -27,6 +27,10 @@ from processing.separation.lanes import (
 
 LENGTH = 11
 """Place of |rho n| in what a pixel gives."""
+CELL, ACROSS = 12, 13
+"""Places of the cell of its normal, and of the three weights of R G B that made its signal."""
+OUT = 16
+"""Length of what a pixel gives."""
 SIDE = np.float32(CELLS)
 LOBE = np.float32(LOBE_SIDE)
 FAST = {"reassoc", "contract", "nsz"}
@@ -83,9 +87,9 @@ def solve_pixel(
         part: (3,) weights of R G B that normals are solved from, zeros for chroma.
         limits: three times the dark level, grey saturation, solves at most, when to stop, noise
             squared, and the normal's deviation squared that halves the confidence.
-        signal: (groups * LANES,) scratch.
-        out: normal (3), confidence, weighed, weight, lit (3), power, mirror times irradiance, and
-            |rho n|, which is 0 where the pixel before was not solved.
+        signal: (2, groups * LANES) flat: what was solved, and the lobe of the normal found.
+        out: normal (3), confidence, weighed, weight, lit (3), power, mirror times irradiance,
+            |rho n|, which is 0 where the pixel before was not solved, cell, and weights (3).
     """
     one, zero = np.float32(1), np.float32(0)
     vx, vy, vz = view
@@ -194,6 +198,7 @@ def solve_pixel(
         at = k * LANES
         m = w00 * load(lobe, corner + at) + w01 * load(lobe, corner + beside_it + at)
         m = m + w10 * load(lobe, below + at) + w11 * load(lobe, below + beside_it + at)
+        store(signal, (groups + k) * LANES, m)
         at = first + k * beyond
         red, green, blue = load(rgb, at), load(rgb, at + LANES), load(rgb, at + 2 * LANES)
         ee, eb, bb = ee + e * e, eb + e * m, bb + m * m
@@ -227,7 +232,8 @@ def solve_pixel(
     out[5] = max(zero, own - share * both)
     out[6], out[7], out[8] = r, g, b
     out[9], out[10] = power, both
-    out[LENGTH] = length
+    out[LENGTH], out[CELL] = length, np.float32(cell)
+    out[ACROSS], out[ACROSS + 1], out[ACROSS + 2] = x * per, y * per, z * per
     return bool(np.isfinite(out[4] + out[5] + out[9]))
 
 

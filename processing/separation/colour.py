@@ -19,8 +19,11 @@ from processing.lighting.lights import PatternLights
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 from processing.separation.coarse_kernels import COUNT, SUMS, finish_window, solve_window
+from processing.separation.coarse_tile import TILE_ROWS
+from processing.separation.coarse_tiles import solve_tiles
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import far_tables
+from processing.separation.lanes import LANES
 
 RAY_STEP_RAD = 1e-3
 """The camera's rays are found at steps of this angle and interpolated."""
@@ -89,6 +92,11 @@ def separate_pixels(
     return separate_window(readings, lights, config)
 
 
+def tile_mm(readings: Readings) -> float:
+    """The longer side of a tile of pixels at the sphere's centre."""
+    return max(LANES, TILE_ROWS) / readings.px_per_mm
+
+
 def camera_rays(camera: Camera, step_px: int) -> np.ndarray:
     """(gh, gw, 3) float32 directions of a camera's rays through every `step_px`th pixel's centre,
     and beyond the picture's end by one step.
@@ -139,7 +147,10 @@ def separate_window(readings: Readings, lights: PatternLights, config: SeparateC
     per_row = mask.sum(axis=1)
     row_start = np.cumsum(per_row) - per_row
     count = int(per_row.sum())
+    tiles = tile_mm(readings) <= config.tile_mm and mask.shape[1] >= LANES
     block = max(1, int(readings.px_per_mm / 2))
+    if tiles:
+        block = -(-block // LANES) * LANES
     view = readings.rays[len(readings.rays) // 2, readings.rays.shape[1] // 2].astype(float)
     if np.any(readings.camera_mm):
         view = -readings.camera_mm / np.linalg.norm(readings.camera_mm)
@@ -150,7 +161,8 @@ def separate_window(readings: Readings, lights: PatternLights, config: SeparateC
     normal, albedo = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     specular, roughness, confidence = (np.empty(count, np.float32) for _ in range(3))
     values = readings.values
-    solve_window(
+    solve = solve_tiles if tiles else solve_window
+    solve(
         values.view(np.uint16) if values.dtype == np.float16 else values,
         np.float32(readings.scale),
         mask,

@@ -135,6 +135,53 @@ def separate(
     return Twin(normals, albedo, specular, solved)
 
 
+def tiled(
+    rgb: np.ndarray,
+    mask: np.ndarray,
+    view: np.ndarray,
+    point: np.ndarray,
+    lights: PatternLights,
+    tables: FarTables,
+    config: SeparateConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """One tile's normals and lit over power by the same tables as the compiled loop, float64.
+
+    Args:
+        rgb: (4, 8, P, 3) readings.
+        mask: (4, 8) bool, pixels that can be used.
+        view, point: (3,) of the tile's middle.
+
+    Returns:
+        (n, 3) normals, (n, 3) diffuse albedo with all mirror reflection left in.
+    """
+    diffuse = tables.diffuse.astype(float).swapaxes(1, 2).reshape(len(tables.diffuse), ROWS, -1)
+    count = len(lights.patterns)
+    pixels = rgb[mask].astype(float)
+    mean = pixels.mean(axis=0)
+    unit = lights.colour / np.linalg.norm(lights.colour)
+    total = mean.sum(axis=0)
+    across = total - (total @ unit) * unit
+    across /= np.linalg.norm(across)
+    normal, b, cell = view, np.zeros(3), -1
+    for _ in range(config.iterations):
+        cell = cells(normal[None])[0]
+        rows = diffuse[cell, :, :count]
+        b = rows[:3] @ (mean @ across - _moved(rows[None], b[None], point[None])[0])
+        normal = b / np.linalg.norm(b)
+    xx, yy, zz, xy, xz, yz = diffuse[cell, 6:12, :count]
+    moved = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    change = np.einsum("abk,b->ak", moved, point)
+    solver = diffuse[cell, :3, :count]
+    # Signals s = (G + J p) b with S G = 1, so that (1 + S J p) b = S s.
+    found = np.linalg.solve(np.eye(3) + solver @ change.T, solver @ (pixels @ across).T).T
+    normals = found / np.linalg.norm(found, axis=1, keepdims=True)
+    e = np.maximum(normals @ (diffuse[cell, 3:6, :count] + change), 0)
+    line = tables.leaving.astype(float)
+    e *= np.interp(normals @ view, np.linspace(0, 1, len(line)), line)[:, None]
+    lit = np.einsum("np,npc->nc", e, pixels / lights.colour)
+    return normals, lit / (e * e).sum(axis=1)[:, None]
+
+
 def tabulated(
     rgb: np.ndarray,
     views: np.ndarray,
