@@ -217,23 +217,13 @@ def _vectors(lights: PatternLights) -> np.ndarray:
     return np.asarray(lights.strength @ (lights.position_mm / lights.radius_mm[:, None]))
 
 
-def require_unpolarised(lights: PatternLights) -> None:
-    """Refuse patterns from which no normal follows without a polariser.
+def fix_normals(lights: PatternLights) -> bool:
+    """Whether the patterns light from three directions in all channels alike.
 
-    Raises:
-        ProcessingError: fewer than three independent directions of light, or polarised patterns.
+    Two shots of `mux` do not: their channels, each by itself, hold one gradient and its complement.
     """
-    patterns = lights.patterns
     vectors = _vectors(lights)
-    polarised = [name for name in patterns if "@" in name]
-    if polarised or np.linalg.matrix_rank(vectors, tol=1e-3 * np.abs(vectors).max()) < 3:
-        raise ProcessingError(
-            "session.json",
-            field="sequence",
-            found=", ".join(polarised or patterns),
-            expected="unpolarised patterns from three directions, such as the sequence binary",
-            hint="Capture with `--sequence binary`.",
-        )
+    return bool(np.linalg.matrix_rank(vectors, tol=1e-3 * np.abs(vectors).max(initial=1e-300)) == 3)
 
 
 def octahedral_normals(side: int = OCTAHEDRON) -> np.ndarray:
@@ -266,6 +256,15 @@ def octahedral_cell(x: float, y: float, z: float, side: int) -> int:
     i = min(side - 1, int((u + 1) / 2 * side))
     j = min(side - 1, int((v + 1) / 2 * side))
     return i * side + j
+
+
+@njit(parallel=True, cache=True)
+def cells_of(normals: np.ndarray) -> np.ndarray:
+    """(n,) each normal's cell of the octahedral grid; 0 for a zero one."""
+    out = np.zeros(len(normals), np.int64)
+    for i in prange(len(normals)):
+        out[i] = octahedral_cell(normals[i, 0], normals[i, 1], normals[i, 2], OCTAHEDRON)
+    return out
 
 
 def far_field(lights: PatternLights) -> np.ndarray:

@@ -70,7 +70,7 @@ def solve_view(
         part = solve_jointly(
             view.rgb[band],
             scene.lights,
-            place_of(scene, sight, band),
+            place_of(scene, view, band),
             begin,
             roughness[band],
             specular[band],
@@ -87,7 +87,8 @@ def solve_view(
     agreement = np.einsum("nk,nk->n", solved.normal, sight.normals)
     good = view.usable & (agreement > 0)
     trust = steady(view, config) * np.clip(2 * agreement, 0, 1)
-    trust *= np.clip(view.saturation / config.grey_saturation - 1, 0, 1)
+    if not scene.lights.polarised:
+        trust *= np.clip(view.saturation / config.grey_saturation - 1, 0, 1)
     power = solved.power.mean(axis=1)
     trust *= power / (power + config.dark_power)
     trust /= 1 + solved.misfit / config.doubtful_misfit

@@ -98,7 +98,7 @@ def solve_grid(scene: Scene, view: View, before: Solved | None, config: RefineCo
     return solve_jointly(
         view.rgb,
         scene.lights,
-        place_of(scene, sight),
+        place_of(scene, view),
         start,
         *gloss_of(scene, sight),
         skin_interface(),
@@ -122,7 +122,7 @@ def grid_evidence(scene: Scene, view: View, solved: Solved, config: RefineConfig
     evidence = gloss_evidence(
         view.rgb,
         scene.lights,
-        place_of(scene, sight),
+        place_of(scene, view),
         solved.normal,
         *gloss_of(scene, sight),
         skin_interface(),

@@ -49,12 +49,15 @@ class Place:
         views: (n, 3) unit, toward the camera.
         shadows: lights that each sees.
         bounced: (V, P, 3) float32 irradiance at the shadows' vertices by light from other skin.
+        mirrored: (L,) share of each lamp's mirror reflection that reaches the camera: 1 without
+            polarisers.
     """
 
     points_mm: np.ndarray
     views: np.ndarray
     shadows: Shadows
     bounced: np.ndarray
+    mirrored: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +82,8 @@ class Solved:
 
     Attributes:
         normal: (n, 3) float32 unit, from all that was read.
-        matte: (n, 3) float32 unit, from the part of the readings that no white gloss holds.
+        matte: (n, 3) float32 unit, from the part of the readings that no white gloss holds; of
+            polarised ones, from what is left of all when gloss is taken off.
         lit: (n, 3) float32 least squares of the diffuse albedo is lit / power.
         power: (n, 3) float32 the sum of squared irradiance.
         misfit: (n,) float32 mean squared residual over its expected variance.
@@ -112,7 +116,7 @@ def solve_jointly(
 
     Args:
         rgb: (n, P, 3) readings in the lights' own colour.
-        lights: of P patterns.
+        lights: of P patterns; polarised ones need no colour to tell what is mirrored.
         place: of the n pixels.
         normals: (n, 3) unit, to start from; zero where there is none.
         roughness: (n,) Beckmann's m.
@@ -136,6 +140,7 @@ def solve_jointly(
     solve_kernel(
         *_arguments(rgb, lights, place, normals, roughness, specular, interface, scattered, noise),
         rounds,
+        not lights.polarised,
         out.normal,
         out.matte,
         out.lit,
@@ -221,7 +226,7 @@ def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps
         group_end=lights.group_end,
         exponent=np.float32(lights.exponent),
         diffuse_share=lights.diffuse_share.astype(np.float32),
-        mirror_share=lights.mirror_share.astype(np.float32),
+        mirrored=place.mirrored.astype(np.float32),
         stray=stray.astype(np.float32),
         bounced=place.bounced,
         table=fresnel_table().astype(np.float32),

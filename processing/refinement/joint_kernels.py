@@ -252,6 +252,7 @@ def solve_kernel(
     lamps: Lamps,
     spread: Spread,
     rounds: int,
+    colour: bool,
     normals: np.ndarray,
     mattes: np.ndarray,
     lit: np.ndarray,
@@ -307,7 +308,7 @@ def solve_kernel(
                 turned[c] = n[c] - turned[c]
         if not good:
             continue
-        if not _matte_normal(light, rgb[i], rho, matte):
+        if not _matte_normal(light, rgb[i], rho, s, colour, matte):
             matte[:] = 0
         # The last step is short: what it changes is taken as linear.
         for k in range(patterns):
@@ -331,13 +332,22 @@ def solve_kernel(
 
 
 @njit(cache=True, error_model="numpy")
-def _matte_normal(light: np.ndarray, rgb: np.ndarray, rho: np.ndarray, out: np.ndarray) -> bool:
+def _matte_normal(
+    light: np.ndarray,
+    rgb: np.ndarray,
+    rho: np.ndarray,
+    s: float,
+    colour: bool,
+    out: np.ndarray,
+) -> bool:
     """Normal from chroma: signal_k = g_k . b along the pixel's own hue, across white.
+
+    Without `colour`, from the sum of all channels less the mirror reflection.
 
     Source: [Mallick2005].
     """
-    hue = np.zeros(3)
-    for k in range(len(rgb)):
+    hue = np.zeros(3) if colour else np.ones(3)
+    for k in range(len(rgb) if colour else 0):
         grey = (rgb[k, 0] + rgb[k, 1] + rgb[k, 2]) / 3
         for c in range(3):
             hue[c] += rgb[k, c] - grey
@@ -348,7 +358,7 @@ def _matte_normal(light: np.ndarray, rgb: np.ndarray, rho: np.ndarray, out: np.n
     for k in range(len(rgb)):
         signal = 0.0
         for c in range(3):
-            signal += hue[c] / length * (rgb[k, c] - rho[c] * light[k, 9 + c])
+            signal += hue[c] / length * (rgb[k, c] - rho[c] * light[k, 9 + c] - s * light[k, 4])
         for x in range(3):
             b[x, 0] += light[k, 1 + x] * signal
             for y in range(x + 1):

@@ -23,8 +23,9 @@ class Lamps(NamedTuple):
 
     Attributes:
         visible: (V, L) uint8.
-        position, radius, weight, levels, group_end, exponent, diffuse_share, mirror_share: as of
-            `PatternLights`, in float32.
+        position, radius, weight, levels, group_end, exponent, diffuse_share: as of `PatternLights`,
+            in float32.
+        mirrored: (L,) float32 share of each lamp's mirror reflection that reaches the camera.
         stray: (P, 3, 4) float32, what a camera's polariser leaves of it.
         bounced: (V, P, 3) float32 irradiance by light from other skin.
         table: of `lobe.fresnel_table`.
@@ -39,7 +40,7 @@ class Lamps(NamedTuple):
     group_end: np.ndarray
     exponent: np.float32
     diffuse_share: np.ndarray
-    mirror_share: np.ndarray
+    mirrored: np.ndarray
     stray: np.ndarray
     bounced: np.ndarray
     table: np.ndarray
@@ -61,7 +62,7 @@ def gather(
     """Fill out (P, 12): E, its gradient (3), B, its gradient (3), B's slope over m, bounced rgb."""
     visible, position, radius, weight = lamps.visible, lamps.position, lamps.radius, lamps.weight
     levels, group_end, exponent, stray = lamps.levels, lamps.group_end, lamps.exponent, lamps.stray
-    diffuse_share, mirror_share = lamps.diffuse_share, lamps.mirror_share
+    diffuse_share, mirrored = lamps.diffuse_share, lamps.mirrored
     bounced, table, through, mean = lamps.bounced, lamps.table, lamps.through, lamps.mean
     out[:] = 0
     # Whole numbers would make every float32 beside them a float64, which takes twice as long.
@@ -134,7 +135,7 @@ def gather(
             place = min(one, vx * hx + vy * hy + vz * hz) * most
             below = min(steps - 1, int(place))
             rest = place - np.float32(below)
-            lobe *= seen
+            lobe *= seen * mirrored[j]
             if m2 * (one - nl * nl) > UNSHADOWED * nl * nl:
                 lobe *= np.float32(shadowing(nl, roughness))
             lobe *= table[below] * (one - rest) + table[below + 1] * rest
@@ -163,13 +164,9 @@ def gather(
             out[k, 7] += level * bz
             out[k, 8] += level * bm / roughness
     for k in range(levels.shape[1]):
-        matte, mirror = diffuse_share[k], mirror_share[k]
-        out[k, 0] *= matte
-        for x in range(3):
-            out[k, 1 + x] *= matte
-            out[k, 5 + x] *= mirror
-        out[k, 4] *= mirror
-        out[k, 8] *= mirror
+        matte = diffuse_share[k]
+        for x in range(4):
+            out[k, x] *= matte
         for x in range(3):
             beside = stray[k, x, 3]
             for y in range(3):

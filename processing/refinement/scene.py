@@ -11,6 +11,7 @@ from lightstage.rig import Camera
 from processing.errors import ProcessingError
 from processing.frames.read import Frames
 from processing.lighting.lights import PatternLights, Shadows
+from processing.lighting.polarisers import evened, mirrored_of_lamps
 from processing.masks import edge_distance_px
 from processing.readings import px_per_mm, read_pixels
 from processing.refinement.config import RefineConfig
@@ -40,6 +41,7 @@ class View:
         saturation: (n,) of the sum over patterns.
         usable: (n,) bool: not clipped, not dark, finite.
         px_per_mm: pixels a millimetre.
+        mirrored: (L,) see `joint.Place`.
     """
 
     sight: Sight
@@ -47,6 +49,7 @@ class View:
     saturation: np.ndarray
     usable: np.ndarray
     px_per_mm: float
+    mirrored: np.ndarray
 
 
 @dataclasses.dataclass
@@ -144,16 +147,20 @@ def read_view(
         rgb[band], saturation[band], usable[band] = clean, colourful, good
         done += len(pixels)
     rgb /= white.astype(np.float32)
-    return View(sight, rgb, saturation, usable, px_per_mm(camera) / step)
+    evened(rgb, scene.lights, camera, sight.normals)
+    mirrored = mirrored_of_lamps(scene.lights, camera)
+    return View(sight, rgb, saturation, usable, px_per_mm(camera) / step, mirrored)
 
 
-def place_of(scene: Scene, sight: Sight, band: slice = ALL) -> Place:
+def place_of(scene: Scene, view: View, band: slice = ALL) -> Place:
     """Where a view's pixels lie."""
+    sight = view.sight
     return Place(
         sight.points_mm[band],
         sight.views[band],
         Shadows(sight.shadows.corners[band], sight.shadows.weights[band], sight.shadows.visible),
         scene.bounced,
+        view.mirrored,
     )
 
 

@@ -12,12 +12,13 @@ from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.frames.read import read_foreground, read_frames
-from processing.lighting.lights import pattern_lights, require_unpolarised
+from processing.lighting.lights import fix_normals, pattern_lights
 from processing.pixels import MAP_NAMES, PixelMaps, write_maps
 from processing.refinement.config import RefineConfig
 from processing.refinement.every_pixel import solve_view
 from processing.refinement.gloss_search import find_gloss
 from processing.refinement.scene import prepare_scene, read_view
+from processing.refinement.unrefined import keep_coarse
 
 
 def refine(
@@ -26,7 +27,8 @@ def refine(
     """Solve reflectance again with the mesh, and overwrite the views' maps and masks.
 
     Gloss, light from skin to skin and scattering are found first, from a grid of every view's
-    pixels; then each view's pixels are solved one by one.
+    pixels; then each view's pixels are solved one by one. Patterns that cannot be solved
+    so, such as those of `mux`, keep the coarse maps, and the facts warn of it.
 
     Returns:
         Facts: pixels, vertices, mean confidence, gloss and scattering found.
@@ -39,9 +41,10 @@ def refine(
     mesh = read_ply(folder.base_mesh)
     cameras = [session.rig.camera(camera_id) for camera_id in session.camera_ids()]
     lights = pattern_lights(session, read_frames(out, cameras[0].id).patterns)
-    require_unpolarised(lights)
-    steps = 3 + config.gloss_rounds + len(cameras)
     seen_by = [(camera, read_foreground(out, camera.id)) for camera in cameras]
+    if not fix_normals(lights):
+        return keep_coarse(folder, mesh, lights, seen_by, config, progress)
+    steps = 3 + config.gloss_rounds + len(cameras)
     scene = prepare_scene(mesh, lights, seen_by, config)
     progress(1, steps)
     grids = [
@@ -69,6 +72,7 @@ def refine(
         progress(3 + config.gloss_rounds + done, steps)
     seen = np.unique(np.concatenate([grid.sight.shadows.corners.ravel() for grid in grids]))
     return {
+        "maps": "exact",
         "views": len(cameras),
         "pixels": pixels,
         "vertices": len(scene.surface.vertices),

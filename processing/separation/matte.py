@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
 from processing.lighting.interface import skin_interface
 from processing.lighting.lights import (
-    OCTAHEDRON,
     PatternLights,
+    cells_of,
     far_field,
     irradiance_vectors,
     no_shadows,
-    octahedral_cell,
 )
 from processing.normals import solve_far_normals, solve_normals
 from processing.separation.config import SeparateConfig
@@ -75,12 +73,3 @@ def matte_normals(
         signal, brightness, vectors, cell, normal, views, noise, config.half_trust_deg
     )
     return normal, trust
-
-
-@njit(parallel=True, cache=True)
-def cells_of(normals: np.ndarray) -> np.ndarray:
-    """(n,) each normal's cell of the octahedral grid; 0 for a zero one."""
-    out = np.zeros(len(normals), np.int64)
-    for i in prange(len(normals)):
-        out[i] = octahedral_cell(normals[i, 0], normals[i, 1], normals[i, 2], OCTAHEDRON)
-    return out

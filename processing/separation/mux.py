@@ -14,12 +14,17 @@ import numpy as np
 from numba import njit, prange
 
 from processing.albedo import pooled
-from processing.lighting.lights import OCTAHEDRON, PatternLights, far_field, octahedral_cell
+from processing.lighting.lights import (
+    OCTAHEDRON,
+    PatternLights,
+    cells_of,
+    far_field,
+    octahedral_cell,
+)
 from processing.pixels import PixelMaps
 from processing.readings import BRIGHTEST
 from processing.separation.config import SeparateConfig
 from processing.separation.lobe_table import LobeTable, lobe_at, lobe_table, table_lobe
-from processing.separation.matte import cells_of
 from processing.separation.mirror import turn_by, two_across
 
 ROUNDS = 8

@@ -11,14 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from lightstage.rig import Camera
-from processing.lighting.lights import PatternLights
+from processing.lighting.lights import PatternLights, cells_of
+from processing.lighting.polarisers import diffuse_shares, mirror_lights
 from processing.pixels import PixelMaps
 from processing.readings import read_pixels
 from processing.separation.config import SeparateConfig, relief_of
 from processing.separation.lobe_fit import maps_by_lobe
 from processing.separation.lobe_table import lobe_table, table_lobe
-from processing.separation.matte import cells_of, matte_normals
-from processing.separation.polarisers import diffuse_shares, mirror_lights
+from processing.separation.matte import matte_normals
 from processing.separation.variants import beside_centre, noise_of, normal_signal
 from processing.surface import Sight
 

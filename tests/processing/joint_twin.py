@@ -27,6 +27,7 @@ class Pixel:
         bounced: (P, 3) irradiance by light from other skin.
         kept: (3,).
         rest: (P, 3) what wanders here from neighbours.
+        mirrored: (L,) share of each lamp's mirror reflection that the camera gets.
     """
 
     rgb: np.ndarray
@@ -38,6 +39,7 @@ class Pixel:
     bounced: np.ndarray
     kept: np.ndarray
     rest: np.ndarray
+    mirrored: np.ndarray
 
 
 def entering(interface: Interface, cosine: np.ndarray, roughness: float) -> np.ndarray:
@@ -95,9 +97,9 @@ class Light:
         nv = base_nv + float((normal - self.base) @ pixel.view)
         spread = np.exp((nh2 - 1) / (nh2 * roughness**2)) / (4 * roughness**2 * nh2**2 * nv)
         shadows = shadowing(np.array(base_nv), own) * shadowing(np.maximum(base_nl, 1e-9), own)
-        mirrored = np.interp(half @ pixel.view, np.linspace(0, 1, 257), TABLE)
-        lobe = np.where(inside, spread * shadows * mirrored, 0)
-        return e, strength @ lobe
+        fresnel = np.interp(half @ pixel.view, np.linspace(0, 1, 257), TABLE)
+        lobe = np.where(inside, spread * shadows * fresnel, 0)
+        return e, strength @ (lobe * pixel.mirrored)
 
     def across(self) -> np.ndarray:
         """(2, 3) two unit directions across the base."""

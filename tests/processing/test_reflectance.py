@@ -15,19 +15,18 @@ from lightstage.formats.session import Calibration, Session
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig
 from processing.albedo import specular_evidence
-from processing.errors import ProcessingError
 from processing.frames.read import Frames
 from processing.lighting.fresnel import fresnel
 from processing.lighting.interface import skin_interface
 from processing.lighting.lights import (
     PatternLights,
     far_field,
+    fix_normals,
     irradiance_vectors,
     no_shadows,
     octahedral_cell,
     octahedral_normals,
     pattern_lights,
-    require_unpolarised,
 )
 from processing.lighting.lobe import transport
 from processing.normals import ratio_normals, solve_far_normals, solve_normals
@@ -38,7 +37,7 @@ from processing.refinement.gloss_search import find_gloss
 from processing.refinement.scene import prepare_scene, read_view
 from processing.separation.colour import separate_pixels
 from processing.separation.config import SeparateConfig
-from tests.processing import lit_ball
+from tests.processing import lit_ball, shots
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 
 RIG = lit_ball.small_rig()
@@ -331,8 +330,9 @@ def test_vectors_that_lie_in_a_plane_are_not_solved() -> None:
     assert not solve_normals(np.ones((1, 7)), vectors).any()
 
 
-def test_patterns_that_fix_no_normal_are_refused() -> None:
-    with pytest.raises(ProcessingError, match="three directions"):
-        require_unpolarised(lights_of(RIG, ("full", "x+", "x-")))
-    with pytest.raises(ProcessingError, match="parallel"):
-        require_unpolarised(lights_of(RIG, tuple(f"{name}@parallel" for name in PATTERNS)))
+def test_three_directions_in_all_channels_fix_normals() -> None:
+    assert fix_normals(lights_of(RIG, PATTERNS))
+    assert fix_normals(lights_of(RIG, tuple(f"{name}@parallel" for name in PATTERNS)))
+    assert not fix_normals(lights_of(RIG, ("full", "x+", "x-")))
+    coloured = shots.coloured_rig(RIG)
+    assert not fix_normals(shots.rig_lights(coloured, ("mux-1", "mux-2")))

@@ -17,7 +17,7 @@ import numpy as np
 
 from lightstage.rig import Camera
 from processing.lighting.interface import INDEX
-from processing.lighting.lights import PatternLights, octahedral_normals
+from processing.lighting.lights import PatternLights, cells_of, octahedral_normals
 
 SHORT = 1e-9
 
@@ -97,6 +97,27 @@ def mirror_lights(lights: PatternLights, camera: Camera) -> PatternLights:
         diffuse_share=np.ones(len(lights.patterns)),
         mirror_share=np.ones(len(lights.patterns)),
     )
+
+
+def mirrored_of_lamps(lights: PatternLights, camera: Camera) -> np.ndarray:
+    """(L,) share of each lamp's mirror reflection that reaches a camera: 1 without polarisers."""
+    if not lights.polarised:
+        return np.ones(len(lights.weight))
+    return mirror_shares(*_lamps(lights), camera)
+
+
+def evened(rgb: np.ndarray, lights: PatternLights, camera: Camera, normals: np.ndarray) -> None:
+    """Make readings, in place, as if polarisers took half of all diffuse light alike.
+
+    Args:
+        rgb: (n, P, 3).
+        lights: of P patterns; where they are not polarised nothing is done.
+        camera: whose readings they are.
+        normals: (n, 3) unit, about.
+    """
+    if lights.polarised:
+        shares = diffuse_shares(lights, camera).astype(np.float32)
+        rgb /= shares[cells_of(normals)][:, :, None]
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
