@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from processing.errors import ProcessingError
 from processing.lighting.lights import PatternLights, rank
 from processing.pixels import PixelMaps
 from processing.separation import colour, kampouris, linear, mux, polarised, ratios
 from processing.separation.config import SeparateConfig
+from processing.separation.pixels import Pixels
 
-Method = Callable[
-    [np.ndarray, np.ndarray, np.ndarray, np.ndarray, PatternLights, float, SeparateConfig],
-    PixelMaps,
-]
-"""Separates one view's pixels; arguments and result are those of `colour.separate_pixels`."""
+Method = Callable[[Pixels, PatternLights, SeparateConfig], PixelMaps]
+"""Separates one view's pixels under the lights of their patterns."""
 
 METHODS: dict[str, Method] = {
     "colour": colour.separate_pixels,

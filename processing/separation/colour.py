@@ -24,6 +24,7 @@ from processing.separation.coarse_tiles import solve_tiles
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import far_tables
 from processing.separation.lanes import LANES
+from processing.separation.pixels import Pixels
 
 RAY_STEP_RAD = 1e-3
 """The camera's rays are found at steps of this angle and interpolated."""
@@ -59,36 +60,23 @@ class Readings:
     px_per_mm: float
 
 
-def separate_pixels(
-    rgb: np.ndarray,
-    valid: np.ndarray,
-    views: np.ndarray,
-    mask: np.ndarray,
-    lights: PatternLights,
-    px_per_mm: float,
-    config: SeparateConfig,
-    camera_mm: np.ndarray | None = None,
-) -> PixelMaps:
+def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
     """Separation of one view's pixels that are at hand as an array; see `separate_window`.
 
     Args:
-        rgb: (n, P, 3) what the mask's pixels read, in row order.
-        valid: (n,) bool, false where clipped.
-        views: (n, 3) unit, toward the camera.
-        mask: (h, w) bool with n true pixels.
+        pixels: of the view.
         lights: of the P patterns.
-        px_per_mm: pixels a millimetre at the sphere's centre.
         config: see there.
-        camera_mm: (3,) where the camera is; without it every pixel lies at the sphere's centre.
     """
-    values = np.zeros((rgb.shape[1], *mask.shape, 3), np.float32)
-    values[:, mask] = rgb.transpose(1, 0, 2)
+    mask = pixels.mask
+    values = np.zeros((pixels.rgb.shape[1], *mask.shape, 3), np.float32)
+    values[:, mask] = pixels.rgb.transpose(1, 0, 2)
     rays = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1, 3), np.float32)
-    rays[:-1, :-1][mask] = -views
+    rays[:-1, :-1][mask] = -pixels.views
     good = np.zeros(mask.shape, bool)
-    good[mask] = valid
-    place = np.zeros(3) if camera_mm is None else camera_mm
-    readings = Readings(values, 1.0, mask, good, (0, 0), rays, 1, place, px_per_mm)
+    good[mask] = pixels.valid
+    place = np.zeros(3) if pixels.camera is None else pixels.camera.centre_mm
+    readings = Readings(values, 1.0, mask, good, (0, 0), rays, 1, place, pixels.px_per_mm)
     return separate_window(readings, lights, config)
 
 

@@ -20,24 +20,22 @@ from processing.readings import read_pixels
 from processing.separation.config import KampourisConfig, SeparateConfig, relief_of
 from processing.separation.lobe_fit import with_detail
 from processing.separation.pairs import axis_pairs, full_reading
+from processing.separation.pixels import Pixels
 from processing.separation.variants import normal_signal
 
 COMBINES = ("maximum", "median", "mean", "weighted")
 
 
-def separate_pixels(
-    rgb: np.ndarray,
-    valid: np.ndarray,
-    views: np.ndarray,
-    mask: np.ndarray,
-    lights: PatternLights,
-    px_per_mm: float,
-    config: SeparateConfig,
-) -> PixelMaps:
-    """The published separation of one view's pixels; arguments as of `colour.separate_pixels`.
+def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
+    """The published separation of one view's pixels.
 
     Normals are ratios of the separated photographs, or of what `config.normals` names; specular
     normals halve the angle between the specular ratios' direction and the view.
+
+    Args:
+        pixels: of the view.
+        lights: of their patterns.
+        config: see there.
 
     Returns:
         PixelMaps; confidence 0 and zeros where a pixel is clipped, dark, grey or not finite.
@@ -49,11 +47,14 @@ def separate_pixels(
     """
     told = config.kampouris
     pairs = axis_pairs(lights.patterns)
-    rgb, _, saturation, usable = read_pixels(rgb, valid, lights.colour, config.dark_level)
+    views, mask = pixels.views, pixels.mask
+    rgb, _, saturation, usable = read_pixels(
+        pixels.rgb, pixels.valid, lights.colour, config.dark_level
+    )
     rgb /= lights.colour.astype(np.float32)
     specular, vector, diffuse = published_parts(rgb, pairs, told)
     if told.pool_mm > 0:
-        specular = blurred(specular[:, None], usable, mask, told.pool_mm * px_per_mm)[:, 0]
+        specular = blurred(specular[:, None], usable, mask, told.pool_mm * pixels.px_per_mm)[:, 0]
     if config.normals != "auto":
         diffuse = normal_signal(rgb, config.normals)[:, pairs.ravel()]
     normal = pair_normals(diffuse, lights, pairs, views, told.field, config.iterations)
@@ -67,7 +68,7 @@ def separate_pixels(
     if (relief := relief_of("kampouris", config)) != "diffuse":
         facets = _halved(views, vector, normal)
     if relief == "detail":
-        sigma_px = config.linear.detail_mm * px_per_mm
+        sigma_px = config.linear.detail_mm * pixels.px_per_mm
         facets = with_detail(normal, facets, solved, mask, sigma_px)
     facing = np.clip(np.einsum("nk,nk->n", normal, views) / 0.3, 0, 1)
     maps = (normal, facets, albedo, specular, np.full(len(rgb), config.roughness))

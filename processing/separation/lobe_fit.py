@@ -18,14 +18,14 @@ from processing.albedo import (
     pooled,
     specular_evidence,
 )
-from processing.lighting.interface import BARE, Interface, skin_interface
-from processing.lighting.lights import PatternLights, Shadows, no_shadows
+from processing.lighting.interface import BARE, skin_interface
+from processing.lighting.lights import PatternLights, no_shadows
 from processing.lighting.lobe import SKIN_F0, transport
 from processing.normals import blurred
 from processing.pixels import PixelMaps
 from processing.separation.lobe_table import lobe_table, table_lobe
 from processing.separation.mirror import MirrorConfig, mirror_normals
-from processing.surface import Sight
+from processing.separation.pixels import Pixels
 
 MOST_SPECULAR = 0.2
 """Reflectances above are metals, not faces."""
@@ -53,105 +53,65 @@ class LobeFitConfig:
     mirror: MirrorConfig = dataclasses.field(default_factory=MirrorConfig)
 
 
-@dataclasses.dataclass(frozen=True)
-class Place:
-    """Where n pixels lie, and what light they get.
-
-    Attributes:
-        lights: of P patterns.
-        mirror: the same as mirror reflection shows them.
-        points_mm: (n, 3).
-        shadows: of the n points.
-        interface: that light passes on its way in and out.
-    """
-
-    lights: PatternLights
-    mirror: PatternLights
-    points_mm: np.ndarray
-    shadows: Shadows
-    interface: Interface
-
-    def irradiance(self, normal: np.ndarray, views: np.ndarray, m: float) -> np.ndarray:
-        """(n, P) E_k."""
-        seen = (self.points_mm, normal, views, m, self.shadows, self.interface)
-        return transport(self.lights, *seen)[0]
-
-    def lobe(self, normal: np.ndarray, views: np.ndarray, m: np.ndarray | float) -> np.ndarray:
-        """(n, P) B_k."""
-        return transport(self.mirror, self.points_mm, normal, views, m, self.shadows)[1]
-
-
 def maps_by_lobe(
+    pixels: Pixels,
     rgb: np.ndarray,
     normal: np.ndarray,
     trust: np.ndarray,
     lights: PatternLights,
     mirror: PatternLights,
-    views: np.ndarray,
-    mask: np.ndarray,
-    px_per_mm: float,
     noise: float,
     relief: str,
     config: LobeFitConfig,
-    sight: Sight | None = None,
     shares: np.ndarray | None = None,
-    points_mm: np.ndarray | None = None,
 ) -> PixelMaps:
     """Maps of one view's pixels.
 
     Args:
-        rgb: (n, P, 3) readings, white where the lights are; finite.
+        pixels: whose views, mask and places are taken.
+        rgb: (n, P, 3) their readings, white where the lights are; finite.
         normal: (n, 3) unit diffuse normals, zero where unsolved.
         trust: (n,) confidence.
         lights: of the P patterns.
         mirror: the same as mirror reflection shows them to this camera.
-        views: (n, 3) unit, toward the camera.
-        mask: (h, w) bool with n true pixels.
-        px_per_mm: pixels a millimetre at the sphere's centre.
         noise: standard deviation of a reading I over sqrt(.25 + I).
         relief: what specular normals are: ``mirror``, ``detail`` or ``diffuse``.
         config: see there.
-        sight: what the camera sees of a mesh, None for lights far away and no shadows.
         shares: (n, P) what the camera gets of the irradiance; None for all.
-        points_mm: (n, 3) where the pixels lie, about, where there is no mesh; None for the centre.
 
     Returns:
         PixelMaps, zero where there is no normal.
     """
+    views, mask, px_per_mm = pixels.views, pixels.mask, pixels.px_per_mm
     solved = np.einsum("nk,nk->n", normal, normal) > 0.5
     if not solved.any():
         zeros = np.zeros_like(normal)
         nothing = np.zeros(len(normal))
         return PixelMaps(zeros, zeros, zeros, nothing, nothing, nothing)
-    place = Place(lights, mirror, np.zeros_like(normal), no_shadows(len(rgb), lights), BARE)
-    if points_mm is not None:
-        place = dataclasses.replace(place, points_mm=points_mm, interface=skin_interface())
-    if sight is not None:
-        place = Place(lights, mirror, sight.points_mm, sight.shadows, skin_interface())
-    e = place.irradiance(normal, views, config.roughness[len(config.roughness) // 2])
+    points, interface = pixels.points_mm, skin_interface()
+    if points is None:
+        points, interface = np.zeros_like(normal), BARE
+    m = config.roughness[len(config.roughness) // 2]
+    sky = no_shadows(len(rgb), lights)
+    e, _ = transport(lights, points, normal, views, m, sky, interface)
     if shares is not None:
         e = e * shares
     table = lobe_table(mirror, views[solved].mean(axis=0), config.roughness)
     mean = rgb.mean(axis=2)
     weight = 1 / np.sqrt(_variance(mean, mean, noise, config))
-    near = sight is not None
 
     def lobe_of(m: np.ndarray | float) -> np.ndarray:
-        return place.lobe(normal, views, m) if near else table_lobe(table, normal, views, m)
+        return table_lobe(table, normal, views, m)
 
     roughness, specular = _gloss(mean, e, weight, lobe_of, solved, mask, px_per_mm, config)
-    lobe = lobe_of(roughness)
-    lit, power = diffuse_light(rgb, e, lobe, specular)
+    lit, power = diffuse_light(rgb, e, lobe_of(roughness), specular)
     lit[~solved], power[~solved] = 0, 0
     albedo = diffuse_albedo(lit, power, mask, px_per_mm, config.albedo_prior_power)
     matte = e * albedo.mean(axis=1)[:, None]
     facets = normal
     if relief != "diffuse":
-        apart = lobe - table_lobe(table, normal, views, roughness) if near else None
         sigma = np.sqrt(_variance(mean, matte, noise, config))
-        found = mirror_normals(
-            mean - matte, sigma, table, normal, views, roughness, config.mirror, apart
-        )
+        found = mirror_normals(mean - matte, sigma, table, normal, views, roughness, config.mirror)
         facets = found.normal
     if relief == "detail":
         facets = with_detail(normal, facets, solved, mask, config.detail_mm * px_per_mm)

@@ -55,7 +55,6 @@ def mirror_normals(
     views: np.ndarray,
     roughness: np.ndarray | float,
     config: MirrorConfig,
-    nearness: np.ndarray | None = None,
 ) -> Mirrored:
     """Normals that mirror the stage's lights as the specular part shows them.
 
@@ -67,8 +66,6 @@ def mirror_normals(
         views: (n, 3) unit, toward the camera.
         roughness: Beckmann's m, one or (n,).
         config: see there.
-        nearness: (n, P) what the lobe at the start truly gives less what the table says, where the
-            pixels' places and shadows are known.
 
     Returns:
         Mirrored; the start where nothing is mirrored or something is not finite.
@@ -84,7 +81,6 @@ def mirror_normals(
         table.roughness,
         np.ascontiguousarray(views, np.float64),
         np.ascontiguousarray(np.broadcast_to(np.asarray(roughness, np.float64), count)),
-        np.zeros((1, 1)) if nearness is None else np.ascontiguousarray(nearness, np.float64),
         math.radians(config.spread_deg),
         config.rounds,
         out.normal,
@@ -136,7 +132,6 @@ def _mirror(
     grid: np.ndarray,
     views: np.ndarray,
     roughness: np.ndarray,
-    nearness: np.ndarray,
     spread: float,
     rounds: int,
     normal: np.ndarray,
@@ -172,9 +167,6 @@ def _mirror(
             _seen(values, layer, part, turned, views[i], above)
             turn_by(n, across, up, a, b - TURN, turned)
             _seen(values, layer, part, turned, views[i], below)
-            if len(nearness) > 1:
-                for k in range(count):
-                    here[k] = max(here[k] + nearness[i, k], 0.0)
             shown = power = 0.0
             for k in range(count):
                 shown += weight[i, k] * specular[i, k] * here[k]

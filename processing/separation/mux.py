@@ -26,6 +26,7 @@ from processing.readings import BRIGHTEST
 from processing.separation.config import SeparateConfig
 from processing.separation.lobe_table import LobeTable, lobe_at, lobe_table, table_lobe
 from processing.separation.mirror import turn_by, two_across
+from processing.separation.pixels import Pixels
 
 ROUNDS = 8
 """Steps of Gauss-Newton with the lobe, whose light turns with the normal."""
@@ -41,16 +42,13 @@ ONE_PLANE = 1e-6
 """Planes of ratios that lie this near to one another determine no normal."""
 
 
-def separate_pixels(
-    rgb: np.ndarray,
-    valid: np.ndarray,
-    views: np.ndarray,
-    mask: np.ndarray,
-    lights: PatternLights,
-    px_per_mm: float,
-    config: SeparateConfig,
-) -> PixelMaps:
-    """Separation of one view's two shots; arguments as of `colour.separate_pixels`.
+def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
+    """Separation of one view's two shots.
+
+    Args:
+        pixels: of the view.
+        lights: of the two patterns.
+        config: see there.
 
     Returns:
         PixelMaps, one normal for both; confidence 0 and zeros where a pixel is clipped, dark in a
@@ -58,9 +56,10 @@ def separate_pixels(
 
     Source: [Kampouris2018] for the two shots.
     """
-    rgb = np.array(rgb, np.float32)
+    views = pixels.views
+    rgb = np.array(pixels.rgb, np.float32)
     # Comparisons with what is no number are false.
-    usable = valid & (np.abs(rgb) < BRIGHTEST).all(axis=(1, 2))
+    usable = pixels.valid & (np.abs(rgb) < BRIGHTEST).all(axis=(1, 2))
     rgb[~usable] = 0
     usable &= (rgb.sum(axis=1) > 0).all(axis=1)
     usable &= rgb.max(axis=1).mean(axis=1) > config.dark_level / 3
@@ -81,7 +80,7 @@ def separate_pixels(
         return normal, gap
 
     gaps = np.stack([with_gloss(np.full(len(rgb), s))[1] for s in TRIALS])
-    specular = np.where(usable, _specular(rgb, gaps, mask, px_per_mm, config), 0)
+    specular = np.where(usable, _specular(rgb, gaps, pixels, config), 0)
     normal, gap = with_gloss(specular)
     lobe = _lobes(tables, normal, views, config.roughness)
     e = _irradiance(far, normal)
@@ -287,7 +286,7 @@ def _lobes(
 
 
 def _specular(
-    rgb: np.ndarray, gaps: np.ndarray, mask: np.ndarray, px_per_mm: float, config: SeparateConfig
+    rgb: np.ndarray, gaps: np.ndarray, pixels: Pixels, config: SeparateConfig
 ) -> np.ndarray:
     """(n,) specular albedo that leaves the planes the least apart, over a neighbourhood.
 
@@ -297,14 +296,13 @@ def _specular(
     Args:
         rgb: (n, P, 3) readings.
         gaps: (trials, n) of `mux_normals`, the specular albedo of TRIALS taken off.
-        mask: (h, w) bool with n true pixels.
-        px_per_mm: pixels a millimetre at the sphere's centre.
+        pixels: of the view.
         config: see there.
     """
     bright = rgb.astype(np.float64).sum(axis=(1, 2))
-    sigma = config.mux.specular_pool_mm * px_per_mm
+    sigma = config.mux.specular_pool_mm * pixels.px_per_mm
     lost = gaps**2 / (gaps**2 + ODD**2) * np.minimum(bright, 1)
-    misfit = np.stack([pooled(each, mask, sigma) for each in lost])
+    misfit = np.stack([pooled(each, pixels.mask, sigma) for each in lost])
     grid = np.array(TRIALS)
     step = grid[1] - grid[0]
     bend = misfit[2:] - 2 * misfit[1:-1] + misfit[:-2]

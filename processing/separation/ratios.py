@@ -13,19 +13,17 @@ from processing.readings import read_pixels
 from processing.separation.config import SeparateConfig
 from processing.separation.kampouris import flat_albedo, pair_normals
 from processing.separation.pairs import axis_pairs
+from processing.separation.pixels import Pixels
 from processing.separation.variants import normal_signal
 
 
-def separate_pixels(
-    rgb: np.ndarray,
-    valid: np.ndarray,
-    views: np.ndarray,
-    mask: np.ndarray,
-    lights: PatternLights,
-    px_per_mm: float,
-    config: SeparateConfig,
-) -> PixelMaps:
-    """Ratio normals of one view's pixels; arguments as of `colour.separate_pixels`.
+def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:
+    """Ratio normals of one view's pixels.
+
+    Args:
+        pixels: of the view.
+        lights: of their patterns.
+        config: see there.
 
     Returns:
         PixelMaps: one normal for both, `full` less a constant as diffuse albedo, the constant as
@@ -36,10 +34,10 @@ def separate_pixels(
 
     Source: [Ma2007], [Wilson2010].
     """
-    del mask, px_per_mm
     told = config.ratios
     pairs = axis_pairs(lights.patterns)
-    rgb, _, _, usable = read_pixels(rgb, valid, lights.colour, config.dark_level)
+    views = pixels.views
+    rgb, _, _, usable = read_pixels(pixels.rgb, pixels.valid, lights.colour, config.dark_level)
     rgb /= lights.colour.astype(np.float32)
     part = "mean" if config.normals == "auto" else config.normals
     signal = normal_signal(rgb, part)[:, pairs.ravel()]

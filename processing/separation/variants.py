@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightstage.rig import Camera
 from processing.normals import chroma_signal
 
 WHITE = np.ones(3)
@@ -33,11 +32,3 @@ def normal_signal(rgb: np.ndarray, part: str) -> np.ndarray:
 def noise_of(part: str, noise: float) -> float:
     """Noise of `normal_signal`, where each channel has the noise given."""
     return noise / float(np.sqrt(3)) if part == "mean" else noise
-
-
-def beside_centre(views: np.ndarray, camera: Camera) -> np.ndarray:
-    """(n, 3) mm: where the rays of pixels, (n, 3) unit toward the camera, pass the sphere's centre.
-
-    A face fills the middle of the stage, so that this is right within some centimetres.
-    """
-    return np.asarray(camera.centre_mm - views * (views @ camera.centre_mm)[:, None])

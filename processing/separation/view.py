@@ -9,10 +9,11 @@ from processing.frames.read import Frames
 from processing.lighting.lights import PatternLights
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
-from processing.separation import colour, linear, polarised
+from processing.separation import colour
 from processing.separation.choice import METHODS
-from processing.separation.config import SeparateConfig
-from processing.surface import Sight
+from processing.separation.chroma import maps_by_chroma
+from processing.separation.config import SeparateConfig, relief_of
+from processing.separation.pixels import Pixels
 
 
 def separate_view(
@@ -47,44 +48,17 @@ def separate_view(
             camera,
         )
         return colour.separate_window(readings, lights, config)
-    rgb, valid = frames.pixels(mask), frames.valid[mask]
-    views = -camera.pixel_rays()[1][mask]
-    scale = px_per_mm(camera)
-    if method in ("colour", "linear"):
-        return linear.separate_pixels(rgb, valid, views, mask, lights, scale, config, camera=camera)
-    if method == "polarised":
-        return polarised.separate_pixels(
-            rgb, valid, views, mask, lights, scale, config, camera=camera
-        )
-    return METHODS[method](rgb, valid, views, mask, lights, scale, config)
-
-
-def separate_on_mesh(
-    method: str,
-    frames: Frames,
-    sight: Sight,
-    camera: Camera,
-    lights: PatternLights,
-    config: SeparateConfig,
-) -> PixelMaps:
-    """Separate one view whose mesh is known, by a method that takes positions and shadows.
-
-    Args:
-        method: ``polarised`` or ``linear``; the latter takes any unpolarised patterns.
-        frames: the view's photographs.
-        sight: what the camera sees of the mesh.
-        camera: the view's.
-        lights: of the frames' patterns.
-        config: see there.
-
-    Returns:
-        PixelMaps of the sight's pixels.
-    """
-    rgb, valid = frames.pixels(sight.mask), frames.valid[sight.mask]
-    seen = (rgb, valid, sight.views, sight.mask, lights, px_per_mm(camera), config)
-    if method == "polarised":
-        return polarised.separate_pixels(*seen, camera=camera, sight=sight)
-    return linear.separate_pixels(*seen, sight=sight)
+    pixels = Pixels(
+        rgb=frames.pixels(mask),
+        valid=frames.valid[mask],
+        views=-camera.pixel_rays()[1][mask],
+        mask=mask,
+        px_per_mm=px_per_mm(camera),
+        camera=camera,
+    )
+    if method == "colour":
+        return maps_by_chroma(pixels, lights, config, relief_of(method, config))
+    return METHODS[method](pixels, lights, config)
 
 
 def _plain(config: SeparateConfig) -> bool:

@@ -13,6 +13,7 @@ from processing.lighting.lobe import SKIN_F0
 from processing.separation.colour import SETTLED
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import CELLS, ROWS, FarTables
+from processing.separation.pixels import Pixels
 from tests.processing.lit_ball import exact_fresnel, smith
 
 
@@ -80,17 +81,11 @@ def light(
 
 
 def separate(
-    rgb: np.ndarray,
-    valid: np.ndarray,
-    views: np.ndarray,
-    mask: np.ndarray,
-    lights: PatternLights,
-    px_per_mm: float,
-    config: SeparateConfig,
-    camera_mm: np.ndarray,
+    pixels: Pixels, lights: PatternLights, config: SeparateConfig, camera_mm: np.ndarray
 ) -> Twin:
-    """What `colour.separate_pixels` claims to do, argument for argument."""
-    rgb = rgb.astype(float)
+    """What `colour.separate_pixels` claims to do for a camera at some place."""
+    rgb, valid, views = pixels.rgb.astype(float), pixels.valid, pixels.views
+    mask, px_per_mm = pixels.mask, pixels.px_per_mm
     with np.errstate(all="ignore"):
         total = rgb.sum(axis=1)
         bright = rgb.mean(axis=2).max(axis=1)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from lightstage.patterns import pattern_levels
+from lightstage.rig import Camera
 from processing.frames.halves import as_float
 from processing.lighting.interface import BARE, skin_interface
 from processing.lighting.lamps import nominal_lamps
@@ -38,6 +39,7 @@ from processing.separation.lanes import (
     store_turned,
     totals,
 )
+from processing.separation.pixels import Pixels
 from tests.processing import coarse_twin, lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 
@@ -57,10 +59,13 @@ def maps_of(
     rgb: np.ndarray,
     config: SeparateConfig = CONFIG,
     lights: PatternLights = LIGHTS,
-    camera_mm: np.ndarray | None = CAMERA.centre_mm,
+    camera: Camera | None = CAMERA,
 ) -> PixelMaps:
-    scale = px_per_mm(CAMERA)
-    return separate_pixels(rgb, GOOD, SIGHT.views, SIGHT.mask, lights, scale, config, camera_mm)
+    return separate_pixels(pixels_of(rgb, camera), lights, config)
+
+
+def pixels_of(rgb: np.ndarray, camera: Camera | None = CAMERA) -> Pixels:
+    return Pixels(rgb, GOOD, SIGHT.views, SIGHT.mask, px_per_mm(CAMERA), camera)
 
 
 def window_of(values: np.ndarray) -> Readings:
@@ -72,9 +77,7 @@ def window_of(values: np.ndarray) -> Readings:
 
 
 def test_coarse_maps_agree_with_every_light_summed_in_float64() -> None:
-    camera = CAMERA.centre_mm
-    scale = px_per_mm(CAMERA)
-    twin = coarse_twin.separate(READ, GOOD, SIGHT.views, SIGHT.mask, LIGHTS, scale, CONFIG, camera)
+    twin = coarse_twin.separate(pixels_of(READ), LIGHTS, CONFIG, CAMERA.centre_mm)
     maps = maps_of(READ)
     away = angle_deg(maps.diffuse_normal, twin.normal)
     assert np.median(away) < 0.2
@@ -121,9 +124,16 @@ def test_places_on_the_rays_make_normals_beside_the_centre_better() -> None:
     sight = lit_ball.see(ball, CAMERA)
     rgb = lit_ball.photograph(ball, sight, RIG).astype(np.float32)
     valid, scale = np.ones(len(rgb), bool), px_per_mm(CAMERA)
-    args = (rgb, valid, sight.views, sight.mask, LIGHTS, scale, CONFIG)
-    far = angle_deg(separate_pixels(*args).diffuse_normal, sight.normals)
-    near = angle_deg(separate_pixels(*args, CAMERA.centre_mm).diffuse_normal, sight.normals)
+    pixels = Pixels(rgb, valid, sight.views, sight.mask, scale)
+    far, near = (
+        angle_deg(
+            separate_pixels(
+                dataclasses.replace(pixels, camera=camera), LIGHTS, CONFIG
+            ).diffuse_normal,
+            sight.normals,
+        )
+        for camera in (None, CAMERA)
+    )
     assert near.mean() < 0.6 * far.mean()
 
 

@@ -20,6 +20,7 @@ from processing.separation import kampouris, linear, mux, polarised, ratios
 from processing.separation.choice import METHODS, chosen_method, fitting_methods
 from processing.separation.config import KampourisConfig, RatiosConfig, SeparateConfig, relief_of
 from processing.separation.pairs import axis_pairs
+from processing.separation.pixels import Pixels
 from tests.processing import lit_ball, shots
 from tests.processing.lit_ball import Ball, angle_deg
 
@@ -62,8 +63,12 @@ def answer(case: str, config: SeparateConfig) -> PixelMaps:
 
 def separated(case: str, config: SeparateConfig, rgb: np.ndarray) -> PixelMaps:
     method, _, lights = CASES[case]
-    valid = np.ones(len(rgb), bool)
-    return method(rgb, valid, SIGHT.views, SIGHT.mask, lights, SCALE, config)
+    return method(pixels_of(rgb), lights, config)
+
+
+def pixels_of(rgb: np.ndarray, valid: np.ndarray | None = None) -> Pixels:
+    good = np.ones(len(rgb), bool) if valid is None else valid
+    return Pixels(rgb, good, SIGHT.views, SIGHT.mask, SCALE)
 
 
 def normal_deg(maps: PixelMaps, specular: bool = False) -> float:
@@ -250,7 +255,7 @@ def test_bad_pixels_are_zero_with_no_confidence_and_harm_no_other(case: str) -> 
         rgb[some] = change(rgb[some])
     valid[some] = False
     with np.errstate(all="raise", under="ignore"):
-        maps = method(rgb, valid, SIGHT.views, SIGHT.mask, lights, SCALE, CONFIG)
+        maps = method(pixels_of(rgb, valid), lights, CONFIG)
     for field in dataclasses.fields(maps):
         values = getattr(maps, field.name)
         assert np.isfinite(values).all(), field.name
@@ -263,7 +268,7 @@ def test_bad_pixels_are_zero_with_no_confidence_and_harm_no_other(case: str) -> 
 def test_a_view_without_any_good_pixel_gives_empty_maps(case: str) -> None:
     method, read, lights = CASES[case]
     rgb = np.zeros_like(READ[read])
-    maps = method(rgb, np.ones(len(rgb), bool), SIGHT.views, SIGHT.mask, lights, SCALE, CONFIG)
+    maps = method(pixels_of(rgb), lights, CONFIG)
     for field in dataclasses.fields(maps):
         assert not getattr(maps, field.name).any(), field.name
 

@@ -37,6 +37,7 @@ from processing.refinement.gloss_search import find_gloss
 from processing.refinement.scene import prepare_scene, read_view
 from processing.separation.colour import separate_pixels
 from processing.separation.config import SeparateConfig
+from processing.separation.pixels import Pixels
 from tests.processing import lit_ball, shots
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 
@@ -166,7 +167,9 @@ def test_coarse_separation_of_a_glossy_ball_errs_by_the_near_field_alone() -> No
     sight, rgb = separated(ball)
     valid = np.ones(len(rgb), bool)
     scale = px_per_mm(CAMERA)
-    maps = separate_pixels(rgb, valid, sight.views, sight.mask, LIGHTS, scale, SeparateConfig())
+    maps = separate_pixels(
+        Pixels(rgb, valid, sight.views, sight.mask, scale), LIGHTS, SeparateConfig()
+    )
     inner = (sight.normals * sight.views).sum(axis=1) > 0.3
     assert angle_deg(maps.diffuse_normal, sight.normals)[inner].mean() < 1.5
     assert np.abs(maps.albedo - ball.albedo)[inner].mean() < 0.02
@@ -278,7 +281,9 @@ def test_pixels_that_cannot_be_solved_are_zero_with_no_confidence(kind: str) -> 
     rgb, valid = bad_pixels(kind, good)
     rgb, valid = np.where(bad[:, None, None], rgb, good), valid | ~bad
     scale = px_per_mm(CAMERA)
-    maps = separate_pixels(rgb, valid, sight.views, sight.mask, LIGHTS, scale, SeparateConfig())
+    maps = separate_pixels(
+        Pixels(rgb, valid, sight.views, sight.mask, scale), LIGHTS, SeparateConfig()
+    )
     for values in (maps.diffuse_normal, maps.albedo, maps.specular, maps.confidence):
         assert np.isfinite(values).all()
         assert not values[bad].any()
