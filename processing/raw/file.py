@@ -1,4 +1,4 @@
-"""Opening a camera's file: LibRaw unpacks the counts, nothing is developed.
+"""Opening a camera's file: counts are mapped where they lie as they are, else LibRaw unpacks them.
 
 A Bayer mosaic keeps its counts. What has no 2 x 2 mosaic comes as three colours of each pixel: a
 linear DNG's own, a Foveon's own, and for X-Trans LibRaw's demosaic without colour, curve or white
@@ -16,6 +16,7 @@ import rawpy
 
 from lightstage.errors import FormatError
 from lightstage.exif import read_exif
+from processing.raw.plain_dng import map_plain_dng
 
 LARGEST = 65535
 _TURNS = {0: 0, 3: 2, 5: 1, 6: 3}
@@ -65,12 +66,26 @@ class RawFile:
 
 
 def open_raw(path: Path) -> RawFile:
-    """Unpack a file; other threads run meanwhile.
+    """Open a file; other threads run meanwhile.
 
     Raises:
         FormatError: missing, truncated, or neither a mosaic of red, green and blue nor three
             colours of each pixel.
     """
+    try:
+        plain = map_plain_dng(path)
+    except OSError as error:
+        raise _unreadable(path, error) from None
+    if plain is None:
+        return unpack_raw(path)
+    neutral = plain.neutral / plain.neutral[1]
+    size = plain.counts.shape[0], plain.counts.shape[1]
+    known = plain.colours, plain.black, plain.white, neutral, plain.turns
+    return RawFile(path, plain.counts, (0, 0), size, *known)
+
+
+def unpack_raw(path: Path) -> RawFile:
+    """Open a file with LibRaw, which unpacks all its counts; errors as of `open_raw`."""
     raw = rawpy.RawPy()
     try:
         raw.open_file(str(path))

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from lightstage.errors import FormatError
+from lightstage.tiff import Directory
 from processing.calibration.flat_file import FlatField
 from processing.colour import ColourCorrection
 from processing.frames.drafts import NOT_A_NUMBER
 from processing.frames.window import Window, whole
 from processing.raw.develop import Settings, develop, lying, store
-from processing.raw.file import open_raw, read_exposure
-from sim.camera.tiff import BYTE, LONG, SHORT
+from processing.raw.file import RawFile, open_raw, read_exposure, unpack_raw
+from processing.raw.plain_dng import _strips, map_plain_dng
+from sim.camera.tiff import BYTE, LONG, RATIONAL, SHORT
 from tests.processing.made_raw import (
     BLACK,
     RGGB,
@@ -192,3 +197,89 @@ def test_patterns_of_the_mosaic_follow_the_file(tmp_path: Path) -> None:
     for turned in (RGGB, RGGB[:, ::-1], RGGB[::-1], RGGB[::-1, ::-1]):
         found, _ = read(write_dng(tmp_path / "a.dng", counts_of(rgb, turned), turned))
         np.testing.assert_allclose(inner(found), inner(rgb), atol=3e-4)
+
+
+def _same(one: RawFile, other: RawFile) -> None:
+    np.testing.assert_array_equal(one.counts, other.counts)
+    for name in ("origin", "size", "white", "turns"):
+        assert getattr(one, name) == getattr(other, name), name
+    assert one.colours is not None
+    assert other.colours is not None
+    np.testing.assert_array_equal(one.colours, other.colours)
+    np.testing.assert_array_equal(one.black, other.black)
+    np.testing.assert_allclose(one.neutral, other.neutral, rtol=1e-5)
+
+
+PLAIN_TAGS: list[dict[int, tuple[int, object]]] = [
+    {},
+    {274: (SHORT, 6)},
+    {274: (SHORT, 8)},
+    {274: (SHORT, 3)},
+    {50713: (SHORT, (2, 2)), 50714: (SHORT, (600, 607, 640, 690))},
+    {33422: (BYTE, (1, 0, 2, 1))},
+    {33422: (BYTE, (2, 1, 1, 0)), 50717: (LONG, 12345)},
+]
+
+
+@pytest.mark.parametrize("more", PLAIN_TAGS)
+def test_mapped_files_are_what_libraw_unpacks(
+    tmp_path: Path, more: dict[int, tuple[int, object]]
+) -> None:
+    path = write_dng(tmp_path / "a.dng", counts_of(gradient()), more=more)
+    mapped, unpacked = open_raw(path), unpack_raw(path)
+    assert isinstance(mapped.counts, np.memmap)
+    _same(mapped, unpacked)
+    mapped.counts[0, 0] = 7  # a hot pixel that is mended changes no file
+    mapped.close()
+    unpacked.close()
+    again = unpack_raw(path)
+    assert again.counts[0, 0] != 7
+    again.close()
+
+
+NOT_PLAIN: list[dict[int, tuple[int, object]]] = [
+    {50712: (SHORT, tuple(range(65536)))},  # a curve
+    {50829: (LONG, (4, 6, 40, 60))},  # margins
+    {258: (SHORT, 12)},
+    {50714: (RATIONAL, 600.5)},
+    {50715: (RATIONAL, (1.0,) * 64)},  # black that changes along rows
+    {51009: (BYTE, (0, 0, 0, 0))},  # corrections to be made
+    {50717: (LONG, 100)},
+]
+
+
+@pytest.mark.parametrize("more", NOT_PLAIN)
+def test_files_that_say_more_of_their_counts_are_left_to_libraw(
+    tmp_path: Path, more: dict[int, tuple[int, object]]
+) -> None:
+    path = write_dng(tmp_path / "a.dng", counts_of(gradient()), more=more)
+    assert map_plain_dng(path) is None
+
+
+def test_strips_in_a_row_are_one_piece_and_others_are_not(tmp_path: Path) -> None:
+    counts = counts_of(gradient())
+    path = write_dng(tmp_path / "a.dng", counts)
+    whole = map_plain_dng(path)
+    assert whole is not None
+    begin = path.stat().st_size - counts.nbytes
+    half = counts.nbytes // 2
+    beside = {273: (begin, begin + half), 279: (half, half)}
+    assert _strips(Directory("picture", dict(beside), {}), 2 * half) == begin
+    apart = {273: (begin, begin + half + 2), 279: (half, half)}
+    assert _strips(Directory("picture", dict(apart), {}), 2 * half) is None
+
+
+@given(place=st.integers(8, 400), byte=st.integers(0, 255))
+@settings(max_examples=60, deadline=None)
+def test_a_damaged_header_is_refused_or_read_as_libraw_reads_it(place: int, byte: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_dng(Path(folder) / "a.dng", counts_of(gradient()))
+        data = bytearray(path.read_bytes())
+        data[place] = byte
+        path.write_bytes(data)
+        try:
+            opened = open_raw(path)
+        except FormatError:
+            return
+        assert opened.counts.ndim in (2, 3)
+        opened.close()
