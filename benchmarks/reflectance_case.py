@@ -32,6 +32,7 @@ from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from processing.frames.read import Frames, foreground_path, write_foreground, write_frames
+from processing.lighting.facets import BECKMANN, Facets
 from processing.masks import foreground
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.refinement.config import RefineConfig
@@ -98,8 +99,7 @@ class Case:
         """Maps of `refine` with the true mesh, with settings of RefineConfig."""
         shutil.copy(self.truth.base_mesh, ProcessedFolder(self.out).base_mesh)
         config = make_config(RefineConfig, settings or {}, "benchmark")
-        refine(self.session, self.out, config)
-        return self._maps()
+        return self._maps(facets_of(refine(self.session, self.out, config)))
 
     def true_maps(self, roughness: float) -> dict[str, Maps]:
         """Truth's own maps, which tell no roughness: what re-rendering can reach at best."""
@@ -112,15 +112,14 @@ class Case:
                     "diffuse_normal", "specular_normal", "diffuse_albedo", "specular_albedo",
                 )
             }  # fmt: skip
-            maps[name] = Maps(**told, roughness=mask * roughness, confidence=mask)
+            maps[name] = Maps(**told, roughness=mask * roughness, confidence=mask, facets=BECKMANN)
         return maps
 
     def refined_on_own_mesh(self) -> dict[str, Maps]:
         """Maps of `refine` with the mesh of `reconstruct`, from these few views."""
         self.separated()
         reconstruct(self.session, self.out, ReconstructConfig())
-        refine(self.session, self.out, RefineConfig())
-        return self._maps()
+        return self._maps(facets_of(refine(self.session, self.out, RefineConfig())))
 
     @functools.cached_property
     def true(self) -> dict[str, TrueView]:
@@ -163,9 +162,14 @@ class Case:
             deciles(samples),
         )
 
-    def _maps(self) -> dict[str, Maps]:
+    def _maps(self, facets: Facets = BECKMANN) -> dict[str, Maps]:
         folder = ProcessedFolder(self.out)
-        return {name: read_maps(folder, name) for name in self.session.camera_ids()}
+        return {name: read_maps(folder, name, facets) for name in self.session.camera_ids()}
+
+
+def facets_of(facts: Mapping[str, Any]) -> Facets:
+    """The family of lobes that `refine` found."""
+    return Facets(facts["mirror_lobe_tails"], facts["mirror_lobe_stretch"])
 
 
 def put_frames(

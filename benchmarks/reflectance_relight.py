@@ -123,7 +123,7 @@ class Relighter:
 
         Args:
             maps: of the view; the diffuse part is shaded by the diffuse normal, the mirror lobe by
-                the specular normal and the map of roughness.
+                the specular normal, the map of roughness and its facets.
             camera: the view.
             mask: (h, w) bool, pixels to render.
         """
@@ -139,7 +139,7 @@ class Relighter:
         e, lobe = (
             transport(
                 self._lights, seen.points_mm, turned, seen.views, roughness, seen.shadows,
-                skin_interface(),
+                skin_interface(maps.facets),
             )[part]
             for part, turned in enumerate((normal, relief))
         )  # fmt: skip

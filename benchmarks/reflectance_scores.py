@@ -14,6 +14,7 @@ import numpy as np
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera
 from processing.evaluate import angle_deg
+from processing.lighting.facets import BECKMANN, Facets
 from processing.readings import px_per_mm
 
 STEEPEST_DEG = 70.0
@@ -34,6 +35,7 @@ class Maps:
     Attributes:
         diffuse_normal, specular_normal, diffuse_albedo: (h, w, 3).
         specular_albedo, roughness, confidence: (h, w).
+        facets: the family of lobes whose m the map of roughness holds.
     """
 
     diffuse_normal: np.ndarray
@@ -42,11 +44,13 @@ class Maps:
     specular_albedo: np.ndarray
     roughness: np.ndarray
     confidence: np.ndarray
+    facets: Facets = dataclasses.field(default=BECKMANN, kw_only=True)
 
 
-def read_maps(folder: ProcessedFolder, camera_id: str) -> Maps:
-    """A view's maps as a stage left them."""
-    return Maps(*(folder.read_view(camera_id, field.name) for field in dataclasses.fields(Maps)))
+def read_maps(folder: ProcessedFolder, camera_id: str, facets: Facets = BECKMANN) -> Maps:
+    """A view's maps as a stage left them, whose report told the facets."""
+    names = [field.name for field in dataclasses.fields(Maps) if field.name != "facets"]
+    return Maps(*(folder.read_view(camera_id, name) for name in names), facets=facets)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,11 +13,12 @@ import functools
 import numpy as np
 from numba import njit
 
+from processing.lighting.facets import BECKMANN, Facets
 from processing.lighting.fresnel import fresnel
 
 INDEX = 1.4
 ROUGHNESS_RANGE = (0.15, 0.35)
-"""Beckmann's m of the table's first and last row; a row for each .05."""
+"""m of the table's first and last row; a row for each .05."""
 ROWS = 5
 COSINES = 40
 """Steps of the table over the cosine."""
@@ -30,10 +31,12 @@ class Interface:
     Attributes:
         table: (ROWS, COSINES + 1) float32 T over m and cosine.
         mean: (ROWS,) float32 cosine-weighted mean of T.
+        facets: that mirror.
     """
 
     table: np.ndarray
     mean: np.ndarray
+    facets: Facets = BECKMANN
 
 
 BARE = Interface(
@@ -44,24 +47,30 @@ BARE = Interface(
 
 
 @functools.cache
-def skin_interface() -> Interface:
-    """T of n = 1.4 and Beckmann's facets, by the sum of the lobe over directions of light.
+def skin_interface(facets: Facets = BECKMANN) -> Interface:
+    """T of n = 1.4, by the sum of the lobe over directions of light.
+
+    A stretched lobe lets through what a round one of the same m does.
 
     Source: [Walter2007] for the lobe.
     """
     rows = np.linspace(*ROUGHNESS_RANGE, ROWS)
     cosines = np.linspace(0, 1, COSINES + 1)
-    table = np.stack([[1 - mirrored(max(c, 0.01), m) for c in cosines] for m in rows])
+    if facets.stretch != 1:
+        round_one = skin_interface(dataclasses.replace(facets, stretch=1.0))
+        return dataclasses.replace(round_one, facets=facets)
+    table = np.stack([[1 - mirrored(max(c, 0.01), m, facets.tails) for c in cosines] for m in rows])
     mean = np.trapezoid(2 * cosines * table, cosines, axis=1)
-    return Interface(table.astype(np.float32), mean.astype(np.float32))
+    return Interface(table.astype(np.float32), mean.astype(np.float32), facets)
 
 
-def mirrored(cosine: float, roughness: float, steps: int = 72) -> float:
+def mirrored(cosine: float, roughness: float, tails: bool = False, steps: int = 72) -> float:
     """R: the share that facets mirror of light that comes from a direction.
 
     Args:
         cosine: of the direction, above 0.
-        roughness: Beckmann's m.
+        roughness: m.
+        tails: of GGX in place of Beckmann's distribution.
         steps: of the polar angle and of half the azimuth.
     """
     angle = (np.arange(steps) + 0.5) / steps
@@ -71,16 +80,20 @@ def mirrored(cosine: float, roughness: float, steps: int = 72) -> float:
     length = np.sqrt(hx**2 + y**2 + hz**2)
     nh2 = (hz / length) ** 2
     c = (cosine * hz - np.sqrt(1 - cosine**2) * hx) / length
-    density = np.exp((nh2 - 1) / (nh2 * roughness**2)) / (np.pi * roughness**2 * nh2**2)
+    steep = (1 - nh2) / (nh2 * roughness**2)
+    density = (1 / (1 + steep) ** 2 if tails else np.exp(-steep)) / (np.pi * roughness**2 * nh2**2)
     share = fresnel(((INDEX - 1) / (INDEX + 1)) ** 2, c)
-    lobe = density * share / (1 + smith(z, roughness) + smith(np.array(cosine), roughness))
+    hidden = smith(z, roughness, tails) + smith(np.array(cosine), roughness, tails)
+    lobe = density * share / (1 + hidden)
     solid = np.sin(theta) * (np.pi / 2 / steps) * (2 * np.pi / steps)
     return float((lobe * solid).sum() / (4 * cosine))
 
 
-def smith(cosine: np.ndarray, roughness: float) -> np.ndarray:
-    """Smith's Lambda for Beckmann, the rational fit."""
+def smith(cosine: np.ndarray, roughness: float, tails: bool = False) -> np.ndarray:
+    """Smith's Lambda, exact for GGX, the rational fit for Beckmann."""
     sine = np.sqrt(np.maximum(1 - cosine**2, 1e-12))
+    if tails:
+        return np.asarray((np.sqrt(1 + (roughness * sine / cosine) ** 2) - 1) / 2)
     a = np.minimum(cosine / (roughness * sine), 1.6)
     fitted = (1 - 1.259 * a + 0.396 * a**2) / (3.535 * a + 2.181 * a**2)
     return np.where(a < 1.6, fitted, 0.0)

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from processing.lighting.facets import STEEPEST, horizontal, unmasked
 from processing.lighting.fresnel import fresnel
 from processing.lighting.interface import BARE, Interface, let_through, row_of
 from processing.lighting.lights import PatternLights, Shadows, as_seen, off_axis
@@ -20,8 +21,6 @@ from processing.lighting.lights import PatternLights, Shadows, as_seen, off_axis
 SKIN_F0 = 0.028
 """Reflectance at normal incidence of skin, n = 1.4."""
 FRESNEL_STEPS = 256
-FARTHEST_TAN = 9.0
-"""The lobe is cut where tan^2 of the half angle is this many times roughness squared (1e-4)."""
 GRAZING = 0.05
 """Smallest cosine to the camera that the lobe is divided by."""
 
@@ -48,14 +47,15 @@ def transport(
         points_mm: (n, 3) surface points.
         normals: (n, 3) unit.
         views: (n, 3) unit, toward the camera.
-        roughness: Beckmann's m, one or (n,).
+        roughness: m, one or (n,).
         shadows: of the n points.
-        interface: that light passes on its way into the diffuse layer and out; E_k holds both.
+        interface: that light passes on its way into the diffuse layer and out, E_k holds both;
+            its facets mirror.
 
     Returns:
         Two (n, P) float32.
 
-    Source: [Walter2007] for Beckmann's distribution and Smith's shadowing.
+    Source: [Walter2007] for the distributions and Smith's shadowing.
     """
     count = len(points_mm)
     out = np.zeros((2, count, len(lights.patterns)), np.float32)
@@ -75,21 +75,12 @@ def transport(
         fresnel_table().astype(np.float32),
         interface.table,
         interface.mean,
+        interface.facets.shape,
         np.float32(lights.exponent),
         out,
     )
     as_seen(lights, normals, out[0], out[1])
     return out[0], out[1]
-
-
-@njit(cache=True)
-def shadowing(cosine: float, roughness: float) -> float:
-    """Smith's G1 for Beckmann, the rational fit."""
-    tangent = math.sqrt(max(0.0, 1 - cosine * cosine)) / cosine
-    if roughness * tangent <= 0.625:  # a = 1 / (m tan) >= 1.6
-        return 1.0
-    a = 1 / (roughness * tangent)
-    return (3.535 * a + 2.181 * a * a) / (1 + 2.276 * a + 2.577 * a * a)
 
 
 @njit(parallel=True, cache=True)
@@ -109,17 +100,24 @@ def _transport(
     table: np.ndarray,
     through: np.ndarray,
     mean: np.ndarray,
+    shape: np.ndarray,
     exponent: float,
     out: np.ndarray,
 ) -> None:
     steps = len(table) - 1
+    tails, stretch = shape[0] > 0, shape[1]
     for i in prange(len(points)):
         roughness = roughnesses[i]
         m2 = roughness * roughness
+        mu2, mv2 = m2 * stretch * stretch, m2 / (stretch * stretch)
+        farthest = np.float32(np.inf) if tails else np.float32(STEEPEST) * max(mu2, mv2)
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
         vx, vy, vz = views[i, 0], views[i, 1], views[i, 2]
         nv = max(nx * vx + ny * vy + nz * vz, np.float32(GRAZING))
-        shadow_v = shadowing(nv, roughness)
+        tx, tz = horizontal(nx, nz)
+        aside = tx * vx + tz * vz
+        around = max(np.float32(0), 1 - nv * nv - aside * aside)
+        shadow_v = unmasked(nv, math.sqrt(mu2 * aside * aside + mv2 * around), tails)
         row, part = row_of(roughness, len(through))
         leaving = let_through(through, row, part, nv)
         leaving /= mean[row] * (1 - part) + mean[row + 1] * part
@@ -154,11 +152,18 @@ def _transport(
                     continue
                 nh = (nx * hx + ny * hy + nz * hz) / length
                 nh2 = nh * nh
-                if nh <= 0 or (1 - nh2) > FARTHEST_TAN * m2 * nh2:
+                if nh <= 0 or (1 - nh2) > farthest * nh2:
                     continue
+                aside = (tx * hx + tz * hz) / length
+                around = max(np.float32(0), 1 - nh2 - aside * aside)
+                steep = (aside * aside / mu2 + around / mv2) / nh2
+                lobe = 1 / ((1 + steep) * (1 + steep)) if tails else math.exp(-steep)
                 # pi D / (4 nv), the cosine to the light cancelled against the BRDF's.
-                lobe = math.exp((nh2 - 1) / (nh2 * m2)) / (4 * m2 * nh2 * nh2 * nv)
-                lobe *= seen * shadow_v * shadowing(nl, roughness)
+                lobe /= 4 * m2 * nh2 * nh2 * nv
+                aside = (tx * lx + tz * lz) / distance
+                around = max(np.float32(0), 1 - nl * nl - aside * aside)
+                slope = math.sqrt(mu2 * aside * aside + mv2 * around)
+                lobe *= seen * shadow_v * unmasked(nl, slope, tails)
                 place = min(1.0, (vx * hx + vy * hy + vz * hz) / length) * steps
                 below = min(steps - 1, int(place))
                 rest = place - below

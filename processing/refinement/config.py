@@ -36,8 +36,11 @@ class RefineConfig:
     """Steps of the search for roughness and specular albedo."""
     gloss_pixels: int = 150_000
     """At most this many pixels of a view, on a regular grid, give evidence of gloss."""
+    family_pixels: int = 4000
+    """So many pixels of a view say which family of mirror lobes the face has; 0 takes Beckmann's
+    round one."""
     roughness: float = 0.28
-    """Beckmann's m to start from; skin has .2 to .35."""
+    """m to start from; skin has .2 to .35."""
     roughness_pool_mm: float = 5.0
     specular_pool_mm: float = 3.0
     """Sigma over which all views' evidence is pooled on the mesh."""

@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 
 from processing.albedo import diffuse_albedo
-from processing.lighting.interface import skin_interface
 from processing.pixels import PixelMaps
 from processing.refinement.config import RefineConfig
 from processing.refinement.gloss import local_specular
@@ -74,7 +73,7 @@ def solve_view(
             begin,
             roughness[band],
             specular[band],
-            skin_interface(),
+            scene.interface,
             dataclasses.replace(around, rest=rest),
             config.noise,
             rounds=config.rounds,

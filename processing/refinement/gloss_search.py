@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from processing.lighting.interface import skin_interface
+from processing.lighting.facets import BECKMANN
 from processing.refinement.bounces import bounced_light, other_skin, vertex_irradiance
 from processing.refinement.config import RefineConfig
+from processing.refinement.family import best_facets
 from processing.refinement.gloss import better_gloss, sum_at_vertices
 from processing.refinement.joint import (
     Scattered,
@@ -25,7 +26,7 @@ from processing.surface import LitSurface, at_vertices_to
 def find_gloss(
     scene: Scene, grids: list[View], config: RefineConfig, progress: ProgressCallback = quiet
 ) -> list[Solved]:
-    """Find gloss, bounced light and scattering from grids of the views' pixels.
+    """Find gloss, the lobes' family, bounced light and scattering from grids of the views.
 
     Args:
         scene: changed in place.
@@ -37,12 +38,11 @@ def find_gloss(
         Each grid's pixels as solved.
     """
     surface = scene.surface
-    interface = skin_interface()
     between, entered = None, np.zeros(0)
     if config.bounce_rays:
         rays = max(16, min(config.bounce_rays, config.bounce_rays_all // surface.coarse))
         between = other_skin(surface, rays)
-        entered = vertex_irradiance(surface, scene.lights, interface, config.roughness)
+        entered = vertex_irradiance(surface, scene.lights, scene.interface, config.roughness)
     solved = [solve_grid(scene, grid, None, config) for grid in grids]
     for done in range(config.gloss_rounds):
         if done:
@@ -53,6 +53,12 @@ def find_gloss(
             if done == 0:
                 scene.bounces = best_bounces(scene, bounced, grids[0], solved[0], config)
             scene.bounced = np.float32(scene.bounces) * bounced
+        if done == 0 and config.family_pixels:
+            scene.facets = best_facets(scene, grids, config)
+            if scene.facets != BECKMANN:
+                solved = [
+                    solve_grid(scene, g, b, config) for g, b in zip(grids, solved, strict=True)
+                ]
         if done == 0:
             scene.scattering = best_scattering(scene, grids[0], solved[0], config)
         scene.doubt = doubt(grids, solved, config)
@@ -101,7 +107,7 @@ def solve_grid(scene: Scene, view: View, before: Solved | None, config: RefineCo
         place_of(scene, view),
         start,
         *gloss_of(scene, sight),
-        skin_interface(),
+        scene.interface,
         around,
         config.noise,
         rounds=1,
@@ -125,7 +131,7 @@ def grid_evidence(scene: Scene, view: View, solved: Solved, config: RefineConfig
         place_of(scene, view),
         solved.normal,
         *gloss_of(scene, sight),
-        skin_interface(),
+        scene.interface,
         around_of(scene, view, solved),
         config.gloss_noise,
     )

@@ -119,9 +119,9 @@ def solve_jointly(
         lights: of P patterns; polarised ones need no colour to tell what is mirrored.
         place: of the n pixels.
         normals: (n, 3) unit, to start from; zero where there is none.
-        roughness: (n,) Beckmann's m.
+        roughness: (n,) m of the facets.
         specular: (n,) reflectance at normal incidence.
-        interface: that light passes on its way into the diffuse layer and out.
+        interface: that light passes on its way into the diffuse layer and out, and its facets.
         scattered: inside the skin.
         noise: of the readings.
         rounds: steps.
@@ -232,4 +232,5 @@ def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps
         table=fresnel_table().astype(np.float32),
         through=interface.table,
         mean=interface.mean,
+        shape=interface.facets.shape,
     )

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from processing.lighting.facets import STEEPEST, horizontal, unmasked
 from processing.lighting.interface import let_through, row_of
 from processing.lighting.lights import off_axis
-from processing.lighting.lobe import FARTHEST_TAN, GRAZING, shadowing
+from processing.lighting.lobe import GRAZING
 
 FAST = {"reassoc", "contract", "nsz", "arcp"}
 """Sums may be taken in any order; NaN and infinities must still be seen."""
@@ -30,6 +31,7 @@ class Lamps(NamedTuple):
         bounced: (V, P, 3) float32 irradiance by light from other skin.
         table: of `lobe.fresnel_table`.
         through, mean: of `Interface`.
+        shape: of its `Facets`.
     """
 
     visible: np.ndarray
@@ -46,6 +48,7 @@ class Lamps(NamedTuple):
     table: np.ndarray
     through: np.ndarray
     mean: np.ndarray
+    shape: np.ndarray
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
@@ -64,17 +67,27 @@ def gather(
     levels, group_end, exponent, stray = lamps.levels, lamps.group_end, lamps.exponent, lamps.stray
     diffuse_share, mirrored = lamps.diffuse_share, lamps.mirrored
     bounced, table, through, mean = lamps.bounced, lamps.table, lamps.through, lamps.mean
+    shape = lamps.shape
     out[:] = 0
     # Whole numbers would make every float32 beside them a float64, which takes twice as long.
     zero, one, two, four = np.float32(0), np.float32(1), np.float32(2), np.float32(4)
     steps, columns = len(table) - 1, through.shape[1] - 1
     most, widest = np.float32(steps), np.float32(columns)
     m2 = roughness * roughness
-    farthest = np.float32(FARTHEST_TAN) * m2
+    tails, stretched = shape[0] > zero, shape[1] != one
+    mu2, mv2 = m2 * shape[1] * shape[1], m2 / (shape[1] * shape[1])
+    widest2 = max(mu2, mv2)
+    # Tails end nowhere.
+    farthest = np.float32(np.inf) if tails else np.float32(STEEPEST) * widest2
     nx, ny, nz = n[0], n[1], n[2]
     vx, vy, vz = view[0], view[1], view[2]
     nv = max(nx * vx + ny * vy + nz * vz, np.float32(GRAZING))
-    shadow_v = np.float32(shadowing(nv, roughness))
+    tx, tz = horizontal(nx, nz)
+    ux, uy, uz = ny * tz, nz * tx - nx * tz, -ny * tx
+    aside = tx * vx + tz * vz
+    around2 = max(zero, one - nv * nv - aside * aside)
+    slope = np.float32(math.sqrt(mu2 * aside * aside + mv2 * around2))
+    shadow_v = np.float32(unmasked(nv, slope, tails))
     row, between = row_of(roughness, len(through))
     part = np.float32(between)
     inside = np.float32(let_through(through, row, part, nv))
@@ -130,21 +143,45 @@ def gather(
             nh = along * scale
             nh2 = nh * nh
             per = one / nh2
-            steep = (one - nh2) * per / m2
-            lobe = quarter * math.exp(-steep) * per * per
+            if stretched:
+                # How the squared tilt over m_u^2 and m_v^2 turns with the normal, by half.
+                aside, above = tx * hx + tz * hz, ux * hx + uy * hy + uz * hz
+                wx, wz = aside / mu2, above / mv2
+                steep = (aside * wx + above * wz) * per
+                wx, wy, wz = wx * tx + wz * ux, wz * uy, wx * tz + wz * uz
+            else:
+                steep = (one - nh2) * per / m2
+            # The distribution's fall over the steepness, as a share of it.
+            if tails:
+                fall = one / (one + steep)
+                lobe = quarter * fall * fall * per * per
+                fall *= two
+            else:
+                fall = one
+                lobe = quarter * math.exp(-steep) * per * per
             place = min(one, vx * hx + vy * hy + vz * hz) * most
             below = min(steps - 1, int(place))
             rest = place - np.float32(below)
             lobe *= seen * mirrored[j]
-            if m2 * (one - nl * nl) > UNSHADOWED * nl * nl:
-                lobe *= np.float32(shadowing(nl, roughness))
+            if tails or widest2 * (one - nl * nl) > UNSHADOWED * nl * nl:
+                aside = tx * lx + tz * lz
+                around2 = max(zero, one - nl * nl - aside * aside)
+                slope = np.float32(math.sqrt(mu2 * aside * aside + mv2 * around2))
+                lobe *= np.float32(unmasked(nl, slope, tails))
             lobe *= table[below] * (one - rest) + table[below + 1] * rest
-            slope = lobe * (two * per / m2 - four) / nh
-            b += lobe
-            bm += lobe * (two * steep - two)
+            bm += lobe * (two * fall * steep - two)
+            if stretched:
+                slope = lobe * two * fall / nh
+                bx += slope * wx
+                by += slope * wy
+                bz += slope * wz
+                slope = lobe * (two * fall * steep - four) / nh
+            else:
+                slope = lobe * (two * fall * per / m2 - four) / nh
             bx += slope * hx
             by += slope * hy
             bz += slope * hz
+            b += lobe
         first = group_end[group]
         bx -= b * vx / nv
         by -= b * vy / nv

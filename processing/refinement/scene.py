@@ -10,6 +10,8 @@ from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera
 from processing.errors import ProcessingError
 from processing.frames.read import Frames
+from processing.lighting.facets import BECKMANN, Facets
+from processing.lighting.interface import Interface, skin_interface
 from processing.lighting.lights import PatternLights, Shadows
 from processing.lighting.polarisers import evened, mirrored_of_lamps
 from processing.masks import edge_distance_px
@@ -64,6 +66,7 @@ class Scene:
         bounces: 1 where `bounced` explains the readings better than nothing does, else 0.
         scattering: share of light that wanders inside the skin.
         doubt: by what factor the residuals' variance is above what is expected, at least 1.
+        facets: the family of the face's mirror lobes.
     """
 
     lights: PatternLights
@@ -73,6 +76,12 @@ class Scene:
     bounces: float
     scattering: float
     doubt: float = 1.0
+    facets: Facets = BECKMANN
+
+    @property
+    def interface(self) -> Interface:
+        """What the skin's surface mirrors and lets through."""
+        return skin_interface(self.facets)
 
 
 def prepare_scene(

@@ -79,6 +79,9 @@ def refine(
         "mean_confidence": confidence,
         "roughness_mean": round(float(scene.gloss.roughness[seen].mean()), 4),
         "specular_mean": round(float(scene.gloss.specular[seen].mean()), 5),
+        "mirror_lobe": scene.facets.name,
+        "mirror_lobe_tails": scene.facets.tails,
+        "mirror_lobe_stretch": round(scene.facets.stretch, 3),
         "light_from_skin_to_skin": bool(scene.bounces),
         "scattering": scene.scattering,
         "specular_normals": "all channels and the highlights, the relief of the diffuse light "

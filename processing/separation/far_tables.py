@@ -12,9 +12,10 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from processing.lighting.facets import STEEPEST
 from processing.lighting.interface import Interface, let_through, row_of
 from processing.lighting.lights import OCTAHEDRON, PatternLights, octahedral_normals
-from processing.lighting.lobe import FARTHEST_TAN, fresnel_table
+from processing.lighting.lobe import fresnel_table
 from processing.separation.lanes import LANES
 
 ROWS = 12
@@ -214,7 +215,7 @@ def _mirror(
                 continue
             nh = (nx * hx + ny * hy + nz * hz) / length
             nh2 = nh * nh
-            if nh <= 0 or (1 - nh2) > FARTHEST_TAN * m2 * nh2:
+            if nh <= 0 or (1 - nh2) > STEEPEST * m2 * nh2:
                 continue
             value = math.exp((nh2 - 1) / (nh2 * m2)) / (4 * m2 * nh2 * nh2)
             value *= toward * _one_side(nl, roughness)

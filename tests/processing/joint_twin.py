@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from processing.lighting.facets import Facets
 from processing.lighting.fresnel import fresnel
 from processing.lighting.interface import ROUGHNESS_RANGE, Interface
 from processing.lighting.lights import PatternLights
@@ -57,10 +58,41 @@ def kept_mean(interface: Interface, roughness: float) -> float:
     return float(np.interp(roughness, rows, interface.mean.astype(float)))
 
 
-def shadowing(cosine: np.ndarray, roughness: float) -> np.ndarray:
-    a = cosine / (roughness * np.sqrt(np.maximum(1 - cosine**2, 1e-30)))
+def unmasked(direction: np.ndarray, normal: np.ndarray, own: float, facets: Facets) -> np.ndarray:
+    """Smith's G1 of (..., 3) directions."""
+    cosine = np.maximum(direction @ normal, 1e-9)
+    sideways, upward = across_of(direction, normal, normal)
+    slope = own * np.sqrt((sideways * facets.stretch) ** 2 + (upward / facets.stretch) ** 2)
+    if facets.tails:
+        return np.asarray(2 / (1 + np.sqrt(1 + (slope / cosine) ** 2)))
+    a = cosine / np.maximum(slope, 1e-15)
     fitted = (3.535 * a + 2.181 * a**2) / (1 + 2.276 * a + 2.577 * a**2)
     return np.asarray(np.where(a < 1.6, fitted, 1.0))
+
+
+def across_of(
+    direction: np.ndarray, normal: np.ndarray, base: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Parts of (..., 3) directions along and across base's horizontal tangent, made orthogonal."""
+    unit = normal / np.linalg.norm(normal)
+    tangent = np.cross([0.0, 1.0, 0.0], base)
+    tangent -= (tangent @ unit) * unit
+    tangent /= np.linalg.norm(tangent)
+    return direction @ tangent, direction @ np.cross(unit, tangent)
+
+
+def spread(
+    half: np.ndarray, normal: np.ndarray, base: np.ndarray, m: float, facets: Facets
+) -> np.ndarray:
+    """Pi times the distribution, times m^2 cos^4, of (..., 3) half vectors."""
+    nh2 = (half @ normal) ** 2
+    if facets.stretch == 1:
+        steep = (1 - nh2) / (nh2 * m**2)
+    else:
+        sideways, upward = across_of(half, normal, base)
+        steep = (sideways / facets.stretch) ** 2 + (upward * facets.stretch) ** 2
+        steep = steep / (nh2 * m**2)
+    return np.asarray(1 / (1 + steep) ** 2 if facets.tails else np.exp(-steep))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,14 +123,18 @@ class Light:
         half = to_light + pixel.view
         half /= np.linalg.norm(half, axis=1, keepdims=True)
         base_nh = half @ self.base
-        inside = (1 - base_nh**2) <= 9.0 * own**2 * base_nh**2
+        facets = self.interface.facets
+        widest = own * max(facets.stretch, 1 / facets.stretch)
+        inside = (base_nh > 0) & (facets.tails | ((1 - base_nh**2) <= 9.0 * widest**2 * base_nh**2))
         nh2 = (half @ normal) ** 2
         # Only the way to the camera turns the cosine that the lobe is divided by.
         nv = base_nv + float((normal - self.base) @ pixel.view)
-        spread = np.exp((nh2 - 1) / (nh2 * roughness**2)) / (4 * roughness**2 * nh2**2 * nv)
-        shadows = shadowing(np.array(base_nv), own) * shadowing(np.maximum(base_nl, 1e-9), own)
+        lobe = spread(half, normal, self.base, roughness, facets)
+        lobe = lobe / (4 * roughness**2 * nh2**2 * nv)
+        shadows = unmasked(pixel.view, self.base, own, facets)
+        shadows = shadows * unmasked(to_light, self.base, own, facets)
         fresnel = np.interp(half @ pixel.view, np.linspace(0, 1, 257), TABLE)
-        lobe = np.where(inside, spread * shadows * fresnel, 0)
+        lobe = np.where(inside, lobe * shadows * fresnel, 0)
         return e, strength @ (lobe * pixel.mirrored)
 
     def across(self) -> np.ndarray:

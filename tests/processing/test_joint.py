@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.lighting.interface import skin_interface
+from processing.lighting.facets import BECKMANN, Facets
+from processing.lighting.interface import Interface, skin_interface
 from processing.lighting.lights import Shadows
 from processing.lighting.lobe import transport
 from processing.refinement.joint import (
@@ -27,6 +28,10 @@ from tests.processing.lit_ball import PATTERNS, angle_deg
 
 RIG = lit_ball.small_rig()
 INTERFACE = skin_interface()
+FAMILIES = tuple(
+    skin_interface(facets)
+    for facets in (BECKMANN, Facets(tails=True), Facets(stretch=1.4), Facets(True, 0.8))
+)
 ALBEDO = np.array([0.55, 0.33, 0.22])
 SEEDS = st.integers(0, 2**31)
 
@@ -48,6 +53,7 @@ class Skin:
     specular: np.ndarray
     around: Scattered
     truth: np.ndarray
+    interface: Interface
 
 
 def across(normals: np.ndarray, rng: np.random.Generator, degrees: float) -> np.ndarray:
@@ -63,9 +69,10 @@ def light_of(
     roughness: np.ndarray,
     shadows: Shadows,
     mirrored: np.ndarray,
+    interface: Interface,
 ) -> tuple[np.ndarray, np.ndarray]:
     """E and B, the lobe of lamps of whose mirror reflection only a share arrives."""
-    told = (points, normals, views, roughness, shadows, INTERFACE)
+    told = (points, normals, views, roughness, shadows, interface)
     seen = dataclasses.replace(LIGHTS, weight=LIGHTS.weight * mirrored)
     return transport(LIGHTS, *told)[0], transport(seen, *told)[1]
 
@@ -78,6 +85,7 @@ def skin(
     off_deg: float = 2.0,
     lit: bool = True,
     polarised: bool = False,
+    interface: Interface = INTERFACE,
 ) -> Skin:
     """Pixels of many normals, with or without light from other skin and from neighbours."""
     rng = np.random.default_rng(seed)
@@ -97,10 +105,10 @@ def skin(
     bounced = rng.uniform(0, 0.05, (count, patterns, 3)) * lit
     kept = rng.uniform(0.7, 1.0, 3) if lit else np.ones(3)
     mirrored = rng.uniform(0, 1.2, len(LIGHTS.weight)) if polarised else np.ones(len(LIGHTS.weight))
-    e, b = light_of(points, normals, views, roughness, shadows, mirrored)
+    e, b = light_of(points, normals, views, roughness, shadows, mirrored, interface)
     rest = (1 - kept) * e[:, :, None] * rng.uniform(0.9, 1.1, (count, patterns, 3))
     inside = [
-        joint_twin.entering(INTERFACE, np.array(float(n @ v)), m)
+        joint_twin.entering(interface, np.array(float(n @ v)), m)
         for n, v, m in zip(normals, views, roughness, strict=True)
     ]
     diffuse = kept * e[:, :, None] + rest + np.array(inside)[:, None, None] * bounced
@@ -114,18 +122,28 @@ def skin(
         specular,
         Scattered(kept, rest.astype(np.float32)),
         normals,
+        interface,
     )
 
 
 def solved(s: Skin, noise: Noise, rounds: int = 1) -> Solved:
     return solve_jointly(
-        s.rgb, LIGHTS, s.place, s.start, s.roughness, s.specular, INTERFACE, s.around, noise, rounds
+        s.rgb,
+        LIGHTS,
+        s.place,
+        s.start,
+        s.roughness,
+        s.specular,
+        s.interface,
+        s.around,
+        noise,
+        rounds,
     )
 
 
 def evidence(s: Skin, noise: Noise) -> np.ndarray:
     return gloss_evidence(
-        s.rgb, LIGHTS, s.place, s.start, s.roughness, s.specular, INTERFACE, s.around, noise
+        s.rgb, LIGHTS, s.place, s.start, s.roughness, s.specular, s.interface, s.around, noise
     )
 
 
@@ -147,30 +165,36 @@ def pixels(s: Skin) -> list[Pixel]:
     ]
 
 
-def test_the_twins_light_is_that_of_the_lobe() -> None:
-    s = skin(0, polarised=True)
+@pytest.mark.parametrize("interface", FAMILIES, ids=lambda each: each.facets.name)
+def test_the_twins_light_is_that_of_the_lobe(interface: Interface) -> None:
+    s = skin(0, polarised=True, interface=interface)
     place = s.place
     e, b = light_of(
-        place.points_mm, s.start, place.views, s.roughness, place.shadows, place.mirrored
+        place.points_mm, s.start, place.views, s.roughness, place.shadows, place.mirrored, interface
     )
     for i, pixel in enumerate(pixels(s)):
-        light = joint_twin.Light(LIGHTS, pixel, INTERFACE, pixel.start)
+        light = joint_twin.Light(LIGHTS, pixel, interface, pixel.start)
         known_e, known_b = light.parts(pixel.start, pixel.roughness)
         np.testing.assert_allclose(e[i], known_e, atol=1e-5)
         np.testing.assert_allclose(b[i], known_b, rtol=1e-3, atol=1e-4)
 
 
 @given(
-    seed=SEEDS, lit=st.booleans(), shade=st.sampled_from([0.0, 0.01, 0.1]), polarised=st.booleans()
+    seed=SEEDS,
+    lit=st.booleans(),
+    shade=st.sampled_from([0.0, 0.01, 0.1]),
+    polarised=st.booleans(),
+    interface=st.sampled_from(FAMILIES),
 )
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=16, deadline=None)
 def test_a_step_is_that_of_plain_float64(
-    seed: int, lit: bool, shade: float, polarised: bool
+    seed: int, lit: bool, shade: float, polarised: bool, interface: Interface
 ) -> None:
-    s, noise = skin(seed, lit=lit, polarised=polarised), Noise(shade=shade)
+    s = skin(seed, lit=lit, polarised=polarised, interface=interface)
+    noise = Noise(shade=shade)
     found = solved(s, noise)
     for i, pixel in enumerate(pixels(s)):
-        known = joint_twin.step(LIGHTS, pixel, INTERFACE, noise)
+        known = joint_twin.step(LIGHTS, pixel, s.interface, noise)
         np.testing.assert_allclose(found.normal[i], known["normal"], atol=1e-4)
         albedo = found.lit[i] / found.power[i]
         np.testing.assert_allclose(albedo, known["albedo"], atol=1e-4)
@@ -180,15 +204,22 @@ def test_a_step_is_that_of_plain_float64(
         np.testing.assert_allclose(found.certainty[i], known["certainty"], rtol=1e-3)
 
 
-@given(seed=SEEDS, lit=st.booleans(), shade=st.sampled_from([0.0, 0.03]), polarised=st.booleans())
-@settings(max_examples=8, deadline=None)
+@given(
+    seed=SEEDS,
+    lit=st.booleans(),
+    shade=st.sampled_from([0.0, 0.03]),
+    polarised=st.booleans(),
+    interface=st.sampled_from(FAMILIES),
+)
+@settings(max_examples=16, deadline=None)
 def test_evidence_of_gloss_is_what_turns_and_albedos_cannot_explain(
-    seed: int, lit: bool, shade: float, polarised: bool
+    seed: int, lit: bool, shade: float, polarised: bool, interface: Interface
 ) -> None:
-    s, noise = skin(seed, off_deg=0.5, lit=lit, polarised=polarised), Noise(shade=shade)
+    s = skin(seed, off_deg=0.5, lit=lit, polarised=polarised, interface=interface)
+    noise = Noise(shade=shade)
     found = evidence(s, noise)
     for i, pixel in enumerate(pixels(s)):
-        known = joint_twin.evidence(LIGHTS, pixel, INTERFACE, noise)
+        known = joint_twin.evidence(LIGHTS, pixel, s.interface, noise)
         scale = np.sqrt(np.array([known[0] ** 2, known[0] * known[2], known[2] ** 2]))
         np.testing.assert_allclose(found[i, :3] / scale, known[:3] / scale, atol=2e-3)
         pulls = known[3:] / np.sqrt(known[[0, 2]])
@@ -262,12 +293,13 @@ def both(s: Skin) -> Solved:
     readings=st.lists(BAD, min_size=21, max_size=21),
     roughness=st.sampled_from([0.0, 1e-6, 0.05, 0.28, 0.45, 5.0, np.nan]),
     specular=st.sampled_from([0.0, 0.03, 0.2, 1e6]),
+    interface=st.sampled_from(FAMILIES),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_whatever_is_read_is_finite_or_zero(
-    readings: list[float], roughness: float, specular: float
+    readings: list[float], roughness: float, specular: float, interface: Interface
 ) -> None:
-    s = skin(0, 1)
+    s = skin(0, 1, interface=interface)
     both(
         dataclasses.replace(
             s,
