@@ -306,6 +306,28 @@ def as_seen(
         lobe *= lights.mirror_share
 
 
+def compiled(lights: PatternLights, shadows: Shadows) -> tuple[np.ndarray, ...]:
+    """What compiled loops take of lights and shadows, in single precision."""
+    single = (lights.position_mm, lights.radius_mm, lights.weight, lights.levels)
+    return (
+        shadows.corners,
+        shadows.weights,
+        shadows.visible,
+        *(values.astype(np.float32) for values in single),
+        lights.group_end,
+    )
+
+
+@njit(cache=True, inline="always")
+def seen_share(corners: np.ndarray, weights: np.ndarray, visible: np.ndarray, light: int) -> float:
+    """Share of a light that a point sees, interpolated from its triangle's corners."""
+    return (
+        weights[0] * visible[corners[0], light]
+        + weights[1] * visible[corners[1], light]
+        + weights[2] * visible[corners[2], light]
+    )
+
+
 @njit(cache=True)
 def off_axis(exponent: float, cosine: float) -> float:
     """Share of its intensity that a light sends off its axis; nothing backward of a spread one."""
@@ -345,14 +367,7 @@ def irradiance_vectors(
     _irradiance_vectors(
         np.ascontiguousarray(points_mm, np.float32),
         np.ascontiguousarray(normals, np.float32),
-        shadows.corners,
-        shadows.weights,
-        shadows.visible,
-        lights.position_mm.astype(np.float32),
-        lights.radius_mm.astype(np.float32),
-        lights.weight.astype(np.float32),
-        lights.levels.astype(np.float32),
-        lights.group_end,
+        *compiled(lights, shadows),
         interface.table,
         np.float32(roughness),
         np.float32(lights.exponent),
@@ -380,16 +395,11 @@ def _irradiance_vectors(
 ) -> None:
     row, part = row_of(roughness, len(through))
     for i in prange(len(points)):
-        c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
         first = 0
         for group in range(len(group_end)):
             x = y = z = np.float32(0)
             for j in range(first, group_end[group]):
-                seen = (
-                    weights[i, 0] * visible[c0, j]
-                    + weights[i, 1] * visible[c1, j]
-                    + weights[i, 2] * visible[c2, j]
-                )
+                seen = seen_share(corners[i], weights[i], visible, j)
                 dx = position[j, 0] - points[i, 0]
                 dy = position[j, 1] - points[i, 1]
                 dz = position[j, 2] - points[i, 2]

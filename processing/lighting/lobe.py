@@ -16,7 +16,14 @@ from numba import njit, prange
 from processing.lighting.facets import STEEPEST, horizontal, unmasked
 from processing.lighting.fresnel import fresnel
 from processing.lighting.interface import BARE, Interface, let_through, row_of
-from processing.lighting.lights import PatternLights, Shadows, as_seen, off_axis
+from processing.lighting.lights import (
+    PatternLights,
+    Shadows,
+    as_seen,
+    compiled,
+    off_axis,
+    seen_share,
+)
 
 SKIN_F0 = 0.028
 """Reflectance at normal incidence of skin, n = 1.4."""
@@ -64,14 +71,7 @@ def transport(
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(views, np.float32),
         np.ascontiguousarray(np.broadcast_to(np.asarray(roughness, np.float32), count)),
-        shadows.corners,
-        shadows.weights,
-        shadows.visible,
-        lights.position_mm.astype(np.float32),
-        lights.radius_mm.astype(np.float32),
-        lights.weight.astype(np.float32),
-        lights.levels.astype(np.float32),
-        lights.group_end,
+        *compiled(lights, shadows),
         fresnel_table().astype(np.float32),
         interface.table,
         interface.mean,
@@ -121,16 +121,11 @@ def _transport(
         row, part = row_of(roughness, len(through))
         leaving = let_through(through, row, part, nv)
         leaving /= mean[row] * (1 - part) + mean[row + 1] * part
-        c0, c1, c2 = corners[i, 0], corners[i, 1], corners[i, 2]
         first = 0
         for group in range(len(group_end)):
             e = mirror = np.float32(0)
             for j in range(first, group_end[group]):
-                seen = (
-                    weights[i, 0] * visible[c0, j]
-                    + weights[i, 1] * visible[c1, j]
-                    + weights[i, 2] * visible[c2, j]
-                )
+                seen = seen_share(corners[i], weights[i], visible, j)
                 if seen <= 0:
                     continue
                 lx = position[j, 0] - points[i, 0]

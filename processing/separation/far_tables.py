@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from processing.lighting.facets import STEEPEST
+from processing.lighting.facets import STEEPEST, unmasked
 from processing.lighting.interface import Interface, let_through, row_of
 from processing.lighting.lights import OCTAHEDRON, PatternLights, octahedral_normals
 from processing.lighting.lobe import fresnel_table
@@ -176,12 +176,7 @@ def _invert(vectors: np.ndarray, solver: np.ndarray) -> None:
 
 @njit(cache=True)
 def _one_side(cosine: float, roughness: float) -> float:
-    """Smith's G1 for Beckmann, the rational fit."""
-    tangent = math.sqrt(max(0.0, 1 - cosine * cosine)) / cosine
-    if roughness * tangent <= 0.625:
-        return 1.0
-    a = 1 / (roughness * tangent)
-    return (3.535 * a + 2.181 * a * a) / (1 + 2.276 * a + 2.577 * a * a)
+    return unmasked(cosine, roughness * math.sqrt(max(0.0, 1 - cosine * cosine)), False)
 
 
 @njit(parallel=True, cache=True)
