@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit, prange
 
-from processing.frames.halves import as_float
-from processing.frames.read import Frames
-
-SMALL_PX = 2_000_000
-"""A foreground is looked for in about this many pixels, and in means of squares where there are
-more."""
+from processing.frames.window import Window
 
 
 def foreground(brightest: np.ndarray, share: float, picture_share: float = 1.0) -> np.ndarray:
@@ -38,56 +32,34 @@ def foreground(brightest: np.ndarray, share: float, picture_share: float = 1.0) 
     return _filled(largest)
 
 
-def view_foreground(frames: Frames, share: float) -> np.ndarray:
+def view_foreground(
+    bright: np.ndarray, side: int, window: Window, shape: tuple[int, int], share: float
+) -> np.ndarray:
     """The foreground of one camera's photographs, in their window.
 
     Args:
-        frames: of which what is clipped counts as it reads.
+        bright: (h // side, w // side) of `SmallPictures`.
+        side: pixels of its squares.
+        window: (h, w) of the photographs.
+        shape: rows and columns of the whole picture.
         share: see `foreground`.
 
     Returns:
         (h, w) bool of the window.
     """
-    height, width = frames.window.shape
-    side = max(1, round(float(np.sqrt(height * width / SMALL_PX))))
-    bits = np.asarray(frames.half).view(np.uint16)
-    means = np.zeros((height // side, width // side), np.float32)
-    _brightest(bits, side, means)
-    area = frames.shape[0] * frames.shape[1]
-    mask = foreground(means, share, height * width / area)
+    height, width = window.shape
+    mask = foreground(bright, share, height * width / (shape[0] * shape[1]))
     if side == 1:
         return mask
     # Between the squares' middles the mask is interpolated: no steps at its edge.
     grown = np.empty((height, width), np.uint8)
-    size = (means.shape[1] * side, means.shape[0] * side)
+    size = (bright.shape[1] * side, bright.shape[0] * side)
     grown[: size[1], : size[0]] = cv2.resize(
         mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_LINEAR
     )
     grown[size[1] :, : size[0]] = grown[size[1] - 1, : size[0]]
     grown[:, size[0] :] = grown[:, size[0] - 1 : size[0]]
     return np.asarray(grown > 127)
-
-
-@njit(parallel=True, cache=True)
-def _brightest(bits: np.ndarray, side: int, out: np.ndarray) -> None:
-    """Means over squares of the largest value over patterns and colours."""
-    for row in prange(out.shape[0]):
-        width = out.shape[1] * side
-        best = np.empty(width * 3, np.float32)
-        sums = np.zeros(width, np.float32)
-        for y in range(row * side, (row + 1) * side):
-            best[:] = -np.inf
-            for k in range(bits.shape[0]):
-                line = bits[k, y].reshape(-1)
-                for i in range(len(best)):
-                    best[i] = max(best[i], as_float(line[i]))
-            for x in range(width):
-                sums[x] += max(best[3 * x], max(best[3 * x + 1], best[3 * x + 2]))
-        for column in range(out.shape[1]):
-            total = np.float32(0)
-            for x in range(column * side, (column + 1) * side):
-                total += sums[x]
-            out[row, column] = total / np.float32(side * side)
 
 
 def _filled(mask: np.ndarray) -> np.ndarray:

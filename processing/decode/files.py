@@ -19,12 +19,15 @@ from lightstage.formats.session import Frame, Session
 from processing.decode.photographs import Calibrated, Photograph, open_photograph
 from processing.frames.drafts import Draft, Marks, frames_path, read_marks, read_told
 from processing.frames.read import power_of_two, read_frames
+from processing.frames.small import SmallPictures
 from processing.frames.window import Window
 from processing.raw.region import find_window
 from processing.records import code_version, hash_of
 
 MOST_THREADS = 4
 """Each holds one photograph's counts in memory."""
+BAND_ROWS = 128
+"""Rows that are developed, looked at and written before the next: they stay in the cache."""
 SURROUNDED = 0.3
 """A pattern whose lights' mean direction is shorter than this lights the face from all around."""
 
@@ -162,7 +165,12 @@ def lookers(session: Session, patterns: Sequence[str]) -> list[str]:
 
 
 def fill_draft(
-    job: CameraJob, out: Path, look: Look, draft: Draft, step: Callable[[], None]
+    job: CameraJob,
+    out: Path,
+    look: Look,
+    draft: Draft,
+    pictures: SmallPictures,
+    step: Callable[[], None],
 ) -> int:
     """Decode into a draft what did not change since the last run, and keep the rest.
 
@@ -171,6 +179,7 @@ def fill_draft(
         out: processed folder with what the last run left.
         look: of the photographs; those it left open are closed.
         draft: with a row for each of `job.lit`; rows of missing patterns stay zero.
+        pictures: small ones of `job.lit`, filled beside it.
         step: called for each photograph.
 
     Returns:
@@ -186,12 +195,16 @@ def fill_draft(
     for name, marks in kept.items():
         draft.marks[name] = marks
         if before is not None and name in job.lit:
-            draft.write_row(job.lit.index(name), before.half[before.patterns.index(name)])
+            picture = before.half[before.patterns.index(name)]
+            for top, rows in bands(look.window.height, pictures.cell):
+                band = np.asarray(picture[top : top + rows])
+                draft.write_rows(job.lit.index(name), top, band)
+                pictures.add(name, top, band)
         step()
     ambient = None
     if job.dark and wanted:
         ambient = _ambient(job, look, draft, [n for n in job.dark if n not in kept], step)
-    _in_threads(job, look, draft, wanted, ambient, step)
+    _in_threads(job, look, draft, pictures, wanted, ambient, step)
     for photograph in look.opened.values():
         photograph.close()
     for marks in draft.marks.values():
@@ -248,29 +261,45 @@ def _ambient(
     return total
 
 
+def bands(height: int, cell: int) -> list[tuple[int, int]]:
+    """First row and number of rows of a window's bands: whole cells, but for the last."""
+    rows = cell * max(1, BAND_ROWS // cell)
+    return [(top, min(rows, height - top)) for top in range(0, height, rows)]
+
+
 def _in_threads(
     job: CameraJob,
     look: Look,
     draft: Draft,
+    pictures: SmallPictures,
     wanted: Sequence[str],
     ambient: np.ndarray | None,
     step: Callable[[], None],
 ) -> None:
     """Unpack and develop photographs, as many at a time as there are processors."""
     own = threading.local()
+    height, width = look.window.shape
+    parts = bands(height, pictures.cell)
 
     def develop(name: str) -> tuple[str, Marks]:
-        if not hasattr(own, "row"):
-            own.row = np.empty((*look.window.shape, 3), np.float16)
-            own.marks = np.empty(look.window.shape, np.uint8)
-        own.marks[:] = 0
+        if not hasattr(own, "rows"):
+            own.rows = np.empty((parts[0][1], width, 3), np.float16)
+            own.marks = np.empty((parts[0][1], width), np.uint8)
+        found: list[Marks] = []
         photograph = look.opened.get(name) or job.open(name)
         try:
-            photograph.develop(look.window, look.scale, ambient, own.row, own.marks)
+            for top, rows in parts:
+                lit, marks = own.rows[:rows], own.marks[:rows]
+                marks[:] = 0
+                place = Window(look.window.top + top, look.window.left, rows, width)
+                dark = None if ambient is None else ambient[top : top + rows]
+                photograph.develop(place, look.scale, dark, lit, marks)
+                draft.write_rows(job.lit.index(name), top, lit)
+                pictures.add(name, top, lit)
+                found.append(Marks.of(marks, top * width))
         finally:
             photograph.close()
-        draft.write_row(job.lit.index(name), own.row)
-        return name, Marks.of(own.marks)
+        return name, Marks.joined(found)
 
     threads = max(1, min(os.cpu_count() or 1, MOST_THREADS, len(wanted)))
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:

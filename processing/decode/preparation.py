@@ -14,8 +14,15 @@ from lightstage.formats.session import Session
 from processing.decode.completing import Pair, Recipe, fill, pairs_of
 from processing.decode.diagnosis import Diagnosis, write_diagnosis
 from processing.decode.motion import Flow, solve_pair, warp
-from processing.decode.shrinking import shrunk
-from processing.decode.sums import ambient_ratio, fit_sums, residual, wrong_patterns
+from processing.decode.shrinking import free_cells, shrunk
+from processing.decode.sums import (
+    ambient_ratio,
+    fit_sums,
+    mean_colour,
+    residual,
+    wrong_patterns,
+)
+from processing.frames.small import SmallPictures, cell_side
 from processing.readings import px_per_mm
 
 ALIKE = 0.5
@@ -51,6 +58,7 @@ def prepare_view(
     session: Session,
     config: PrepareConfig,
     recipes: Mapping[str, Recipe],
+    pictures: SmallPictures | None = None,
 ) -> dict[str, Any]:
     """Check one view's photographs against each other and mend what can be mended, in place.
 
@@ -68,16 +76,22 @@ def prepare_view(
         session: its rig, what was driven.
         config: see there.
         recipes: missing patterns of this camera.
+        pictures: small ones of `images`, with cells of `cell_px`, where they are there already;
+            those of photographs that are changed here are made anew.
 
     Returns:
-        Facts, JSON-ready: ``displaced_px`` and ``aligned`` patterns, ``flicker``, ``ambient`` share
-        of full by colour, ``pairs_apart``, ``left`` per axis, ``looks_like``, ``rebuilt``.
+        Facts, JSON-ready: ``changed`` patterns, ``displaced_px`` and ``aligned`` patterns,
+        ``flicker``, ``ambient`` share of full by colour, ``pairs_apart``, ``left`` per axis,
+        ``looks_like``, ``rebuilt``.
     """
     names = tuple(patterns)
     fill(images, names, dict(recipes))
     scale = px_per_mm(session.rig.camera(camera_id))
-    cell = max(1, round(scale / config.cells_per_mm))
-    view = View(images, usable, names, cell, scale)
+    cell = cell_px(usable.shape, scale, config)
+    known = {} if pictures is None else pictures.small
+    view = View(images, usable, names, cell, scale, {n: p for n, p in known.items() if n in names})
+    view.look([name for name in names if name not in known or name in recipes])
+    view.changed.update(recipes)
     facts: dict[str, Any] = {
         "rebuilt": sorted(recipes),
         "displaced_px": {},
@@ -88,24 +102,36 @@ def prepare_view(
         "left": {},
         "looks_like": {},
     }
-    pictures = Diagnosis(view.small[names[0]], 1 - view.free.astype(np.float32))
+    told = Diagnosis(view.small[names[0]], 1 - view.free.astype(np.float32))
     groups = _groups(session, names, recipes)
     for place, (whole, pairs) in enumerate(groups.items()):
         if not place:
-            pictures.whole = view.small[whole]
+            told.whole = view.small[whole]
         gradients = [name for pair in pairs for name in (pair.first, pair.second)]
         found = wrong_patterns(view.small, whole, gradients, view.free, session, camera_id)
         facts["looks_like"] |= found[0]
-        pictures.unlike |= found[1]
-        pictures.residuals |= {pair.axis: residual(view.small, pair) for pair in pairs}
+        told.unlike |= found[1]
+        told.residuals |= {pair.axis: residual(view.small, pair) for pair in pairs}
         good = [pair for pair in pairs if not {pair.first, pair.second} & set(found[0])]
         if good:
             _align(view, good, config, facts)
-            _even_out(view, good, config, facts, pictures)
-    if recipes and (facts["aligned"] or facts["flicker"] or pictures.ambient is not None):
+            _even_out(view, good, config, facts, told)
+    if recipes and (facts["aligned"] or facts["flicker"] or told.ambient is not None):
         fill(images, names, dict(recipes))
-    write_diagnosis(out, camera_id, pictures)
+    write_diagnosis(out, camera_id, told)
+    facts["changed"] = sorted(view.changed)
     return facts
+
+
+def cell_px(shape: tuple[int, int], scale: float, config: PrepareConfig) -> int:
+    """Pixels a cell of the small pictures.
+
+    Args:
+        shape: rows and columns of the photographs.
+        scale: their pixels a millimetre.
+        config: see there.
+    """
+    return cell_side(shape, scale / config.cells_per_mm)
 
 
 def prepare_warnings(facts: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -143,8 +169,9 @@ class View:
         names: P patterns.
         cell_px: pixels a cell of the small pictures.
         px_per_mm: pixels a millimetre.
-        small: pattern to (h', w', 3) float32.
+        small: pattern to (h', w', 3) float32, finite.
         free: (h', w') bool, cells all of whose pixels are usable.
+        changed: names of photographs that were changed.
     """
 
     def __init__(
@@ -154,15 +181,16 @@ class View:
         names: tuple[str, ...],
         cell_px: int,
         px_per_mm: float,
+        small: dict[str, np.ndarray],
     ) -> None:
         self.images, self.usable, self.names = images, usable, names
-        self.cell_px, self.px_per_mm = cell_px, px_per_mm
-        self.small: dict[str, np.ndarray] = {}
-        self.look(names)
+        self.cell_px, self.px_per_mm, self.small = cell_px, px_per_mm, small
+        self.free = free_cells(usable, cell_px)
+        self.changed: set[str] = set()
 
     def look(self, names: Sequence[str]) -> None:
         """Make small pictures of some patterns anew."""
-        self.free = shrunk(self.usable.astype(np.float32), self.cell_px) > 0.999
+        self.free = free_cells(self.usable, self.cell_px)
         for name in names:
             self.small[name] = shrunk(self.images[self.names.index(name)], self.cell_px)
 
@@ -183,7 +211,7 @@ def _align(view: View, pairs: Sequence[Pair], config: PrepareConfig, facts: dict
     """Lay the photographs that moved upon the whole."""
     flows: dict[int, Flow] = {}
     for pair in pairs:
-        three = [view.small[n].mean(axis=2) for n in (pair.first, pair.second, pair.whole)]
+        three = [mean_colour(view.small[n]) for n in (pair.first, pair.second, pair.whole)]
         motion = solve_pair(
             three[0],
             three[1],
@@ -205,6 +233,7 @@ def _align(view: View, pairs: Sequence[Pair], config: PrepareConfig, facts: dict
         warp(view.images, flows, view.usable)
         moved = [view.names[row] for row in sorted(flows)]
         facts["aligned"] += moved
+        view.changed.update(moved)
         view.look(moved)
 
 
@@ -223,6 +252,7 @@ def _even_out(
     for name, gain in changed.items():
         row = view.names.index(name)
         view.images[row] = np.asarray(view.images[row], np.float32) * np.float32(gain)
+    view.changed.update(changed)
     facts["flicker"] |= {name: round(1 / gain, 4) for name, gain in changed.items()}
     facts["left"] |= {axis: round(left, 5) for axis, left in fit.left.items()}
     share = float(fit.ambient.mean())
@@ -245,3 +275,4 @@ def _take_off(view: View, whole: str, ratio: np.ndarray) -> None:
     for row, name in enumerate(view.names):
         if name.partition("@")[2] == kind:
             view.images[row] = np.asarray(view.images[row], np.float32) - ambient
+            view.changed.add(name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +23,20 @@ from processing.decode.files import (
     first_look,
 )
 from processing.decode.photographs import exposure_factors, read_calibrations
-from processing.decode.preparation import PrepareConfig, prepare_view, prepare_warnings
+from processing.decode.preparation import (
+    PrepareConfig,
+    cell_px,
+    prepare_view,
+    prepare_warnings,
+)
 from processing.errors import ProcessingError
 from processing.frames.drafts import NOT_A_NUMBER, Draft, new_frames
-from processing.frames.read import Frames, write_foreground
+from processing.frames.read import write_foreground
+from processing.frames.small import SmallPictures, small_pictures
 from processing.frames.window import Window, whole
 from processing.masks import view_foreground
 from processing.raw.region import mesh_window
-
-SAMPLED_ROWS = 64
-"""Rows of each photograph that tell whether what comes after the decode changed it."""
+from processing.readings import px_per_mm
 
 
 @dataclasses.dataclass(frozen=True)
@@ -180,11 +185,25 @@ def _decode_window(
     step: Callable[[], None],
 ) -> Decoded | None:
     """Decode what `look` says; None where the mask goes on beyond its window."""
+    scale = px_per_mm(job.session.rig.camera(job.camera))
+    cell = cell_px(look.window.shape, scale, config.prepare)
+    pictures = SmallPictures.empty(look.window.shape, job.lit, cell)
+    place = look.window, job.shape, config.foreground_share
     try:
-        with new_frames(out, job.camera, job.lit, look.scale, look.window, job.shape) as draft:
-            kept = fill_draft(job, out, look, draft, step)
-            sums = _prepare(job, out, draft, config.prepare, missing)
-            mask = view_foreground(_as_frames(job, look, draft), config.foreground_share)
+        with (
+            ThreadPoolExecutor(2) as beside,
+            new_frames(out, job.camera, job.lit, look.scale, look.window, job.shape) as draft,
+        ):
+            kept = fill_draft(job, out, look, draft, pictures, step)
+            # While the photographs are checked they go to the disk, and the mask is found.
+            settled = beside.submit(draft.settle)
+            early = beside.submit(view_foreground, pictures.bright, pictures.side, *place)
+            sums = _prepare(job, out, draft, pictures, config.prepare, missing)
+            mask = early.result()
+            settled.result()
+            if draft.told["changed_later"]:
+                pictures = small_pictures(draft.half, job.lit, cell)
+                mask = view_foreground(pictures.bright, pictures.side, *place)
             if _reaches_beyond(mask, look.window, limit):
                 raise _WindowTooSmallError
             if not mask.any():
@@ -194,15 +213,18 @@ def _decode_window(
                     expected="a face",
                     hint="Are the lights, the exposure and the lens cap as they should be?",
                 )
-            clipped = float((mask & (draft.clipped != 0)).sum() / mask.sum())
+            area = int(np.count_nonzero(mask))
+            clipped = np.count_nonzero(mask & (np.asarray(draft.clipped) != 0)) / area
     except _WindowTooSmallError:
         return None
     whole_mask = look.window.placed(mask, job.shape)
-    write_foreground(out, job.camera, whole_mask)
-    ProcessedFolder(out).write_mask(job.camera, whole_mask)
+    with ThreadPoolExecutor(1) as beside:
+        written = beside.submit(write_foreground, out, job.camera, whole_mask)
+        ProcessedFolder(out).write_mask(job.camera, whole_mask)
+        written.result()
     pixels = job.shape[0] * job.shape[1]
     return Decoded(
-        foreground_share=round(float(mask.sum()) / pixels, 4),
+        foreground_share=round(area / pixels, 4),
         clipped_share=round(clipped, 5),
         window_share=round(look.window.height * look.window.width / pixels, 4),
         kept=kept,
@@ -214,19 +236,18 @@ def _prepare(
     job: CameraJob,
     out: Path,
     draft: Draft,
+    pictures: SmallPictures,
     config: PrepareConfig,
     missing: Mapping[str, Recipe],
 ) -> dict[str, Any]:
     """Check and mend the photographs against each other; note which did not stay as decoded."""
-    every = max(1, draft.half.shape[1] // SAMPLED_ROWS)
-    before = np.array(draft.half[:, ::every])
     usable = np.asarray(draft.clipped) == 0
-    sums = prepare_view(out, job.camera, job.lit, draft.half, usable, job.session, config, missing)
-    after = draft.half[:, ::every]
-    draft.told["changed_later"] = [
-        name for k, name in enumerate(job.lit) if not np.array_equal(before[k], after[k])
-    ]
-    draft.clipped[~usable & (draft.clipped == 0)] = NOT_A_NUMBER
+    sums = prepare_view(
+        out, job.camera, job.lit, draft.half, usable, job.session, config, missing, pictures
+    )
+    draft.told["changed_later"] = sums.pop("changed")
+    if draft.told["changed_later"]:
+        draft.clipped[~usable & (draft.clipped == 0)] = NOT_A_NUMBER
     return sums
 
 
@@ -236,11 +257,6 @@ def _exposures(factors: Mapping[str, float]) -> str:
     odd = {n: f / usual for n, f in factors.items() if abs(f / usual - 1) > 1e-4}
     told = ", ".join(f"{name} times {factor:.4g}" for name, factor in odd.items())
     return f"unlike exposures in the files, brought to one: {told}"
-
-
-def _as_frames(job: CameraJob, look: Look, draft: Draft) -> Frames:
-    """The draft as Frames, while it is written."""
-    return Frames(job.lit, draft.half, look.scale, look.window, job.shape, draft.clipped)
 
 
 def _reaches_beyond(mask: np.ndarray, window: Window, limit: Window) -> bool:

@@ -40,11 +40,17 @@ class Marks:
     bits: np.ndarray
 
     @classmethod
-    def of(cls, clipped: np.ndarray) -> Marks:
-        """Of (h, w) uint8 bits."""
+    def of(cls, clipped: np.ndarray, first: int = 0) -> Marks:
+        """Of (n, w) uint8 bits, whose first pixel is the window's `first`."""
         flat = clipped.reshape(-1)
-        places = np.flatnonzero(flat)
-        return cls(places.astype(np.uint32), flat[places])
+        places = np.flatnonzero(flat) if flat.max(initial=0) else np.zeros(0, np.intp)
+        return cls((places + first).astype(np.uint32), flat[places])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Marks]) -> Marks:
+        """Of several parts of a photograph in the order of their rows."""
+        places = [part.places for part in parts]
+        return cls(np.concatenate(places), np.concatenate([part.bits for part in parts]))
 
     def add_to(self, clipped: np.ndarray) -> None:
         """Add the bits to (h, w) uint8, contiguous, in place."""
@@ -58,26 +64,32 @@ class Draft:
     Attributes:
         half: (P, h, w, 3) float16, zeros at first.
         clipped: (h, w) uint8, zeros at first.
+        file: descriptor of the file that `half` maps.
         told: JSON-ready, kept beside the arrays (`read_told`).
         marks: pattern to its own clipped pixels, for the next run that decodes only some.
     """
 
     half: np.memmap
     clipped: np.memmap
+    file: int
     told: dict[str, Any] = dataclasses.field(default_factory=dict)
     marks: dict[str, Marks] = dataclasses.field(default_factory=dict)
 
-    def write_row(self, k: int, picture: np.ndarray) -> None:
-        """Write pattern `k`, (h, w, 3) float16: a file's new pages are cheaper written than mapped.
+    def write_rows(self, k: int, top: int, rows: np.ndarray) -> None:
+        """Write rows (n, w, 3) float16 of pattern `k` from row `top` on.
 
-        Other threads run meanwhile.
+        A file's new pages are cheaper written than mapped. Other threads run meanwhile.
         """
-        row = memoryview(np.ascontiguousarray(picture).view(np.uint8).data).cast("B")
-        place = self.half.offset + k * len(row)
-        with Path(str(self.half.filename)).open("r+b", buffering=0) as file:
-            while row:
-                written = os.pwrite(file.fileno(), row, place)
-                row, place = row[written:], place + written
+        data = memoryview(np.ascontiguousarray(rows).view(np.uint8).data).cast("B")
+        _, height, width, _ = self.half.shape
+        place = self.half.offset + (k * height + top) * width * 6
+        while data:
+            written = os.pwrite(self.file, data, place)
+            data, place = data[written:], place + written
+
+    def settle(self) -> None:
+        """Bring to the disk what `half` holds by now; other threads run meanwhile."""
+        os.fsync(self.file)
 
 
 @contextlib.contextmanager
@@ -103,8 +115,11 @@ def new_frames(
         size = (len(patterns), *window.shape, 3)
         half = np.lib.format.open_memmap(beside / HALVES, "w+", np.float16, size)
         clipped = np.lib.format.open_memmap(beside / CLIPPED, "w+", np.uint8, window.shape)
-        draft = Draft(half, clipped)
-        yield draft
+        file = os.open(beside / HALVES, os.O_RDWR)
+        try:
+            yield (draft := Draft(half, clipped, file))
+        finally:
+            os.close(file)
         value = {
             "schema": SCHEMA,
             "patterns": list(patterns),

@@ -187,7 +187,7 @@ def write_foreground(out: Path, camera_id: str, mask: np.ndarray) -> Path:
     """Write a camera's (h, w) bool foreground mask; returns its path."""
     path = foreground_path(out, camera_id)
     with atomic_path(path) as beside:
-        cv2.imwrite(str(beside), mask.astype(np.uint8) * 255)
+        cv2.imwrite(str(beside), mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
     return path
 
 

@@ -12,8 +12,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lightstage.errors import FormatError
-from processing.frames.drafts import HALVES, NOT_A_NUMBER, frames_path, new_frames
+from processing.frames.drafts import HALVES, NOT_A_NUMBER, Marks, frames_path, new_frames
 from processing.frames.read import Frames, power_of_two, read_frames, write_frames
+from processing.frames.small import (
+    SmallPictures,
+    bright_side,
+    cell_means,
+    cell_side,
+    small_pictures,
+)
 from processing.frames.window import Window, box_of, whole
 
 PATTERNS = ("full", "x+", "x-")
@@ -154,3 +161,46 @@ def test_windows_grow_to_the_picture_and_meet() -> None:
     assert window.and_also(Window(4, 0, 10, 5)) == Window(4, 3, 2, 2)
     assert window.and_also(Window(7, 0, 1, 1)).empty
     assert not Window(5, 0, 4, 4).inside((8, 8))
+
+
+@pytest.mark.parametrize(
+    ("shape", "cell"), [((30, 41), 4), ((31, 40), 5), ((8, 8), 8), ((5, 9), 1)]
+)
+def test_small_pictures_of_rows_are_those_of_the_whole(shape: tuple[int, int], cell: int) -> None:
+    rng = np.random.default_rng(5)
+    half: np.ndarray = rng.uniform(-0.1, 3, (3, *shape, 3)).astype(np.float16)
+    found = SmallPictures.empty(shape, PATTERNS[:3], cell)
+    for name, picture in zip(PATTERNS[:3], half, strict=True):
+        for top in reversed(range(0, shape[0], 2 * cell)):
+            found.add(name, top, picture[top : top + 2 * cell])
+    rows, columns = shape[0] // cell, shape[1] // cell
+    for name, picture in zip(PATTERNS[:3], half, strict=True):
+        part = picture[: rows * cell, : columns * cell].astype(float)
+        means = part.reshape(rows, cell, columns, cell, 3).mean(axis=(1, 3))
+        np.testing.assert_allclose(found.small[name], means, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(cell_means(picture, cell), means, rtol=1e-5, atol=1e-6)
+    assert found.side == 1
+    np.testing.assert_allclose(found.bright, np.maximum(half.max(axis=(0, 3)), 0), rtol=1e-6)
+
+
+def test_squares_of_a_large_picture_hold_the_brightest_mean() -> None:
+    shape = (2100, 2500)
+    half: np.ndarray = np.random.default_rng(6).uniform(0, 2, (2, *shape, 3)).astype(np.float16)
+    side, cell = bright_side(shape), cell_side(shape, 5.0)
+    assert side == 2
+    assert cell == 4
+    found = small_pictures(half, ("a", "b"), cell)
+    means = half.astype(np.float32).reshape(2, 1050, 2, 1250, 2, 3).mean(axis=(2, 4))
+    np.testing.assert_allclose(found.bright, means.max(axis=(0, 3)), rtol=1e-5)
+    with pytest.raises(ValueError, match="squares"):
+        SmallPictures.empty(shape, ("a",), 3)
+    with pytest.raises(ValueError, match="begins no cell"):
+        found.add("a", 2, half[0, :4])
+
+
+def test_marks_of_parts_are_those_of_the_whole() -> None:
+    bits: np.ndarray = (np.random.default_rng(7).random((12, 9)) > 0.9).astype(np.uint8) * 3
+    parts = [Marks.of(bits[top : top + 5], top * 9) for top in (0, 5, 10)]
+    joined, whole_one = Marks.joined(parts), Marks.of(bits)
+    np.testing.assert_array_equal(joined.places, whole_one.places)
+    np.testing.assert_array_equal(joined.bits, whole_one.bits)
