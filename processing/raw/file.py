@@ -91,7 +91,7 @@ def unpack_raw(path: Path) -> RawFile:
         raw.open_file(str(path))
         raw.unpack()
         return _opened(path, raw)
-    except (rawpy.LibRawError, OSError) as error:
+    except (rawpy.LibRawError, OSError, NotImplementedError) as error:
         raw.close()
         raise _unreadable(path, error) from None
     except FormatError:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lightstage.errors import FormatError
@@ -269,6 +269,7 @@ def test_strips_in_a_row_are_one_piece_and_others_are_not(tmp_path: Path) -> Non
     assert _strips(Directory("picture", dict(apart), {}), 2 * half) is None
 
 
+@example(place=197, byte=3)
 @given(place=st.integers(8, 400), byte=st.integers(0, 255))
 @settings(max_examples=60, deadline=None)
 def test_a_damaged_header_is_refused_or_read_as_libraw_reads_it(place: int, byte: int) -> None:
