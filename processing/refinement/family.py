@@ -18,7 +18,7 @@ ROUNDS = 3
 STRETCH = 1.2
 """By what factor a lobe's stretch is tried wider, as long as that helps."""
 MOST_STRETCHED = 2.0
-SURE = 0.97
+SURE = 0.98
 """Another family than the simplest must leave this share of its residuals or less."""
 
 
@@ -56,7 +56,8 @@ def best_facets(scene: Scene, views: list[View], config: RefineConfig) -> Facets
 def unexplained(scene: Scene, views: list[View], facets: Facets, config: RefineConfig) -> float:
     """Median squared residual over its variance once gloss and normals are fitted to a family.
 
-    0 where no pixel can be asked.
+    Colour decides, as for gloss: what bounces and scattering do to a pattern's light would count
+    for more than the lobe's shape, in all channels alike. 0 where no pixel can be asked.
     """
     scene = dataclasses.replace(scene, facets=facets)
     bands = [slice(None, None, -(-len(v.rgb) // config.family_pixels)) for v in views]
@@ -74,15 +75,19 @@ def unexplained(scene: Scene, views: list[View], facets: Facets, config: RefineC
             roughness, specular = (values[band] for values in gloss_of(scene, view.sight))
             given = (roughness, specular, scene.interface, unscattered(*view.rgb[band].shape[:2]))
             solved = solve_jointly(
-                view.rgb[band], scene.lights, place, normals[k], *given, config.noise, rounds=1
+                view.rgb[band],
+                scene.lights,
+                place,
+                normals[k],
+                *given,
+                config.gloss_noise,
+                rounds=1,
             )
             normals[k] = solved.normal
             misfits.append(solved.misfit[(solved.misfit > 0) & (trust[k] > 0.5)])
             if done == ROUNDS - 1:
                 continue
-            evidence = gloss_evidence(
-                view.rgb[band], scene.lights, place, normals[k], *given, config.gloss_noise
-            )
+            evidence = gloss_evidence(view.rgb[band], scene.lights, place, normals[k], *given)
             shadows = place.shadows
             evidence *= trust[k][:, None]
             sums += sum_at_vertices(evidence, shadows.corners, shadows.weights, len(sums))
