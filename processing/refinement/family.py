@@ -73,15 +73,10 @@ def unexplained(scene: Scene, views: list[View], facets: Facets, config: RefineC
         for k, (view, band) in enumerate(zip(views, bands, strict=True)):
             place = place_of(scene, view, band)
             roughness, specular = (values[band] for values in gloss_of(scene, view.sight))
-            given = (roughness, specular, scene.interface, unscattered(*view.rgb[band].shape[:2]))
+            around = unscattered(*view.rgb[band].shape[:2])
+            given = (roughness, specular, scene.interface, around, config.gloss_noise)
             solved = solve_jointly(
-                view.rgb[band],
-                scene.lights,
-                place,
-                normals[k],
-                *given,
-                config.gloss_noise,
-                rounds=1,
+                view.rgb[band], scene.lights, place, normals[k], *given, rounds=1
             )
             normals[k] = solved.normal
             misfits.append(solved.misfit[(solved.misfit > 0) & (trust[k] > 0.5)])
