@@ -13,7 +13,7 @@ from processing.separation.far_tables import ROWS
 from processing.separation.lanes import LANES, at_least, every, lane, load, store, totals
 from processing.separation.triples import load_triples, over_root, store_triples
 
-TILE_ROWS = 4
+TILE_ROWS = 8
 TILE = TILE_ROWS * LANES
 """Pixels of a tile."""
 NEAR = 0.99

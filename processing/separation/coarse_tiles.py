@@ -1,4 +1,4 @@
-"""The coarse method where pixels are finer than what skin mirrors: tiles of 8 x 4 pixels.
+"""The coarse method where pixels are finer than what skin mirrors: tiles of 8 x 8 pixels.
 
 A tile's mean is solved as one pixel is (`coarse_pixel`): it tells which lights its normals see, how
 they mirror and how far they can be trusted. With these its pixels' own normals and albedo are sums
@@ -126,8 +126,8 @@ def solve_tiles(
                 view, place = _ray(
                     rays,
                     step,
-                    np.float32(y0 + origin[0]) + np.float32(1.5),
-                    np.float32(left + origin[1]) + np.float32(3.5),
+                    np.float32(y0 + origin[0]) + np.float32(0.5 * (TILE_ROWS - 1)),
+                    np.float32(left + origin[1]) + np.float32(0.5 * (LANES - 1)),
                     camera,
                 )
                 own[:] = good

@@ -70,7 +70,7 @@ class SeparateConfig:
     """Beckmann's m of skin, for the lobe."""
     tile_mm: float = 0.6
     """Where eight pixels are no longer than this, `colour` finds lobe, confidence and the lights
-    above the horizon for tiles of 8 x 4 pixels; 0 finds them for every pixel."""
+    above the horizon for tiles of 8 x 8 pixels; 0 finds them for every pixel."""
     specular_pool_mm: float = 4.0
     """Sigma over which pixels share one specular albedo."""
     specular_prior: float = SKIN_F0
