@@ -9,6 +9,7 @@ import typer
 
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
 from lightstage.formats.template import default_template_path
+from processing.calibration import cameras_command
 from processing.calibration import command as calibration_command
 from processing.errors import ProcessingError
 
@@ -16,6 +17,7 @@ app = make_app("Photographs of a light stage to reflectance maps, mesh, atlas an
 dataset_app = make_app("The lab's store of many processed sessions, and its published form.")
 app.add_typer(dataset_app, name="dataset")
 calibration_command.register(app)
+cameras_command.register(app)
 
 SessionPath = typer.Argument(..., help="Session folder.", show_default=False)
 OutPath = typer.Option(..., "--out", help="Processed folder, made or continued.")

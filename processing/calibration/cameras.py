@@ -1,0 +1,318 @@
+"""Cameras from boards: lenses and poses in the stage's world, residuals, and who is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lightstage.rig import Camera, Rig
+from processing.calibration.boards import BoardConfig, Sight
+from processing.calibration.cameras_fit import Adjusted, adjust
+from processing.calibration.cameras_start import first_poses
+from processing.errors import PoseError
+
+MODELS = ("SIMPLE_RADIAL", "RADIAL", "OPENCV")
+HELD_OUT = 4
+"""Every fourth board is left out of a second adjustment, which is then asked where it lies."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CamerasConfig:
+    """How cameras are measured.
+
+    Attributes:
+        model: of the lenses, COLMAP's name: SIMPLE_RADIAL (one focal length and k1; enough for long
+            lenses, whose principal point other terms blur), RADIAL (and k2), OPENCV (two focal
+            lengths, k1, k2, p1, p2).
+        max_residual_px: a camera whose corners are off by more (median) is refused.
+        outlier_px: corners farther off than this after a first adjustment are left out.
+        min_sights: boards that a camera must have seen.
+        moved_mm: a camera found farther than this from where rig.json has it is warned of.
+        turned_deg: likewise by how much it looks elsewhere.
+        allow: ids of cameras that are kept whatever their residual.
+    """
+
+    model: str = "SIMPLE_RADIAL"
+    max_residual_px: float = 0.5
+    outlier_px: float = 2.0
+    min_sights: int = 3
+    moved_mm: float = 20.0
+    turned_deg: float = 3.0
+    allow: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class MeasuredCameras:
+    """What was measured.
+
+    Attributes:
+        cameras: of the rig, in its order, those that could not be measured as they were.
+        facts: JSON-ready: residuals of each camera, also on boards that were held out.
+        warnings: what to tell.
+    """
+
+    cameras: tuple[Camera, ...]
+    facts: dict[str, Any]
+    warnings: list[str]
+
+
+def measure_cameras(
+    sights: Sequence[Sight], rig: Rig, board: BoardConfig, config: CamerasConfig
+) -> MeasuredCameras:
+    """Lenses and poses of all cameras that saw boards.
+
+    OpenCV's calibration of each camera alone gives lenses to start with, boards that pairs of
+    cameras saw their relative poses; then everything is adjusted together. Boards tell how cameras
+    stand to each other, not where the stage is: the whole is laid onto the rig's own poses, cameras
+    that moved counting little.
+
+    Args:
+        sights: boards as cameras saw them.
+        rig: as it was: picture sizes, lenses and poses to start with.
+        board: what was held.
+        config: limits.
+
+    Raises:
+        PoseError: no two cameras share a board, or each camera whose residual is too large, in one
+            message.
+    """
+    if config.model not in MODELS:
+        raise PoseError("cameras", field="model", found=config.model, expected=" or ".join(MODELS))
+    corners = board.corners_mm()
+    rig_cameras = {camera.id: camera for camera in rig.cameras}
+    counted = _enough(sights, config.min_sights)
+    if len({sight.camera for sight in counted}) < 1:
+        raise PoseError(
+            "cameras",
+            found=f"{len(sights)} boards seen",
+            expected=f"at least {config.min_sights} by a camera",
+            hint="Is it the board of the configuration, lit and sharp?",
+        )
+    lenses = {
+        name: _lens_alone([s for s in counted if s.camera == name], corners, rig_cameras[name])
+        for name in sorted({s.camera for s in counted})
+    }
+    placed, boards = first_poses(
+        counted, corners, {n: (c.opencv_matrix, np.array(c.dist)) for n, c in lenses.items()}
+    )
+    start = {
+        name: dataclasses.replace(lenses[name], cam_from_world=pose[:3])
+        for name, pose in placed.items()
+    }
+    # From afar to near: a narrow loss takes a first guess that is pixels off for outliers.
+    far = adjust(counted, corners, start, boards, model=config.model, lenses=False, scale_px=20.0)
+    near = adjust(counted, corners, far.cameras, far.boards, model=config.model, scale_px=2.0)
+    clean = _without_outliers(counted, near, config.outlier_px)
+    found = adjust(clean, corners, near.cameras, near.boards, model=config.model)
+    held = _held_out(clean, corners, found, config)
+    world = _onto(found.cameras, rig_cameras)
+    facts, warnings = _told(sights, clean, found, held, rig_cameras, world)
+    _refuse(facts, config, warnings)
+    measured = {
+        name: dataclasses.replace(camera, cam_from_world=_four(camera.cam_from_world)[:3] @ world)
+        for name, camera in found.cameras.items()
+    }
+    warnings += _moved(measured, rig_cameras, config)
+    cameras = tuple(measured.get(camera.id, camera) for camera in rig.cameras)
+    return MeasuredCameras(cameras, facts, warnings)
+
+
+def _enough(sights: Sequence[Sight], least: int) -> list[Sight]:
+    """Sights of cameras that have enough of them."""
+    counts = {s.camera: 0 for s in sights}
+    for sight in sights:
+        counts[sight.camera] += 1
+    return [s for s in sights if counts[s.camera] >= least]
+
+
+def _lens_alone(sights: Sequence[Sight], corners_mm: np.ndarray, camera: Camera) -> Camera:
+    """A camera's lens from its own boards [Zhang2000], by OpenCV; its pose is left as it is."""
+    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_PRINCIPAL_POINT
+    flags |= cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST
+    flags |= cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
+    try:
+        _, lens, dist, _, _ = cv2.calibrateCamera(
+            [corners_mm[s.ids].astype(np.float32) for s in sights],
+            [(s.pixels - 0.5).astype(np.float32) for s in sights],
+            (camera.width_px, camera.height_px),
+            camera.opencv_matrix,
+            np.array([camera.dist[0], 0, 0, 0, 0]),
+            flags=flags,
+        )
+    except cv2.error:
+        return camera
+    k1 = float(np.ravel(dist)[0])
+    focal = float(lens[0, 0])
+    # Few boards held alike tell no focal length: what they give then is far from any lens.
+    if not (0.7 < focal / camera.fx_px < 1.4 and abs(k1) < 2):
+        return camera
+    return dataclasses.replace(
+        camera,
+        fx_px=focal,
+        fy_px=float(lens[1, 1]),
+        dist=(k1, 0.0, 0.0, 0.0, 0.0),
+    )
+
+
+def _without_outliers(sights: Sequence[Sight], found: Adjusted, limit_px: float) -> list[Sight]:
+    out = []
+    for sight, miss in zip(sights, found.residual_px, strict=True):
+        if not len(miss):
+            continue
+        # A camera that is off as a whole keeps its corners, so that it can be named.
+        near = miss < max(limit_px, 5 * float(np.median(miss)))
+        if near.sum() >= 4:
+            out.append(dataclasses.replace(sight, ids=sight.ids[near], pixels=sight.pixels[near]))
+    return out
+
+
+def _held_out(
+    sights: Sequence[Sight], corners: np.ndarray, found: Adjusted, config: CamerasConfig
+) -> dict[str, np.ndarray]:
+    """Residuals by camera on boards that the cameras were not adjusted to."""
+    shots = sorted({s.shot for s in sights})
+    out = shots[HELD_OUT - 1 :: HELD_OUT]
+    left = [s for s in sights if s.shot not in out]
+    kept = {s.camera for s in _enough(left, config.min_sights)}
+    if not out or not kept:
+        return {}
+    left = [s for s in left if s.camera in kept]
+    cameras = {name: found.cameras[name] for name in kept}
+    fitted = adjust(left, corners, cameras, found.boards, model=config.model)
+    asked = [s for s in sights if s.shot in out and s.camera in kept]
+    if not asked:
+        return {}
+    shown = adjust(
+        asked, corners, fitted.cameras, found.boards, model=config.model, lenses=False, poses=False
+    )
+    return {
+        name: np.concatenate(
+            [m for s, m in zip(asked, shown.residual_px, strict=True) if s.camera == name]
+            or [np.zeros(0)]
+        )
+        for name in kept
+    }
+
+
+def _onto(cameras: Mapping[str, Camera], nominal: Mapping[str, Camera]) -> np.ndarray:
+    """(4, 4) reference from world that lays cameras onto the rig's [Kabsch1976], robustly."""
+    names = sorted(cameras)
+    here = np.array([cameras[name].centre_mm for name in names])
+    there = np.array([nominal[name].centre_mm for name in names])
+    spread = np.linalg.svd(there - there.mean(axis=0), compute_uv=False)
+    if len(names) < 3 or spread[1] < 1e-3 * spread[0]:
+        one = _four(nominal[names[0]].cam_from_world)
+        return np.asarray(np.linalg.inv(_four(cameras[names[0]].cam_from_world)) @ one)
+    # To start with, the one camera by which most others stand where they are written: two that
+    # were swapped would pull a plain mean far off.
+    single = [
+        np.linalg.inv(_four(cameras[name].cam_from_world)) @ _four(nominal[name].cam_from_world)
+        for name in names
+    ]
+    out = min(single, key=lambda pose: float(np.median(_missed(pose, there, here))))
+    for _ in range(10):
+        miss = _missed(out, there, here)
+        weights = 1 / (1 + (miss / max(2 * float(np.median(miss)), 1e-6)) ** 2)
+        share = weights / weights.sum()
+        middle, target = share @ here, share @ there
+        turn, _ = Rotation.align_vectors(here - middle, there - target, weights=share)
+        out = np.eye(4)
+        out[:3, :3] = turn.as_matrix()
+        out[:3, 3] = middle - out[:3, :3] @ target
+    return out
+
+
+def _told(
+    sights: Sequence[Sight],
+    clean: Sequence[Sight],
+    found: Adjusted,
+    held: Mapping[str, np.ndarray],
+    nominal: Mapping[str, Camera],
+    world: np.ndarray,
+) -> tuple[dict[str, Any], list[str]]:
+    cameras: dict[str, Any] = {}
+    warnings = []
+    for name, camera in nominal.items():
+        own = [m for s, m in zip(clean, found.residual_px, strict=True) if s.camera == name]
+        if name not in found.cameras or not own:
+            count = sum(s.camera == name for s in sights)
+            warnings.append(f"{name} was not measured: it saw {count} boards that others saw")
+            continue
+        miss = np.concatenate(own)
+        now = found.cameras[name]
+        moved = (_four(now.cam_from_world) @ world)[:3]
+        turn = moved[:, :3] @ camera.cam_from_world[:, :3].T
+        off = held.get(name, np.zeros(0))
+        cameras[name] = {
+            "boards": len(own),
+            "corners": len(miss),
+            "residual_px": round(float(np.median(miss)), 4),
+            "residual_95_px": round(float(np.percentile(miss, 95)), 4),
+            "held_out_px": round(float(np.median(off)), 4) if len(off) else None,
+            "focal_px": round(now.fx_px, 2),
+            "principal_px": [round(now.cx_px, 2), round(now.cy_px, 2)],
+            "distortion": [float(f"{value:.4g}") for value in now.dist],
+            "moved_mm": round(
+                float(np.linalg.norm(-moved[:, :3].T @ moved[:, 3] - camera.centre_mm)), 2
+            ),
+            "turned_deg": round(float(np.degrees(Rotation.from_matrix(turn).magnitude())), 3),
+        }
+    return {"cameras": cameras, "boards": len(found.boards)}, warnings
+
+
+def _refuse(facts: dict[str, Any], config: CamerasConfig, warnings: list[str]) -> None:
+    bad = []
+    for name, told in facts["cameras"].items():
+        if told["residual_px"] <= config.max_residual_px:
+            continue
+        said = f"{name} ({told['residual_px']:.2f} px)"
+        if name in config.allow:
+            warnings.append(f"{said} was allowed")
+        else:
+            bad.append(said)
+    if bad:
+        raise PoseError(
+            "cameras",
+            field=", ".join(bad),
+            found="corners of boards that far off (median)",
+            expected=f"at most {config.max_residual_px:g} px",
+            hint="Did it move between the boards, or lose focus? Take the shots again, or name it "
+            "with --allow-camera.",
+        )
+
+
+def _moved(
+    measured: Mapping[str, Camera], nominal: Mapping[str, Camera], config: CamerasConfig
+) -> list[str]:
+    said = []
+    for name, camera in measured.items():
+        shift = float(np.linalg.norm(camera.centre_mm - nominal[name].centre_mm))
+        turn = camera.cam_from_world[:, :3] @ nominal[name].cam_from_world[:, :3].T
+        turned = float(np.degrees(Rotation.from_matrix(turn).magnitude()))
+        if shift > config.moved_mm or turned > config.turned_deg:
+            near = min(
+                nominal,
+                key=lambda k: float(np.linalg.norm(camera.centre_mm - nominal[k].centre_mm)),
+            )
+            like = f"; it stands where rig.json has {near}" if near != name else ""
+            said.append(
+                f"{name} stands {shift:.0f} mm and looks {turned:.1f} degrees from where rig.json "
+                f"has it{like}"
+            )
+    return said
+
+
+def _missed(pose: np.ndarray, there: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """(n,) distances of points that a pose moves from where they should come, mm."""
+    return np.asarray(np.linalg.norm(there @ pose[:3, :3].T + pose[:3, 3] - here, axis=1))
+
+
+def _four(pose: np.ndarray) -> np.ndarray:
+    out = np.eye(4)
+    out[:3] = pose[:3]
+    return out

@@ -1,0 +1,63 @@
+"""Measured cameras as files: rig.json with its cameras replaced, and cameras.json beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.files import atomic_folder, write_json
+from lightstage.rig import save_rig
+from processing.calibration.boards import BoardConfig, see_boards
+from processing.calibration.cameras import CamerasConfig, MeasuredCameras, measure_cameras
+from processing.calibration.folder import Source
+from processing.errors import ProcessingError
+from processing.records import versions
+
+SCHEMA = "lightstage.cameras/1"
+NAME = "cameras.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class CamerasFile:
+    """What `calibrate-cameras` may be told; a table of its TOML file each."""
+
+    board: BoardConfig = dataclasses.field(default_factory=BoardConfig)
+    cameras: CamerasConfig = dataclasses.field(default_factory=CamerasConfig)
+
+
+def make_cameras(
+    source: Source, config: CamerasFile, out: Path, progress: ProgressCallback = quiet
+) -> MeasuredCameras:
+    """Measure cameras, and write OUT/rig.json and OUT/cameras.json together.
+
+    Raises:
+        FormatError: `out` is something else, or a photograph cannot be read.
+        PoseError: see `measure_cameras`.
+        ProcessingError: no shots of a board.
+    """
+    poses = source.poses.get("charuco")
+    if not poses:
+        raise ProcessingError(
+            source.root,
+            found=f"shots of {', '.join(source.poses)}",
+            expected="shots of a ChArUco board",
+            hint="Take them: `lightstage calibrate charuco --out LAB`.",
+        )
+    with atomic_folder(out, NAME) as folder:
+        rig = poses[0].session.rig
+        sights = see_boards(poses, config.board, progress)
+        found = measure_cameras(sights, rig, config.board, config.cameras)
+        save_rig(dataclasses.replace(rig, cameras=found.cameras), folder / "rig.json")
+        write_json(
+            folder / NAME,
+            {
+                "schema": SCHEMA,
+                "source": source.facts.get("charuco", {}),
+                "config": dataclasses.asdict(config),
+                "facts": found.facts,
+                "warnings": [*source.warnings, *found.warnings],
+                "versions": versions(),
+            },
+        )
+    return found
