@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import open3d
-import scipy.sparse as sp
+
+from processing.registration.laplacian import neighbour_mean
 
 FOLD_COS = -0.5
 """Neighbours whose normals are more than 120 degrees apart make a fold."""
@@ -121,7 +122,7 @@ def mend(
     faulty = faults(vertices)
     before = int(faulty.sum())
     trial, trial_faulty = vertices, faulty
-    mean = _neighbour_mean(triangles, len(rest))
+    mean = neighbour_mean(triangles, len(rest))
     for turn in range(rounds):
         if not trial_faulty.any():
             break
@@ -134,16 +135,6 @@ def mend(
         if trial_faulty.sum() < faulty.sum():
             vertices, faulty = trial, trial_faulty
     return vertices, faulty, before
-
-
-def _neighbour_mean(triangles: np.ndarray, count: int) -> sp.csr_matrix:
-    """(n, n) matrix that averages each vertex's neighbours."""
-    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-    both = np.concatenate([ends, ends[:, ::-1]])
-    joined = sp.coo_matrix((np.ones(len(both)), both.T), shape=(count, count)).tocsr()
-    joined.data[:] = 1
-    degree = np.maximum(np.asarray(joined.sum(axis=1)).ravel(), 1)
-    return (sp.diags(1 / degree) @ joined).tocsr()
 
 
 def _normals(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

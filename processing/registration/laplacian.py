@@ -78,3 +78,13 @@ def tie_components(vertices: np.ndarray, triangles: np.ndarray, strength: float)
     columns = np.concatenate([loose, near, near, loose])
     values = strength * np.repeat([1.0, 1.0, -1.0, -1.0], len(loose))
     return sp.coo_matrix((values, (rows, columns)), shape=(count, count)).tocsr()
+
+
+def neighbour_mean(triangles: np.ndarray, count: int) -> sp.csr_matrix:
+    """(n, n) matrix that averages each vertex's neighbours."""
+    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    both = np.concatenate([ends, ends[:, ::-1]])
+    joined = sp.coo_matrix((np.ones(len(both)), both.T), shape=(count, count)).tocsr()
+    joined.data[:] = 1
+    degree = np.maximum(np.asarray(joined.sum(axis=1)).ravel(), 1)
+    return (sp.diags(1 / degree) @ joined).tocsr()

@@ -16,6 +16,8 @@ from processing.registration.target import Target
 
 MOST_POINTS = 4000
 """Surface points used a round; more add time and no information."""
+SETTLED = 1e-3
+"""A round that changes nothing by more (radians, mm, log scale, deviations) is the last."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,16 +97,20 @@ def fit_modes(
     known = np.flatnonzero(np.isfinite(landmarks_mm).all(axis=1))
     marks = template.landmarks[known]
     cos_gate = np.cos(np.deg2rad(config.normal_gate_deg))
+    candidates = np.flatnonzero(~free)
+    candidates = candidates[:: max(1, round(len(candidates) / (1.5 * MOST_POINTS)))]
     for step in range(config.iterations):
         head = mean + np.tensordot(coefficients, basis, axes=1)
         world = pose.apply(head)
-        closest = target.closest(world)
-        facing = np.einsum("nk,nk->n", vertex_normals(world, triangles), closest.normal)
+        closest = target.closest(world[candidates])
+        normals = vertex_normals(world, triangles)[candidates]
+        facing = np.einsum("nk,nk->n", normals, closest.normal)
         # Half the rounds with the wide gate, then a tighter one.
         gate = config.gate_mm if 2 * step < config.iterations else config.gate_mm / 3
-        use = (closest.distance_mm < gate) & (facing > cos_gate) & ~closest.border & ~free
-        chosen = np.flatnonzero(use)
-        chosen = chosen[:: max(1, len(chosen) // MOST_POINTS)]
+        use = (closest.distance_mm < gate) & (facing > cos_gate) & ~closest.border
+        used = np.flatnonzero(use)
+        used = used[:: max(1, len(used) // MOST_POINTS)]
+        chosen = candidates[used]
         centre = world[marks].mean(axis=0)
         matrix = np.diag(prior)
         right = -prior * np.concatenate([np.zeros(6), [np.log(pose.scale)], coefficients])
@@ -116,10 +122,10 @@ def fit_modes(
         matrix += np.einsum("pmi,m,qmi->pq", jacobian, weight, jacobian)
         right += np.einsum("pmi,m,mi->p", jacobian, weight, gap)
         if len(chosen):
-            normal = closest.normal[chosen]
+            normal = closest.normal[used]
             jacobian = _jacobian(pose, world[chosen], centre, basis[:, chosen])
             along = np.einsum("pmi,mi->pm", jacobian, normal)
-            gap_n = np.einsum("mi,mi->m", closest.point[chosen] - world[chosen], normal)
+            gap_n = np.einsum("mi,mi->m", closest.point[used] - world[chosen], normal)
             share = min(1.0, config.surface_samples / len(chosen)) * config.surface_sigma_mm**-2
             matrix += share * along @ along.T
             right += share * along @ gap_n
@@ -132,6 +138,8 @@ def fit_modes(
             pose.scale * factor,
         )
         coefficients = coefficients + change[7:]
+        if 2 * step >= config.iterations and np.abs(change).max() < SETTLED:
+            break
     head = mean + np.tensordot(coefficients, basis, axes=1)
     count = len(identity)
     return ModelFit(pose, coefficients[:count], coefficients[count:], pose.apply(head))

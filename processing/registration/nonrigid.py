@@ -1,9 +1,8 @@
 """Non-rigid ICP: the template's vertices drawn onto the scan by a smooth displacement field.
 
 Amberg's optimal step [Amberg2007], an exact solve for given closest points under a stiffness that
-is annealed, with his per-vertex affine maps replaced by displacements under a thin-plate energy.
-Three coordinates share one n x n factorisation, some hundred times cheaper than the 4n x 4n of
-affine maps.
+is annealed, with his per-vertex affine maps replaced by displacements under a thin-plate energy,
+and his distance to points by the distance to tangent planes, along which the mesh slides freely.
 """
 
 from __future__ import annotations
@@ -11,38 +10,50 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.formats.mesh import vertex_normals
+from processing.registration.contradictions import contradicted
 from processing.registration.flips import mend
-from processing.registration.laplacian import cotangent_laplacian, tie_components
-from processing.registration.target import Closest, Target
+from processing.registration.matches import GateConfig, Matcher, Matches
+from processing.registration.plate import Plate, PlateConfig, Springs
+from processing.registration.target import Target
 
 
 @dataclasses.dataclass(frozen=True)
 class NonrigidConfig:
     """Non-rigid ICP's settings."""
 
-    stiffness_mm: tuple[float, ...] = (40.0, 25.0, 15.0, 10.0, 6.0, 4.0, 2.5, 1.7)
+    stiffness_mm: tuple[float, ...] = (150.0, 80.0, 40.0, 20.0, 10.0, 6.0, 4.0, 2.5, 1.5, 0.8)
     """Annealed: details of the displacement shorter than about 2 pi times this are suppressed."""
-    iterations: int = 4
-    """Closest-point rounds per stiffness."""
-    gate_share: float = 0.7
-    """A closest point farther than this share of the stiffness does not count."""
-    least_gate_mm: float = 3.0
-    normal_gate_deg: float = 50.0
-    """Nor does one whose normal is farther than this from the vertex's."""
-    landmark_pull: float = 2.0
+    noise_times: float = 6.0
+    """Stiffnesses below so many times the scan's noise would copy it and are left out."""
+    iterations: int = 3
+    """Closest-point rounds per stiffness, at most."""
+    still_mm: float = 0.05
+    """A round that moves no vertex farther ends its stiffness."""
+    hold: float = 0.03
+    """A match holds its vertex along the surface with this share of its pull onto it."""
+    landmark_pull: float = 50.0
     """A landmark pulls so many times as hard as the plate resists: a point on a thin plate that
     lies on springs is held by 8 l^2, so the pull follows the stiffness l down."""
-    stretch_share: float = 0.3
-    """Weight of first against second derivatives: keeps unseen parts from running away."""
+    fine_pull: float = 2.0
+    """The same where the stiffness is below the size of a landmark's own error ..."""
+    fine_mm: float = 12.0
+    """... and there only along the surface, which the scan knows better."""
+    contradicted_mm: float = 4.0
+    """A landmark is left out if all others say it lies elsewhere by more than this ..."""
+    contradicted_times: float = 6.0
+    """... and by so many times what is usual among them ..."""
+    off_surface_mm: float = 1.5
+    """... or if it hovers farther from the scan than this ..."""
+    off_surface_times: float = 5.0
+    """... and than so many times their median."""
     intricate_stiffness_mm: float = 10.0
     """Ears, whose folds no template shares with a person, stop following below this."""
     mend_rounds: int = 20
     """At most so often are folded or crossing places smoothed and looked at again."""
+    gate: GateConfig = dataclasses.field(default_factory=GateConfig)
+    plate: PlateConfig = dataclasses.field(default_factory=PlateConfig)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,15 +64,21 @@ class Fit:
         vertices: (n, 3) mm.
         matched: (n,) bool, vertices that had a closest point within the gates at the end.
         distance_mm: (n,) of each vertex to the scan.
+        contradicted: (m,) bool, landmarks left out because all others contradict them.
         faulty: (t,) bool, triangles that are still folded over or cross others.
         mended: how many were before mending.
+        rounds: of closest points.
+        residual: the worst relative residual of a linear solve.
     """
 
     vertices: np.ndarray
     matched: np.ndarray
     distance_mm: np.ndarray
+    contradicted: np.ndarray
     faulty: np.ndarray
     mended: int
+    rounds: int
+    residual: float
 
 
 def fit_nonrigid(
@@ -73,15 +90,11 @@ def fit_nonrigid(
     config: NonrigidConfig,
     *,
     free: np.ndarray | None = None,
+    hidden: np.ndarray | None = None,
     intricate: np.ndarray | None = None,
     progress: ProgressCallback = quiet,
 ) -> Fit:
     """Draw a mesh onto a scan.
-
-    Minimises over displacements d, with l the stiffness and areas A,
-    ``l^4 |A^-1/2 L d|^2 + share l^2 d'Ld + sum_i A_i w_i |n n.(x_i + d_i - c_i)|^2 + landmarks``;
-    the data term's tangential part holds the vertex where it is in each round, so that one matrix
-    serves all three coordinates.
 
     Args:
         rest: (n, 3) mm, roughly aligned.
@@ -90,95 +103,141 @@ def fit_nonrigid(
         landmark_vertices: (m,) indices into `rest`.
         landmarks_mm: (m, 3), finite.
         config: settings.
-        free: (n,) bool, vertices that never follow the scan (inside of the mouth).
+        free: (n,) bool, vertices that never follow the scan.
+        hidden: (n,) bool, vertices that follow cavities of the scan only (inside of the mouth).
         intricate: (n,) bool, vertices that follow its coarse shape only (ears).
         progress: called once a round.
 
     Returns:
         Fit.
+
+    Raises:
+        RegistrationError: a template without area.
     """
-    system = _System(rest, triangles, landmark_vertices, landmarks_mm, config)
-    allowed = np.ones(len(rest), bool) if free is None else ~free
-    stiff = np.zeros(len(rest), bool) if intricate is None else intricate
-    vertices = rest.copy()
-    rounds = len(config.stiffness_mm) * config.iterations
-    for step in range(rounds):
-        stiffness = config.stiffness_mm[step // config.iterations]
-        closest = target.closest(vertices)
+    none = np.zeros(len(rest), bool)
+    plate = Plate(rest, triangles, config.plate)
+    matcher = Matcher(triangles, target, none if hidden is None else hidden, config.gate)
+    allowed = ~none if free is None else ~free
+    stiff = none if intricate is None else intricate
+    offset = landmarks_mm - rest[landmark_vertices]
+    wrong = np.zeros(len(landmark_vertices), bool)
+    moved = np.zeros_like(rest)
+    floor = config.noise_times * target.noise_mm()
+    levels = [size for size in config.stiffness_mm if size >= floor] or [config.stiffness_mm[0]]
+    total, rounds = len(levels) * config.iterations, 0
+    for level, stiffness in enumerate(levels):
         followed = allowed if stiffness >= config.intricate_stiffness_mm else allowed & ~stiff
-        matched = followed & _gated(vertices, triangles, closest, stiffness, config)
-        vertices = system.solve(vertices, closest, matched, stiffness)
-        progress(step + 1, rounds)
-    vertices, faulty, mended = mend(rest, vertices, triangles, rounds=config.mend_rounds)
-    closest = target.closest(vertices)
-    matched = allowed & _gated(vertices, triangles, closest, config.stiffness_mm[-1], config)
-    return Fit(vertices, matched, closest.distance_mm, faulty, mended)
+        for turn in range(config.iterations):
+            matches = matcher.match(rest + moved, stiffness)
+            springs = _matched(plate, matches, followed, rest, moved, stiffness, config)
+            if turn == 0 and level == 1:
+                plate.stiffen(stiffness, springs)
+                wrong = _wrong_landmarks(
+                    plate, springs, landmark_vertices, offset, stiffness, config
+                ) | hovering(landmarks_mm, target, config)
+            kept = ~wrong
+            _pull_landmarks(
+                springs, matches, landmark_vertices[kept], offset[kept], stiffness, config
+            )
+            if turn == 0:
+                plate.stiffen(stiffness, springs)
+            before, moved = moved, plate.solve(springs, moved)
+            rounds += 1
+            progress(min(level * config.iterations + turn + 1, total - 1), total)
+            if np.abs(moved - before).max() < config.still_mm:
+                break
+    progress(total, total)
+    vertices, faulty, mended = mend(rest, rest + moved, triangles, rounds=config.mend_rounds)
+    matches = matcher.match(vertices, levels[-1])
+    return Fit(
+        vertices,
+        allowed & matches.follows,
+        matches.closest.distance_mm,
+        wrong,
+        faulty,
+        mended,
+        rounds,
+        plate.worst_residual,
+    )
 
 
-class _System:
-    """The quadratic energy; everything in it that closest points do not change."""
-
-    def __init__(
-        self,
-        rest: np.ndarray,
-        triangles: np.ndarray,
-        landmark_vertices: np.ndarray,
-        landmarks_mm: np.ndarray,
-        config: NonrigidConfig,
-    ) -> None:
-        self._rest = rest
-        self._config = config
-        self._landmark_vertices = landmark_vertices
-        self._landmarks_mm = landmarks_mm
-        self._stretch, areas = cotangent_laplacian(rest, triangles)
-        self._areas = np.maximum(areas, 0.05 * np.median(areas))
-        self._bend = (self._stretch @ sp.diags(1 / self._areas) @ self._stretch).tocsc()
-        self._tie = tie_components(rest, triangles, 10 * float(np.median(areas)))
-
-    def solve(
-        self,
-        vertices: np.ndarray,
-        closest: Closest,
-        matched: np.ndarray,
-        stiffness_mm: float,
-    ) -> np.ndarray:
-        """One optimal step from `vertices`."""
-        weight = self._areas * matched
-        gap = np.einsum("nk,nk->n", closest.normal, closest.point - vertices)
-        goal = vertices + gap[:, None] * closest.normal
-        right = weight[:, None] * (goal - self._rest)
-        pull = np.full(
-            len(self._landmark_vertices), self._config.landmark_pull * 8 * stiffness_mm**2
-        )
-        offset = self._landmarks_mm - self._rest[self._landmark_vertices]
-        np.add.at(weight, self._landmark_vertices, pull)
-        np.add.at(right, self._landmark_vertices, pull[:, None] * offset)
-        stretch = self._config.stretch_share * stiffness_mm**2
-        # A trace of identity keeps the matrix regular where a part has no match at all.
-        weight += 1e-9 * self._areas
-        matrix = stiffness_mm**4 * self._bend + stretch * self._stretch + self._tie
-        factor = splu(
-            (matrix + sp.diags(weight)).tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        moved: np.ndarray = self._rest + factor.solve(right)
-        return moved
+def _matched(
+    plate: Plate,
+    matches: Matches,
+    followed: np.ndarray,
+    rest: np.ndarray,
+    moved: np.ndarray,
+    stiffness_mm: float,
+    config: NonrigidConfig,
+) -> Springs:
+    """Springs onto the tangent planes of closest points, and to the scan's border."""
+    springs = Springs.none(len(rest))
+    chosen = np.flatnonzero(matches.follows & followed)
+    normal = matches.closest.normal[chosen]
+    gap = np.einsum(
+        "nk,nk->n", matches.closest.point[chosen] - rest[chosen] - moved[chosen], normal
+    )
+    across = normal[:, :, None] * normal[:, None, :]
+    matrix = (1 - config.hold) * across + config.hold * np.eye(3)
+    springs.add(
+        chosen,
+        plate.areas[chosen, None, None] * matrix,
+        moved[chosen] + gap[:, None] * normal,
+    )
+    here = followed[matches.border]
+    border = matches.border[here]
+    # A border stands for a strip as wide as the stiffness.
+    area = plate.areas[border]
+    strip = 2 * np.maximum(area, np.sqrt(area) * stiffness_mm)
+    springs.add(
+        border,
+        strip[:, None, None] * np.eye(3),
+        matches.border_mm[here] - rest[border],
+    )
+    return springs
 
 
-def _gated(
+def _pull_landmarks(
+    springs: Springs,
+    matches: Matches,
     vertices: np.ndarray,
-    triangles: np.ndarray,
-    closest: Closest,
+    offset: np.ndarray,
+    stiffness_mm: float,
+    config: NonrigidConfig,
+) -> None:
+    fine = stiffness_mm < config.fine_mm
+    pull = (config.fine_pull if fine else config.landmark_pull) * 8 * stiffness_mm**2
+    matrix = np.tile(pull * np.eye(3), (len(vertices), 1, 1))
+    if fine:
+        normal = matches.closest.normal[vertices] * matches.follows[vertices, None]
+        matrix -= pull * normal[:, :, None] * normal[:, None, :]
+    for k in range(len(vertices)):  # one at a time: two landmarks may share a vertex
+        springs.add(vertices[k : k + 1], matrix[k : k + 1], offset[k : k + 1])
+
+
+def _wrong_landmarks(
+    plate: Plate,
+    springs: Springs,
+    vertices: np.ndarray,
+    offset: np.ndarray,
     stiffness_mm: float,
     config: NonrigidConfig,
 ) -> np.ndarray:
-    """(n,) bool: closest points near enough, facing the same way and not on the scan's border."""
-    normals = vertex_normals(vertices, triangles)
-    facing = np.einsum("nk,nk->n", normals, closest.normal)
-    gate = max(config.gate_share * stiffness_mm, config.least_gate_mm)
-    near = closest.distance_mm < gate
-    alike = facing > np.cos(np.deg2rad(config.normal_gate_deg))
-    accepted: np.ndarray = near & alike & ~closest.border
-    return accepted
+    """(m,) bool: landmarks that the scan and all other landmarks contradict."""
+    count = len(vertices)
+    unit = np.zeros((len(springs.pull), count))
+    unit[vertices, np.arange(count)] = 1
+    answers = plate.smooth(np.concatenate([springs.pull, unit], axis=1))[vertices]
+    reach = answers[:, 3:] + np.eye(count) / (config.landmark_pull * 8 * stiffness_mm**2)
+    return contradicted(
+        offset - answers[:, :3], reach, config.contradicted_mm, config.contradicted_times
+    )
+
+
+def hovering(landmarks_mm: np.ndarray, target: Target, config: NonrigidConfig) -> np.ndarray:
+    """(m,) bool: landmarks off the scan, where it has no hole; they name a place of its surface."""
+    closest = target.closest(landmarks_mm)
+    typical = float(np.median(closest.distance_mm)) if len(landmarks_mm) else 0.0
+    limit = max(config.off_surface_mm, config.off_surface_times * typical)
+    far: np.ndarray = (closest.distance_mm > limit) & ~closest.border
+    return far

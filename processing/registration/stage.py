@@ -20,11 +20,10 @@ from processing.rays import MeshRays
 from processing.registration.landmarks import triangulate
 from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
-from processing.registration.rigid import Similarity, robust_umeyama, umeyama
+from processing.registration.rigid import Similarity, robust_umeyama
+from processing.registration.sky import sky_share
+from processing.registration.start import first_pose, require_surface
 from processing.registration.target import Target
-
-SKY_MM = 2000.0
-SKY_DIRECTIONS = 100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +35,7 @@ class RegisterConfig:
     landmark_outlier_mm: float = 18.0
     """A landmark this far from the fitted shape model, with no neighbour alike, is left out."""
     least_open_sky: float = 0.08
-    """Vertices that see less than this share of all directions never follow the scan."""
+    """Vertices that see less than this share of all directions follow cavities of the scan only."""
     modes: ModesConfig = dataclasses.field(default_factory=ModesConfig)
     nonrigid: NonrigidConfig = dataclasses.field(default_factory=NonrigidConfig)
 
@@ -131,13 +130,14 @@ def register_mesh(
         RegistrationError: fewer than four landmarks or all in one plane, other units, mirrored, or
             landmarks that do not lie on the scan.
     """
+    require_surface(scan)
     triangles = template.mesh.triangles()
     target = Target(scan)
     known = np.isfinite(landmarks_mm).all(axis=1)
-    start = _start(target, landmarks_mm, known, template)
-    free = ~open_to_sky(template.mesh.vertices, triangles, config.least_open_sky)
-    free[template.landmarks] = False
-    fit = fit_modes(template, triangles, target, landmarks_mm, start, config.modes, free=free)
+    start = first_pose(target, landmarks_mm, known, template)
+    hidden = ~open_to_sky(template.mesh.vertices, triangles, config.least_open_sky)
+    hidden[template.landmarks] = False
+    fit = fit_modes(template, triangles, target, landmarks_mm, start, config.modes, free=hidden)
 
     offset = landmarks_mm - fit.vertices[template.landmarks]
     gap = np.linalg.norm(offset, axis=1)
@@ -150,10 +150,13 @@ def register_mesh(
         template.landmarks[kept],
         landmarks_mm[kept],
         config.nonrigid,
-        free=free,
+        hidden=hidden,
         intricate=_region(template, "ears"),
         progress=progress,
     )
+    contradicted = np.zeros(len(gap), bool)
+    contradicted[kept[result.contradicted]] = True
+    kept = kept[~result.contradicted]
     left = np.linalg.norm(result.vertices[template.landmarks] - landmarks_mm, axis=1)[kept]
     back = Target(template.mesh.with_vertices(result.vertices)).closest(
         scan.vertices[:: max(1, len(scan.vertices) // 50_000)]
@@ -168,13 +171,16 @@ def register_mesh(
         "landmarks_used": len(kept),
         "landmarks_left_out": [
             f"landmark {i} ({gap[i]:.1f} mm from the fitted model)" for i in np.flatnonzero(wrong)
-        ],
+        ]
+        + [f"landmark {i} (contradicted by all others)" for i in np.flatnonzero(contradicted)],
         "landmarks_mean_mm": float(left.mean()),
         "landmarks_max_mm": float(left.max()),
         "model_landmarks_mean_mm": float(gap[kept].mean()),
         "size_against_template": fit.world_from_head.scale,
         "triangles_flipped": int(result.faulty.sum()),
         "triangles_flipped_before_mending": result.mended,
+        "rounds": result.rounds,
+        "solver_residual": result.residual,
     }
     return result.vertices, facts
 
@@ -194,88 +200,19 @@ def head_pose(vertices: np.ndarray, template: Template) -> Similarity:
 
 
 def open_to_sky(vertices: np.ndarray, triangles: np.ndarray, least_share: float) -> np.ndarray:
-    """Which vertices see the outside: the inside of mouth and nose does not, and no scan shows it.
+    """Which vertices see the outside: the inside of mouth and nose does not.
 
     Args:
         vertices: (n, 3) mm.
         triangles: (t, 3).
-        least_share: of a hundred even directions that must be unblocked.
+        least_share: of all directions that must be unblocked.
 
     Returns:
         (n,) bool.
     """
-    # A Fibonacci sphere: even directions without a random number.
-    index = np.arange(SKY_DIRECTIONS) + 0.5
-    z = 1 - 2 * index / SKY_DIRECTIONS
-    angle = np.pi * (1 + 5**0.5) * index
-    ring = np.sqrt(1 - z**2)
-    sky = SKY_MM * np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
-    centre = vertices.mean(axis=0)
     normals = vertex_normals(vertices, triangles)
-    seen = MeshRays(vertices, triangles).visible(vertices, normals, centre + sky)
-    wide: np.ndarray = seen.mean(axis=1) >= least_share
+    wide: np.ndarray = sky_share(MeshRays(vertices, triangles), vertices, normals) >= least_share
     return wide
-
-
-def _start(
-    target: Target, landmarks_mm: np.ndarray, known: np.ndarray, template: Template
-) -> Similarity:
-    """world_from_head by landmarks; refuses what cannot be aligned and says why."""
-    if known.sum() < 4:
-        raise RegistrationError(
-            "landmarks",
-            found=f"{int(known.sum())} of 68 known",
-            expected="at least 4",
-            hint="Mark eye corners, nose tip and mouth corners at least.",
-        )
-    world = landmarks_mm[known]
-    head = template.mesh.vertices[template.landmarks[known]]
-    spread = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
-    if spread[2] < 0.02 * spread[0]:
-        raise RegistrationError(
-            "landmarks",
-            found="all in one plane",
-            expected="points that span a volume",
-            hint="Add some off that plane, such as the nose tip and the jaw line.",
-        )
-    size = _size(world) / _size(head)
-    if not 0.6 < size < 1.6:
-        raise RegistrationError(
-            "landmarks",
-            field="units",
-            found=f"a scan {size:.3g} times as large as the template",
-            expected="both in mm",
-            hint="Scale the scan and its landmarks (metres x 1000, centimetres x 10), or the "
-            "template if that one is not in mm.",
-        )
-    pose, residual = robust_umeyama(head, world, scale=True)
-    mirrored = umeyama(head, world, scale=True, reflect=True)
-    if np.linalg.det(mirrored.rotation) < 0:
-        error = np.median(np.linalg.norm(mirrored.apply(head) - world, axis=1))
-        if error < 0.5 * np.median(residual):
-            raise RegistrationError(
-                "landmarks",
-                found=f"a mirror image ({error:.1f} mm against {np.median(residual):.1f} mm)",
-                expected="landmarks in iBUG's order, on a scan that is not mirrored",
-                hint="Points 0 to 16 go from the person's right ear to the left one; was an axis "
-                "of the scan negated?",
-            )
-    if np.median(residual) > 20:
-        raise RegistrationError(
-            "landmarks",
-            found=f"{np.median(residual):.0f} mm median from the template's after alignment",
-            expected="less than 20 mm",
-            hint="Are they in iBUG's order?",
-        )
-    away = np.median(target.closest(world).distance_mm)
-    if away > 20:
-        raise RegistrationError(
-            "landmarks",
-            found=f"{away:.0f} mm median from the scan's surface",
-            expected="points on the scan",
-            hint="Are landmarks and scan in the same coordinates?",
-        )
-    return pose
 
 
 def _region(template: Template, name: str) -> np.ndarray:
@@ -283,11 +220,6 @@ def _region(template: Template, name: str) -> np.ndarray:
     inside = np.zeros(len(template.mesh.vertices), bool)
     inside[template.regions.get(name, np.zeros(0, int))] = True
     return inside
-
-
-def _size(points: np.ndarray) -> float:
-    """Median distance from the median point, which a few wrong points do not move."""
-    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
 
 
 def _unsupported(places: np.ndarray, offset: np.ndarray, config: RegisterConfig) -> np.ndarray:

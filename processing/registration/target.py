@@ -8,6 +8,9 @@ import numpy as np
 import open3d
 
 from lightstage.formats.mesh import Mesh, vertex_normals
+from processing.rays import MeshRays
+from processing.registration.laplacian import neighbour_mean
+from processing.registration.sky import sky_share
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +49,31 @@ class Target:
             open3d.core.Tensor(np.ascontiguousarray(self.vertices, np.float32)),
             open3d.core.Tensor(np.ascontiguousarray(self.triangles, np.uint32)),
         )
+        self._rays: MeshRays | None = None
+
+    def border_points(self) -> np.ndarray:
+        """(b, 3) mm: vertices of the surface's open borders."""
+        return self.vertices[self._border]
+
+    def sky(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(n,) share of all directions that (n, 3) points of the surface see."""
+        if self._rays is None:
+            self._rays = MeshRays(self.vertices, self.triangles)
+        return sky_share(self._rays, points, normals)
+
+    def noise_mm(self) -> float:
+        """Standard deviation of the vertices' noise along their normals, mm.
+
+        From the median distance of a vertex to the mean of its neighbours; relief as fine as the
+        triangles counts as noise.
+        """
+        if not len(self.triangles):
+            return 0.0
+        used = np.unique(self.triangles)
+        mean = neighbour_mean(self.triangles, len(self.vertices))[used] @ self.vertices
+        away = np.einsum("nk,nk->n", self.vertices[used] - mean, self.normals[used])
+        # A median is .6745 deviations; the mean of six neighbours has noise of its own.
+        return float(np.median(np.abs(away - np.median(away)))) / (0.6745 * (1 + 1 / 6) ** 0.5)
 
     def closest(self, points: np.ndarray) -> Closest:
         """Closest points to (n, 3) queries."""
@@ -67,8 +95,10 @@ class Target:
 
 def border_vertices(triangles: np.ndarray, count: int) -> np.ndarray:
     """(count,) bool: vertices on an edge that a single triangle has."""
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    unique, times = np.unique(edges, axis=0, return_counts=True)
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
+    unique, times = np.unique(edges[:, 0] * count + edges[:, 1], return_counts=True)
+    single = unique[times == 1]
     border = np.zeros(count, bool)
-    border[unique[times == 1].ravel()] = True
+    border[single // count] = True
+    border[single % count] = True
     return border

@@ -1,0 +1,94 @@
+"""Which closest points of a scan may draw the mesh: gates, borders, cavities."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lightstage.formats.mesh import vertex_normals
+from processing.registration.target import Closest, Target, border_vertices
+
+
+@dataclasses.dataclass(frozen=True)
+class GateConfig:
+    """What is believed."""
+
+    share: float = 0.7
+    """A closest point farther than this share of the stiffness does not count."""
+    least_mm: float = 3.0
+    normal_deg: float = 60.0
+    """Nor does one whose normal is farther than this from the vertex's."""
+    borders: bool = True
+    """The mesh's open borders (neck, lids) follow those of the scan that are nearest to them ..."""
+    border_share: float = 1.0
+    """... if not farther than this share of the stiffness, and nearest to the mesh's border too,
+    give or take as much: a scan that ends well before the mesh does ends in the middle of it."""
+    cavity_sky: float = 0.08
+    """A vertex inside mouth, nose or ear follows only what sees less of the sky than this: what
+    photographs show there is lips and lids closed over it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Matches:
+    """Closest points and what became of them.
+
+    Attributes:
+        closest: of every vertex.
+        follows: (n,) bool, drawn onto the closest point's tangent plane.
+        border: (b,) vertices drawn to a point of the scan's border ...
+        border_mm: (b, 3) ... this one.
+    """
+
+    closest: Closest
+    follows: np.ndarray
+    border: np.ndarray
+    border_mm: np.ndarray
+
+
+class Matcher:
+    """Closest points of one mesh on one scan, gated."""
+
+    def __init__(
+        self, triangles: np.ndarray, target: Target, hidden: np.ndarray, config: GateConfig
+    ) -> None:
+        """Prepare.
+
+        Args:
+            triangles: (t, 3) of the mesh.
+            target: the scan.
+            hidden: (n,) bool, vertices inside cavities.
+            config: settings.
+        """
+        self._triangles, self._target, self._config = triangles, target, config
+        self._hidden = hidden
+        self._rim = np.flatnonzero(border_vertices(triangles, len(hidden)))
+        self._scan_rim = target.border_points()
+        self._scan_tree = cKDTree(self._scan_rim) if len(self._scan_rim) else None
+
+    def match(self, vertices: np.ndarray, stiffness_mm: float) -> Matches:
+        """Match a mesh in its present place, (n, 3) mm."""
+        config = self._config
+        closest = self._target.closest(vertices)
+        facing = np.einsum("nk,nk->n", vertex_normals(vertices, self._triangles), closest.normal)
+        gate = max(config.share * stiffness_mm, config.least_mm)
+        follows = (closest.distance_mm < gate) & ~closest.border
+        follows &= facing > np.cos(np.deg2rad(config.normal_deg))
+        inside = np.flatnonzero(follows & self._hidden)
+        if len(inside):
+            sky = self._target.sky(closest.point[inside], closest.normal[inside])
+            follows[inside] = sky < config.cavity_sky
+        border, border_mm = self._borders(vertices, config.border_share * stiffness_mm)
+        return Matches(closest, follows, border, border_mm)
+
+    def _borders(self, vertices: np.ndarray, reach_mm: float) -> tuple[np.ndarray, np.ndarray]:
+        """The mesh's border vertices and their nearest points on the scan's border."""
+        if not self._config.borders or self._scan_tree is None or not len(self._rim):
+            return np.zeros(0, np.int64), np.zeros((0, 3))
+        distance, nearest = self._scan_tree.query(vertices[self._rim])
+        goal = self._scan_rim[nearest]
+        to_mesh = cKDTree(vertices).query(goal)[0]
+        to_rim = cKDTree(vertices[self._rim]).query(goal)[0]
+        good = (distance < reach_mm) & (to_rim <= to_mesh + reach_mm)
+        return self._rim[good], goal[good]

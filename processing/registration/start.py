@@ -1,0 +1,126 @@
+"""Where registration starts: a pose by landmarks, and what no pose can be found for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.template import Template
+from processing.errors import RegistrationError
+from processing.registration.rigid import Similarity, robust_umeyama, umeyama
+from processing.registration.target import Target
+
+
+def require_surface(scan: Mesh) -> None:
+    """Refuse a scan without a usable triangle or with vertices that are not finite.
+
+    Raises:
+        RegistrationError: as said.
+    """
+    if not np.isfinite(scan.vertices).all():
+        bad = int((~np.isfinite(scan.vertices)).any(axis=1).sum())
+        raise RegistrationError(
+            "scan", field="vertices", found=f"{bad} with NaN or infinity", expected="finite mm"
+        )
+    corners = scan.vertices[scan.triangles()]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if not np.abs(cross).any():
+        raise RegistrationError(
+            "scan",
+            field="triangles",
+            found=f"{len(corners)}, none with an area",
+            expected="a surface",
+            hint="A cloud of points must be meshed first.",
+        )
+
+
+def first_pose(
+    target: Target, landmarks_mm: np.ndarray, known: np.ndarray, template: Template
+) -> Similarity:
+    """world_from_head by landmarks; refuses what cannot be aligned and says why.
+
+    Args:
+        target: the scan.
+        landmarks_mm: (68, 3), NaN where unknown.
+        known: (68,) bool.
+        template: what is laid onto it.
+
+    Returns:
+        A similarity: its scale is the person's size, the scan's millimetres stay as they are.
+
+    Raises:
+        RegistrationError: too few landmarks, all in one plane, other units, mirrored, in another
+            order, off the scan, or on its inside.
+    """
+    if known.sum() < 4:
+        raise RegistrationError(
+            "landmarks",
+            found=f"{int(known.sum())} of 68 known",
+            expected="at least 4",
+            hint="Mark eye corners, nose tip and mouth corners at least.",
+        )
+    world = landmarks_mm[known]
+    head = template.mesh.vertices[template.landmarks[known]]
+    spread = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
+    if spread[2] < 0.02 * spread[0]:
+        raise RegistrationError(
+            "landmarks",
+            found="all in one plane",
+            expected="points that span a volume",
+            hint="Add some off that plane, such as the nose tip and the jaw line.",
+        )
+    size = _size(world) / _size(head)
+    if not 0.6 < size < 1.6:
+        raise RegistrationError(
+            "landmarks",
+            field="units",
+            found=f"a scan {size:.3g} times as large as the template",
+            expected="both in mm",
+            hint="Scale the scan and its landmarks (metres x 1000, centimetres x 10), or the "
+            "template if that one is not in mm.",
+        )
+    pose, residual = robust_umeyama(head, world, scale=True)
+    mirrored = umeyama(head, world, scale=True, reflect=True)
+    if np.linalg.det(mirrored.rotation) < 0:
+        error = np.median(np.linalg.norm(mirrored.apply(head) - world, axis=1))
+        if error < 0.5 * np.median(residual):
+            raise RegistrationError(
+                "landmarks",
+                found=f"a mirror image ({error:.1f} mm against {np.median(residual):.1f} mm)",
+                expected="landmarks in iBUG's order, on a scan that is not mirrored",
+                hint="Points 0 to 16 go from the person's right ear to the left one; was an axis "
+                "of the scan negated?",
+            )
+    if np.median(residual) > 20:
+        raise RegistrationError(
+            "landmarks",
+            found=f"{np.median(residual):.0f} mm median from the template's after alignment",
+            expected="less than 20 mm",
+            hint="Are they in iBUG's order?",
+        )
+    closest = target.closest(world)
+    away = np.median(closest.distance_mm)
+    if away > 20:
+        raise RegistrationError(
+            "landmarks",
+            found=f"{away:.0f} mm median from the scan's surface",
+            expected="points on the scan",
+            hint="Are landmarks and scan in the same coordinates?",
+        )
+    outward = vertex_normals(template.mesh.vertices, template.mesh.triangles())
+    outward = outward[template.landmarks[known]] @ pose.rotation.T
+    agree = np.einsum("nk,nk->n", outward, closest.normal)
+    if np.median(agree) < -0.5:
+        raise RegistrationError(
+            "scan",
+            field="normals",
+            found="triangles that look inward",
+            expected="counter-clockwise seen from outside",
+            hint="Turn its faces over in a mesh editor.",
+        )
+    return pose
+
+
+def _size(points: np.ndarray) -> float:
+    """Median distance from the median point, which a few wrong points do not move."""
+    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))

@@ -1,0 +1,90 @@
+"""Scans that are damaged or wrong: the right result, or a clear refusal."""
+
+import numpy as np
+import pytest
+
+from lightstage.formats.mesh import Mesh
+from processing.errors import RegistrationError
+from processing.registration.nonrigid import NonrigidConfig
+from processing.registration.stage import RegisterConfig, register_mesh
+from processing.registration.target import Target
+from tests.processing.shapes import ellipsoid, ellipsoid_template, refined, warp
+
+QUICK = RegisterConfig(nonrigid=NonrigidConfig(stiffness_mm=(80.0, 40.0, 20.0, 10.0, 4.0, 2.0)))
+TEMPLATE = ellipsoid_template()
+TRUTH = warp(TEMPLATE.mesh.vertices, 4.0)
+WHOLE = refined(TEMPLATE.mesh.with_vertices(TRUTH))
+SCAN = Mesh(WHOLE.vertices, WHOLE.faces[(WHOLE.vertices[WHOLE.faces][:, :, 2] > -10).all(axis=1)])
+SEEN = TRUTH[:, 2] > 15
+
+
+def register(scan):
+    return register_mesh(scan, TRUTH[TEMPLATE.landmarks], TEMPLATE, QUICK)
+
+
+def duplicated():
+    return Mesh(SCAN.vertices, np.concatenate([SCAN.faces, SCAN.faces[::3]]))
+
+
+def degenerate():
+    flat = SCAN.faces[::5].copy()
+    flat[:, 2] = flat[:, 1]
+    return Mesh(SCAN.vertices, np.concatenate([flat, SCAN.faces]))
+
+
+def non_manifold():
+    """A fin on every 40th edge: three triangles share it."""
+    fins = SCAN.faces[::40].copy()
+    tips = SCAN.vertices[fins[:, 0]] + 0.3
+    fins[:, 2] = len(SCAN.vertices) + np.arange(len(fins))
+    return Mesh(np.concatenate([SCAN.vertices, tips]), np.concatenate([SCAN.faces, fins]))
+
+
+def islands():
+    crumb = ellipsoid(6, 8)
+    faces = [SCAN.faces]
+    vertices = [SCAN.vertices]
+    for shift in ([300, 0, 0], [0, -250, 100]):
+        faces.append(crumb.faces + sum(map(len, vertices)))
+        vertices.append(0.1 * crumb.vertices + shift)
+    return Mesh(np.concatenate(vertices), np.concatenate(faces))
+
+
+def isolated():
+    loose = np.random.default_rng(0).normal(size=(500, 3)) * 200
+    return Mesh(np.concatenate([SCAN.vertices, loose]), SCAN.faces)
+
+
+@pytest.mark.parametrize("scan", [duplicated, degenerate, non_manifold, islands, isolated])
+def test_damage_does_not_matter(scan):
+    vertices, facts = register(scan())
+    assert np.median(Target(SCAN).closest(vertices[SEEN]).distance_mm) < 0.1
+    assert np.linalg.norm(vertices - TRUTH, axis=1)[SEEN].mean() < 0.8
+    assert facts["triangles_flipped"] == 0
+    assert facts["solver_residual"] < 1e-2
+
+
+def said(scan):
+    with pytest.raises(RegistrationError) as caught:
+        register(scan)
+    return str(caught.value)
+
+
+def test_a_scan_turned_inside_out_is_refused():
+    assert "inward" in said(Mesh(SCAN.vertices, SCAN.faces[:, ::-1].copy()))
+
+
+def test_a_scan_of_the_back_is_refused():
+    back = WHOLE.faces[(WHOLE.vertices[WHOLE.faces][:, :, 2] < -40).all(axis=1)]
+    assert "surface" in said(Mesh(WHOLE.vertices, back))
+
+
+def test_points_without_a_surface_are_refused():
+    assert "surface" in said(Mesh(SCAN.vertices, np.zeros((0, 3), np.int32)))
+    assert "area" in said(Mesh(SCAN.vertices, np.repeat(SCAN.faces[:5, :1], 3, axis=1)))
+
+
+def test_vertices_that_are_not_finite_are_refused():
+    broken = SCAN.vertices.copy()
+    broken[[3, 9]] = [np.nan, 0, np.inf]
+    assert "2 with NaN" in said(Mesh(broken, SCAN.faces))
