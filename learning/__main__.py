@@ -20,7 +20,10 @@ CameraOption = Annotated[str, typer.Option(help="Camera of the rig.")]
 TemplateOption = Annotated[
     Path | None, typer.Option(help="Template whose shininess and translucency maps to use.")
 ]
-ModeOption = Annotated[str, typer.Option(help="`default`, or `paper`: the formulas as printed.")]
+ModeOption = Annotated[
+    str,
+    typer.Option(help="`physical`; `paper`: the formulas as printed; `ggx`: facets with Fresnel."),
+]
 
 
 @app.command()
@@ -35,7 +38,7 @@ def render(
     rig: RigOption = None,
     camera: CameraOption = "cam0",
     template: TemplateOption = None,
-    mode: ModeOption = "default",
+    mode: ModeOption = "physical",
     background: Annotated[str, typer.Option(help="`white` or `black`.")] = "white",
     captured_only: Annotated[
         bool, typer.Option("--captured-only", help="Leave out texels of confidence 0.")
@@ -79,7 +82,7 @@ def bake(
     rig: RigOption = None,
     camera: CameraOption = "cam0",
     template: TemplateOption = None,
-    mode: ModeOption = "default",
+    mode: ModeOption = "physical",
     as_json: bool = JsonFlag,
 ) -> None:
     """Bake light and shadow into a texture, as a photograph would give it."""

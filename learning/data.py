@@ -102,6 +102,7 @@ class Region:
             area=self.maps["area"],
             texel_mm=self.texel_mm,
             ambient_occlusion=one,
+            edges=self.maps["edges"],
         )
 
 
@@ -292,6 +293,7 @@ def _region(arrays: dict[str, np.ndarray], inner: tuple[slice, slice]) -> Region
     maps = {name: to_batch(array[inner]) for name, array in arrays.items() if name != "confidence"}
     maps["shape_normal"] = to_batch(surface.normal[inner])
     maps["area"] = to_batch(surface.area_mm2[inner] / texel_mm**2)
+    maps["edges"] = to_batch(surface.edges_mm[inner] / texel_mm)
     return Region(maps, texel_mm)
 
 

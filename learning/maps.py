@@ -94,8 +94,10 @@ def skin_maps_from(
     translucency: np.ndarray,
 ) -> SkinMaps:
     """Arrays of (rows, columns[, 3]) by FORMATS' names to the renderer's batch of one."""
-    area = texel_surface(maps["position"], covered).area_mm2
-    texel_mm = typical_texel_mm(area)
+    surface = texel_surface(maps["position"], covered)
+    texel_mm = typical_texel_mm(surface.area_mm2)
+    # A texel without neighbours has no area of its own, yet it shows skin.
+    area = np.where(covered & ~(surface.area_mm2 > 0), texel_mm**2, surface.area_mm2)
     return SkinMaps(
         diffuse_albedo=to_batch(maps["diffuse_albedo"]),
         specular_albedo=to_batch(maps["specular_albedo"]),
@@ -107,6 +109,7 @@ def skin_maps_from(
         area=to_batch(area / texel_mm**2),
         texel_mm=texel_mm,
         ambient_occlusion=to_batch(maps.get("ambient_occlusion", np.ones(covered.shape))),
+        edges=to_batch(surface.edges_mm / texel_mm),
     )
 
 

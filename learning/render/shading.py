@@ -1,89 +1,28 @@
 """Shading in texture space: Lambert, Blinn-Phong and subsurface scattering [Lattas2021].
 
-Two modes. `default` is on the scale of physical light: diffuse light is clamped at the horizon,
-ambient light is added, the specular lobe carries the cosine of incidence and (s + 8) / 8, so that
-specular albedo is a reflectance. `paper` is AvatarMe++ as printed: no clamp on the diffuse dot
-product, the ambient intensity multiplies the sum (so 0 is black), no fall-off, no normalisation.
+Three modes. `physical` is on the scale of light: diffuse light is clamped at the horizon, ambient
+light is added, the specular lobe carries the cosine of incidence and Giesen's normalisation, so
+that specular albedo is a reflectance and no skin sends back more than arrives. `paper` is
+AvatarMe++ as printed: no clamp on the diffuse dot product, the ambient intensity multiplies the sum
+(so 0 is black), no fall-off, no normalisation. `ggx` has facets with Fresnel's rise at grazing
+angles.
 """
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Literal
-
 import torch
 from torch import Tensor
 
-from learning.errors import MapsError
+from learning.render.eager import TexelFields, compiled_sums, sums, unit
 from learning.render.environments import Environment
+from learning.render.fused import FusedLight, can_fuse
+from learning.render.skin import ShadeOptions, SkinMaps, wide_enough
 from learning.render.subsurface import scatter, scatter_paper
 
+__all__ = ["ShadeOptions", "SkinMaps", "direct", "shade", "unit"]
+
 PAIRS_AT_ONCE = 1 << 19
-"""Pairs of a light and a texel that are held in memory together."""
-
-
-@dataclasses.dataclass(frozen=True)
-class SkinMaps:
-    """A batch of skin textures: all that the renderer needs of a surface.
-
-    Attributes:
-        diffuse_albedo: (B, 3, H, W), 1 = perfect white, without occlusion.
-        specular_albedo: (B, 1, H, W), reflectance at normal incidence.
-        diffuse_normal: (B, 3, H, W), any length; zero where no surface is.
-        specular_normal: (B, 3, H, W).
-        shininess: (B, 1, H, W), Blinn-Phong's exponent.
-        translucency: (B, 1, H, W), 0..1.
-        position_mm: (B, 3, H, W).
-        area: (B, 1, H, W), a texel's surface relative to `texel_mm` squared; 0 where no surface is.
-        texel_mm: edge of a texel of area 1, for the subsurface kernel.
-        ambient_occlusion: (B, 1, H, W), 1 = open; what is left of the ambient light.
-    """
-
-    diffuse_albedo: Tensor
-    specular_albedo: Tensor
-    diffuse_normal: Tensor
-    specular_normal: Tensor
-    shininess: Tensor
-    translucency: Tensor
-    position_mm: Tensor
-    area: Tensor
-    texel_mm: float
-    ambient_occlusion: Tensor
-
-    def __post_init__(self) -> None:
-        size = self.diffuse_albedo.shape[-2:]
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, Tensor) and value.shape[-2:] != size:
-                raise MapsError(
-                    "maps",
-                    field=field.name,
-                    found=f"{value.shape[-2]} x {value.shape[-1]} texels",
-                    expected=f"{size[0]} x {size[1]}, as diffuse_albedo",
-                )
-
-
-@dataclasses.dataclass(frozen=True)
-class ShadeOptions:
-    """How to shade.
-
-    Attributes:
-        mode: `default`, or `paper` for the formulas as printed.
-        subsurface_mm: the diffusion kernel's standard deviation on the skin; 0 for none. The
-            paper's 1.4 mm, 21 px of its 6144 x 4096 texture, is read as a standard deviation.
-    """
-
-    mode: Literal["default", "paper"] = "default"
-    subsurface_mm: float = 1.4
-
-
-def unit(vectors: Tensor, floor: float = 1e-6) -> Tensor:
-    """Vectors along dimension 1 at length 1; those shorter than `floor` fade to zero.
-
-    The gradient is finite everywhere, at zero too.
-    """
-    square = (vectors * vectors).sum(dim=1, keepdim=True)
-    return vectors * square.clamp_min(floor * floor).rsqrt()
+"""Pairs of a light and a texel that torch's operations hold in memory together."""
 
 
 def shade(
@@ -95,22 +34,38 @@ def shade(
     """Render skin in texture space.
 
     Args:
-        maps: the skin, batch B.
-        environment: lights and camera, batch B or 1.
+        maps: the skin, batch B or 1; it is never changed.
+        environment: lights and camera, batch B or 1. Textures x light sets: a batch of one skin
+            under B light sets, B skins under one, or B pairs.
         options: how.
-        visibility: (B, L, H, W), the share of each light that a texel sees; all where None.
+        visibility: (B, L, H, W), the share of each light that a texel sees; all where None. One
+            channel stands for every light.
 
     Returns:
-        (B, 3, H, W) linear rgb, 1 = a white diffuser in light of 1.
+        (B, 3, H, W) linear rgb, 1 = a white diffuser in light of 1; 0 where no surface is.
     """
     chosen = options or ShadeOptions()
-    irradiance, lobe = direct(maps, environment, chosen, visibility)
+    irradiance, lobe, rim = direct(maps, environment, chosen, visibility)
     diffuse = maps.diffuse_albedo * irradiance
     if chosen.subsurface_mm > 0:
-        sigma_px = chosen.subsurface_mm / maps.texel_mm
-        spread = scatter_paper if chosen.mode == "paper" else scatter
-        diffuse = spread(diffuse, irradiance, maps.translucency, maps.area, sigma_px)
-    return diffuse + maps.specular_albedo * lobe
+        diffuse = _scattered(maps, diffuse, irradiance, chosen)
+    picture = diffuse + maps.specular_albedo * lobe
+    if rim is None:
+        return picture
+    # Below 2 % no dielectric mirrors: there the map means that nothing shines, at any angle.
+    return picture + rim * (50 * maps.specular_albedo).clamp(0, 1)
+
+
+def _scattered(
+    maps: SkinMaps, diffuse: Tensor, irradiance: Tensor, options: ShadeOptions
+) -> Tensor:
+    """Diffuse light after it has spread inside the skin."""
+    translucency, sigma = maps.translucency, options.subsurface_mm / maps.texel_mm
+    if options.mode == "paper":
+        return scatter_paper(diffuse, irradiance, translucency, maps.area, sigma)
+    if not translucency.requires_grad and not bool((translucency > 0).any()):
+        return diffuse
+    return scatter(diffuse, irradiance, translucency, maps.area, sigma, maps.edges)
 
 
 def direct(
@@ -118,86 +73,96 @@ def direct(
     environment: Environment,
     options: ShadeOptions,
     visibility: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor | None]:
     """What arrives: the diffuse irradiance and the specular lobe's sum over lights.
 
-    Texels are taken in chunks, so that the (lights, texels) tensors stay in the cache.
-
     Returns:
-        (B, 3, H, W) irradiance with ambient light, and (B, 3, H, W) to multiply by the specular
-        albedo.
+        (B, 3, H, W) irradiance with ambient light; (B, 3, H, W) to multiply by the specular
+        albedo, 0 where that is 0 and has no gradient; (B, 3, H, W) to add, or None.
     """
     height, width = maps.position_mm.shape[-2:]
-    fields = [
-        field.flatten(2)
-        for field in (
-            maps.position_mm,
-            maps.diffuse_normal,
-            maps.specular_normal,
-            maps.shininess,
-            maps.ambient_occlusion,
+    kind = wide_enough(maps.position_mm)
+    skins, sets = maps.position_mm.shape[0], environment.rgb.shape[0]
+    batch = max(skins, sets)
+
+    def flat(field: Tensor) -> Tensor:
+        return field.flatten(2).to(kind).expand(batch, -1, -1)
+
+    def for_each(values: Tensor) -> Tensor:
+        values = values if values.dtype == torch.bool else values.to(kind)
+        return values.expand(batch, *values.shape[1:])
+
+    lights = Environment(
+        for_each(environment.position_mm),
+        for_each(environment.rgb),
+        for_each(environment.ambient_rgb),
+        for_each(environment.distant),
+        for_each(environment.camera_mm),
+    )
+    count = lights.rgb.shape[1]
+    texels = TexelFields(
+        flat(maps.position_mm),
+        flat(maps.diffuse_normal),
+        flat(maps.specular_normal),
+        flat(maps.shininess),
+        flat(maps.ambient_occlusion),
+        None if visibility is None else flat(visibility).expand(-1, count, -1),
+    )
+    valid = (maps.area > 0).flatten(1).expand(batch, -1)
+    paper = options.mode == "paper"
+    rim = None
+    if options.engine == "auto" and options.mode != "ggx" and can_fuse(texels.position_mm):
+        glossy = valid
+        if not maps.specular_albedo.requires_grad:
+            glossy = valid & (maps.specular_albedo != 0).flatten(1)
+        irradiance, lobe = FusedLight.apply(
+            texels.position_mm,
+            texels.diffuse_normal,
+            texels.specular_normal,
+            texels.shininess,
+            texels.occlusion,
+            texels.visibility,
+            lights.position_mm,
+            lights.rgb,
+            lights.ambient_rgb,
+            lights.camera_mm,
+            lights.distant,
+            glossy,
+            valid,
+            paper,
         )
-    ]
-    if visibility is not None:
-        fields.append(visibility.flatten(2))
-    step = max(1, PAIRS_AT_ONCE // max(1, environment.rgb.shape[1]))
-    chunks = [
-        _arriving(environment, options.mode == "paper", *parts)
-        for parts in zip(*(field.split(step, dim=2) for field in fields), strict=True)
-    ]
-    irradiance = torch.cat([chunk[0] for chunk in chunks], dim=2)
-    lobe = torch.cat([chunk[1] for chunk in chunks], dim=2)
-    return irradiance.unflatten(2, (height, width)), lobe.unflatten(2, (height, width))
-
-
-def _arriving(
-    environment: Environment,
-    paper: bool,
-    position: Tensor,
-    diffuse_normal: Tensor,
-    specular_normal: Tensor,
-    shininess: Tensor,
-    occlusion: Tensor,
-    seen: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
-    """`direct` for n texels, all lights at once; fields are (B, c, n).
-
-    Dot products with a light at P are (n . P - n . p) / |P - p|: matrix products of (L, 3) with
-    (3, n), so that no (L, 3, n) tensor is ever held.
-    """
-    light = environment.position_mm  # (B, L, 3)
-    distant = environment.distant[:, :, None]
-    near = (~distant).to(position)
-    colour = environment.rgb.mT  # (B, 3, L)
-    ambient = environment.ambient_rgb[:, :, None]
-    view = unit(environment.camera_mm[:, :, None] - position)
-    specular_normal = unit(specular_normal)
-
-    def toward_light(direction: Tensor) -> Tensor:
-        """(B, L, n) direction . (P - p), of a distant light direction . P."""
-        return light @ direction - near * _dot(direction, position)
-
-    square = (light * light).sum(dim=-1, keepdim=True)
-    # Within 1 mm of a lamp the inverse square has no meaning for a point light.
-    distance2 = square - near * (2 * (light @ position) - _dot(position, position))
-    inverse = distance2.clamp_min(1.0).rsqrt()
-    diffuse = toward_light(unit(diffuse_normal)) * inverse
-    incidence = toward_light(specular_normal) * inverse
-    # |l + v|^2 = 2 + 2 l.v; where l = -v the half vector is undefined and no lobe is seen.
-    half_length = (2 + 2 * toward_light(view) * inverse).clamp_min(1e-4)
-    half = (incidence + _dot(specular_normal, view)) * half_length.rsqrt()
-    specular = half.clamp(0.0, 1.0) ** shininess
-    if not paper:
-        reach = torch.where(distant, 1.0, square * inverse * inverse)
-        diffuse = diffuse.clamp_min(0) * reach
-        specular = specular * incidence.clamp_min(0) * reach
-    if seen is not None:
-        diffuse, specular = diffuse * seen, specular * seen
-    irradiance, lobe = colour @ diffuse, colour @ specular
+    else:
+        irradiance, lobe, high = _in_torch(texels, lights, options)
+        some = valid[:, None]
+        irradiance, lobe = (torch.where(some, x, 0.0) for x in (irradiance, lobe))
+        if options.mode == "ggx":
+            rim = torch.where(some, high, 0.0).unflatten(2, (height, width))
     if paper:
-        return irradiance * ambient, lobe
-    return irradiance + ambient * occlusion, lobe * ((shininess + 8) / 8)
+        irradiance = irradiance * lights.ambient_rgb[:, :, None]
+    return irradiance.unflatten(2, (height, width)), lobe.unflatten(2, (height, width)), rim
 
 
-def _dot(a: Tensor, b: Tensor) -> Tensor:
-    return (a * b).sum(dim=1, keepdim=True)
+def _in_torch(
+    texels: TexelFields, lights: Environment, options: ShadeOptions
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The sums by torch's operations; in chunks, so that (lights, texels) stays in the cache."""
+    if options.engine == "compiled":
+        return compiled_sums(texels, lights, options.mode)
+    step = max(1, PAIRS_AT_ONCE // max(1, lights.rgb.shape[1]))
+
+    def part(first: int) -> TexelFields:
+        here = slice(first, first + step)
+        seen = texels.visibility
+        return TexelFields(
+            texels.position_mm[:, :, here],
+            texels.diffuse_normal[:, :, here],
+            texels.specular_normal[:, :, here],
+            texels.shininess[:, :, here],
+            texels.occlusion[:, :, here],
+            None if seen is None else seen[:, :, here],
+        )
+
+    count = texels.position_mm.shape[2]
+    chunks = [sums(part(first), lights, options.mode) for first in range(0, count, step)]
+    irradiance, lobe, rim = (torch.cat(values, dim=2) for values in zip(*chunks, strict=True))
+    return irradiance, lobe, rim

@@ -1,8 +1,9 @@
 """Subsurface scattering in texture space: one Gaussian, wide as on the skin.
 
-Default, energy-keeping for any translucency: S = U + a g(a U) - a U g(a), with a = sqrt(C' w) and g
-a symmetric kernel weighted by the texels' area. What a texel gives to another is what that one
-gets, so the sum over the surface stays.
+Energy-keeping for any translucency: S = U + a g(a U) - a U g(a), with a = sqrt(C' w) and g
+diffusion on the surface, symmetric under the texels' area. What a texel gives to another is what
+that one gets, so the sum over the surface stays; and S is a mean of U's around it, so nothing gets
+brighter than its surroundings.
 """
 
 from __future__ import annotations
@@ -13,34 +14,44 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
+from learning.render.diffusion import Diffusion
+
 SCATTERED = (0.5, 0.15, 0.05)
 """w_SSS, the scattered share of red, green and blue [Lattas2021]."""
 KEPT = (0.5, 0.85, 0.95)
 """w_D of the paper."""
+SMALLEST = 1e-6
 BLOCK_ROWS = 128
 """Rows that are blurred by one matrix product."""
 
 
 def scatter(
-    diffuse: Tensor, irradiance: Tensor, translucency: Tensor, area: Tensor, sigma_px: float
+    diffuse: Tensor,
+    irradiance: Tensor,
+    translucency: Tensor,
+    area: Tensor,
+    sigma_px: float,
+    edges: Tensor | None = None,
 ) -> Tensor:
     """Spread diffuse light, keeping its sum over the surface.
 
     Args:
         diffuse: (B, 3, H, W) albedo times irradiance.
         irradiance: (B, 3, H, W); light scatters from where there is much to where there is little.
-        translucency: (B, 1, H, W), 0..1.
+        translucency: (B, 1, H, W), 0..1; where it is 0 the light stays what it is.
         area: (B, 1, H, W) relative surface of a texel, 0 where there is none.
-        sigma_px: the kernel's standard deviation in texels.
+        sigma_px: the kernel's standard deviation in edges of a texel of area 1.
+        edges: (B, 2, H, W) see `SkinMaps`.
 
     Returns:
         (B, 3, H, W); sum(area * result) = sum(area * diffuse).
     """
     weight = diffuse.new_tensor(SCATTERED).view(1, 3, 1, 1)
-    # Not below 1e-6: the square root's gradient stays finite, and any a keeps the energy.
-    share = (translucency * (1 - irradiance)).clamp(1e-6, 1.0)
-    root = (share * weight).sqrt()
-    both = blur(torch.cat([area * root * diffuse, area * root], dim=1), sigma_px)
+    share = (translucency * (1 - irradiance)).clamp(0.0, 1.0) * weight
+    # The square root, moved so that its gradient stays finite at 0; any root keeps the energy.
+    root = (share + SMALLEST).sqrt() - SMALLEST**0.5
+    diffusion = Diffusion(area, edges, sigma_px)
+    both = diffusion.spread(torch.cat([root * diffuse, root], dim=1))
     return diffuse + root * (both[:, :3] - diffuse * both[:, 3:])
 
 
@@ -54,7 +65,7 @@ def scatter_paper(
     kept = diffuse.new_tensor(KEPT).view(1, 3, 1, 1)
     scattered = diffuse.new_tensor(SCATTERED).view(1, 3, 1, 1)
     share = translucency * (1 - irradiance)
-    spread = blur(diffuse * (area > 0), sigma_px)
+    spread = blur(diffuse * (area > 0), sigma_px) if sigma_px > 0 else diffuse
     return (1 - share) * kept * diffuse + share * scattered * spread
 
 

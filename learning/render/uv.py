@@ -106,10 +106,13 @@ class TexelSurface:
     Attributes:
         normal: (rows, columns, 3) float32 unit, outward for unmirrored UV; zero outside.
         area_mm2: (rows, columns) float32 of a texel, zero outside.
+        edges_mm: (rows, columns, 2) float32, how far its neighbours across and down are; zero
+            outside.
     """
 
     normal: np.ndarray
     area_mm2: np.ndarray
+    edges_mm: np.ndarray
 
 
 def texel_surface(
@@ -131,7 +134,8 @@ def texel_surface(
     cross = np.cross(down, across)
     area = np.linalg.norm(cross, axis=2)
     normal = np.divide(cross, area[..., None], out=np.zeros_like(cross), where=area[..., None] > 0)
-    return TexelSurface(normal, area)
+    edges = np.stack([np.linalg.norm(across, axis=2), np.linalg.norm(down, axis=2)], axis=2)
+    return TexelSurface(normal, area, edges)
 
 
 def _tangent(position: np.ndarray, covered: np.ndarray, axis: int, smooth_px: float) -> np.ndarray:

@@ -1,0 +1,229 @@
+"""The compiled shading: what a block of texels receives of each light, and a batch of blocks."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from learning.render import texel_blocks as rows
+from learning.render.lanes_math import ANY_ORDER, exp, log
+from learning.render.texel_blocks import (
+    BLOCKS_A_TASK,
+    INV,
+    LOBE,
+    NORM,
+    NSV,
+    OCC,
+    ROWS,
+    SEEN,
+    SLOPE,
+    TEXELS,
+    A,
+    B,
+    E,
+    S,
+    V,
+    gather,
+    next_texels,
+    toward_light,
+)
+
+P = rows.P
+LIGHT_COLUMNS = 9
+NARROWEST = 1e-4
+"""Least |l + v|^2: where a light is opposite to the camera no half vector exists."""
+
+
+@numba.njit(fastmath=ANY_ORDER, error_model="numpy")
+def diffuse_light(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
+    """Add one light's diffuse part to a block's E."""
+    zero, one = buf.dtype.type(0.0), buf.dtype.type(1.0)
+    power, red, green, blue = light[4], light[6], light[7], light[8]
+    for t in range(TEXELS):
+        a, inverse = buf[A * TEXELS + t], buf[INV * TEXELS + t]
+        reach = one if paper else power * inverse * inverse
+        strength = (a if paper else (zero if a < zero else a)) * reach * buf[SEEN * TEXELS + t]
+        buf[E * TEXELS + t] += red * strength
+        buf[(E + 1) * TEXELS + t] += green * strength
+        buf[(E + 2) * TEXELS + t] += blue * strength
+
+
+@numba.njit(fastmath=ANY_ORDER, error_model="numpy")
+def specular_light(buf: np.ndarray, light: np.ndarray, paper: bool) -> None:
+    """Add one light's lobe, not yet normalised, to a block's LOBE."""
+    zero, one, two = buf.dtype.type(0.0), buf.dtype.type(1.0), buf.dtype.type(2.0)
+    narrow = buf.dtype.type(NARROWEST)
+    tiny = buf.dtype.type(1e-30)
+    lx, ly, lz, near = light[0], light[1], light[2], light[3]
+    power, red, green, blue = light[4], light[6], light[7], light[8]
+    for t in range(TEXELS):
+        b, inverse = buf[B * TEXELS + t], buf[INV * TEXELS + t]
+        x = lx - near * buf[P * TEXELS + t]
+        y = ly - near * buf[(P + 1) * TEXELS + t]
+        z = lz - near * buf[(P + 2) * TEXELS + t]
+        c = x * buf[V * TEXELS + t] + y * buf[(V + 1) * TEXELS + t]
+        c = (c + z * buf[(V + 2) * TEXELS + t]) * inverse
+        wide = two + two * c
+        half = (b + buf[NSV * TEXELS + t]) / np.sqrt(narrow if wide < narrow else wide)
+        half = one if half > one else half
+        lobe = exp(buf[S * TEXELS + t] * log(tiny if half < tiny else half))
+        lobe = zero if half <= zero else lobe
+        reach = one if paper else power * inverse * inverse * (zero if b < zero else b)
+        strength = lobe * reach * buf[SEEN * TEXELS + t]
+        buf[LOBE * TEXELS + t] += red * strength
+        buf[(LOBE + 1) * TEXELS + t] += green * strength
+        buf[(LOBE + 2) * TEXELS + t] += blue * strength
+
+
+@numba.njit(fastmath=ANY_ORDER, error_model="numpy")
+def normalise_lobe(buf: np.ndarray) -> None:
+    """Write what makes the lobe reflect all light that comes along the normal, and its slope.
+
+    pi times Giesen's factor, (s + 2) (s + 4) / (8 (2^(-s/2) + s)) [Giesen2009]; its usual short
+    form (s + 8) / 8 reflects up to 7.5 % more than arrives. The slope is of its logarithm.
+    """
+    one, two, four, eight = (
+        buf.dtype.type(1.0),
+        buf.dtype.type(2.0),
+        buf.dtype.type(4.0),
+        buf.dtype.type(8.0),
+    )
+    half_log2 = buf.dtype.type(0.34657359027997264)
+    for t in range(TEXELS):
+        s = buf[S * TEXELS + t]
+        power = exp(-half_log2 * s)
+        buf[NORM * TEXELS + t] = (s + two) * (s + four) / (eight * (power + s))
+        slope = one / (s + two) + one / (s + four)
+        buf[SLOPE * TEXELS + t] = slope - (one - half_log2 * power) / (power + s)
+
+
+@numba.njit(fastmath=ANY_ORDER, error_model="numpy")
+def finish_sums(buf: np.ndarray, ambient: np.ndarray, paper: bool) -> None:
+    """After all lights: add the ambient light, normalise the lobe; as printed do neither."""
+    if paper:
+        return
+    normalise_lobe(buf)
+    for k in range(3):
+        for t in range(TEXELS):
+            buf[(E + k) * TEXELS + t] += ambient[k] * buf[OCC * TEXELS + t]
+            buf[(LOBE + k) * TEXELS + t] *= buf[NORM * TEXELS + t]
+
+
+@numba.njit
+def pack_lights(
+    position: np.ndarray, rgb: np.ndarray, distant: np.ndarray, nearest: float
+) -> np.ndarray:
+    """(L, 9) rows of one set: position, near, |P|^2, least squared distance, rgb.
+
+    A distant light stands at distance 1, whatever length its direction was given with.
+    """
+    out = np.zeros((len(position), LIGHT_COLUMNS), position.dtype)
+    for j in range(len(position)):
+        x, y, z = position[j]
+        square = x * x + y * y + z * z
+        if distant[j]:
+            scale = 1.0 / np.sqrt(max(square, 1e-30))
+            out[j, 0], out[j, 1], out[j, 2] = x * scale, y * scale, z * scale
+            out[j, 4], out[j, 5] = 1.0, 1e-12
+        else:
+            out[j, 0], out[j, 1], out[j, 2], out[j, 3] = x, y, z, 1.0
+            out[j, 4], out[j, 5] = square, nearest * nearest
+        out[j, 6:] = rgb[j]
+    return out
+
+
+@numba.njit
+def black(light: np.ndarray) -> bool:
+    """Whether a packed light gives no light."""
+    return light[6] == 0.0 and light[7] == 0.0 and light[8] == 0.0
+
+
+@numba.njit
+def seen_of(seen: np.ndarray, light: int, texel: np.ndarray, out: np.ndarray) -> None:
+    """A light's visibility at a block's texels, from (L, texels)."""
+    for t in range(TEXELS):
+        out[t] = seen[light, texel[t]]
+
+
+@numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
+def forward(
+    position: np.ndarray,
+    diffuse_normal: np.ndarray,
+    specular_normal: np.ndarray,
+    shininess: np.ndarray,
+    occlusion: np.ndarray,
+    glossy: np.ndarray,
+    valid: np.ndarray,
+    seen: np.ndarray,
+    lights: np.ndarray,
+    ambient: np.ndarray,
+    camera: np.ndarray,
+    paper: bool,
+    irradiance: np.ndarray,
+    lobes: np.ndarray,
+) -> None:
+    """Sum over lights of Lambert's cosine and the Blinn-Phong lobe, for a batch of textures.
+
+    Args:
+        position: (B, 3, n) mm.
+        diffuse_normal: (B, 3, n) of any length.
+        specular_normal: (B, 3, n).
+        shininess: (B, 1, n).
+        occlusion: (B, 1, n) of the ambient light.
+        glossy: (B, n) bool, where the lobe is asked for.
+        valid: (B, n) bool, where a surface is.
+        seen: (B, L, n), or (B, 0, n) where every light is seen.
+        lights: (B, L, 9) of `pack_lights`.
+        ambient: (B, 3).
+        camera: (B, 3) mm.
+        paper: as printed: no clamp, no fall-off, no normalisation, and no ambient light, by which
+            the caller multiplies.
+        irradiance: (B, 3, n) is filled; 0 where there is no surface.
+        lobes: (B, 3, n) is filled; 0 where not glossy.
+    """
+    batch, _, texels = position.shape
+    span = TEXELS * BLOCKS_A_TASK
+    tasks = (texels + span - 1) // span
+    one = position.dtype.type(1.0)
+    for task in numba.prange(batch * tasks):
+        entry, first = task // tasks, (task % tasks) * span
+        last = min(texels, first + span)
+        buf = np.zeros(ROWS * TEXELS, position.dtype)
+        visible = np.full(TEXELS, one)
+        texel = np.zeros(TEXELS, np.int64)
+        irradiance[entry, :, first:last] = 0
+        lobes[entry, :, first:last] = 0
+        while first < last:
+            count, first = next_texels(valid[entry], first, last, texel)
+            if count == 0:
+                break
+            gather(
+                buf,
+                texel,
+                count,
+                position[entry],
+                diffuse_normal[entry],
+                specular_normal[entry],
+                shininess[entry],
+                occlusion[entry],
+                camera[entry],
+            )
+            gloss = False
+            for t in range(count):
+                gloss |= glossy[entry, texel[t]]
+            for j in range(lights.shape[1]):
+                light = lights[entry, j]
+                if black(light):
+                    continue
+                if seen.shape[1]:
+                    seen_of(seen[entry], j, texel, visible)
+                by_diffuse, by_specular = toward_light(buf, light, visible)
+                if by_diffuse or paper:
+                    diffuse_light(buf, light, paper)
+                if gloss and (by_specular or paper):
+                    specular_light(buf, light, paper)
+            finish_sums(buf, ambient[entry], paper)
+            for k in range(3):
+                for t in range(count):
+                    irradiance[entry, k, texel[t]] = buf[(E + k) * TEXELS + t]
+                    lobes[entry, k, texel[t]] = buf[(LOBE + k) * TEXELS + t]

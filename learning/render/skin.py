@@ -1,0 +1,105 @@
+"""What the renderer takes of a skin, and how it is asked to shade."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from learning.errors import MapsError
+
+
+@dataclasses.dataclass(frozen=True)
+class SkinMaps:
+    """A batch of skin textures: all that the renderer needs of a surface.
+
+    Attributes:
+        diffuse_albedo: (B, 3, H, W), 1 = perfect white, without occlusion.
+        specular_albedo: (B, 1, H, W), reflectance at normal incidence.
+        diffuse_normal: (B, 3, H, W), any length; zero where no surface is.
+        specular_normal: (B, 3, H, W).
+        shininess: (B, 1, H, W), Blinn-Phong's exponent.
+        translucency: (B, 1, H, W), 0..1.
+        position_mm: (B, 3, H, W).
+        area: (B, 1, H, W), a texel's surface relative to `texel_mm` squared; 0 where no surface is:
+            nothing is computed there, and the picture is 0.
+        texel_mm: edge of a texel of area 1.
+        ambient_occlusion: (B, 1, H, W), 1 = open; what is left of the ambient light.
+        edges: (B, 2, H, W), how far apart neighbours across and down lie on the skin, relative to
+            `texel_mm`; the root of `area` where None, as if the texture were stretched nowhere.
+    """
+
+    diffuse_albedo: Tensor
+    specular_albedo: Tensor
+    diffuse_normal: Tensor
+    specular_normal: Tensor
+    shininess: Tensor
+    translucency: Tensor
+    position_mm: Tensor
+    area: Tensor
+    texel_mm: float
+    ambient_occlusion: Tensor
+    edges: Tensor | None = None
+
+    def __post_init__(self) -> None:
+        """MapsError when maps differ in size, or a map has another count of channels."""
+        size = self.diffuse_albedo.shape[-2:]
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if not isinstance(value, Tensor):
+                continue
+            if value.shape[-2:] != size:
+                raise MapsError(
+                    "maps",
+                    field=field.name,
+                    found=f"{value.shape[-2]} x {value.shape[-1]} texels",
+                    expected=f"{size[0]} x {size[1]}, as diffuse_albedo",
+                )
+            channels = CHANNELS[field.name]
+            if value.ndim != 4 or value.shape[1] != channels:
+                raise MapsError(
+                    "maps",
+                    field=field.name,
+                    found=" x ".join(str(n) for n in value.shape),
+                    expected=f"(batch, {channels}, rows, columns)",
+                )
+
+
+CHANNELS = {
+    "diffuse_albedo": 3,
+    "specular_albedo": 1,
+    "diffuse_normal": 3,
+    "specular_normal": 3,
+    "shininess": 1,
+    "translucency": 1,
+    "position_mm": 3,
+    "area": 1,
+    "ambient_occlusion": 1,
+    "edges": 2,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class ShadeOptions:
+    """How to shade.
+
+    Attributes:
+        mode: `physical`; `paper` for the formulas as printed; `ggx` for facets with Fresnel, as
+            other renderers draw them.
+        subsurface_mm: the diffusion kernel's standard deviation on the skin; 0 for none. The
+            paper's 1.4 mm, 21 px of its 6144 x 4096 texture, is read as a standard deviation.
+        engine: `auto` takes this package's compiled code on processors and torch's operations
+            elsewhere; `eager` and `compiled` (torch.compile) take torch's everywhere. The picture
+            is the same to rounding. Only torch's can be differentiated twice.
+    """
+
+    mode: Literal["physical", "paper", "ggx"] = "physical"
+    subsurface_mm: float = 1.4
+    engine: Literal["auto", "eager", "compiled"] = "auto"
+
+
+def wide_enough(values: Tensor) -> torch.dtype:
+    """The precision that shading is done in: float32 at least, whatever the maps are stored in."""
+    return torch.promote_types(values.dtype, torch.float32)
