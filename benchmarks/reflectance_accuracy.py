@@ -4,7 +4,8 @@ Run `python -m benchmarks.reflectance_accuracy` for the whole tables, which go i
 with `--people tone3,tone6 --light direct --methods refine` for some, which are printed alone. A
 long run may be done in parts with `--results FILE`. Methods: `coarse` (the stage `separate`),
 `refine` (with the true mesh), `own-mesh` (with that of `reconstruct`), `peers` (their grids tried
-first), `polarised` (the yardstick) and `ceiling` (truth's own maps, re-rendered).
+first), `polarised` (the yardstick: `refine` of
+polarised photographs) and `ceiling` (truth's own maps, re-rendered).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 
 from benchmarks.record import record, table
 from benchmarks.reflectance_case import Case, Result
-from benchmarks.reflectance_peers import PEERS, YARDSTICK, Peer, Settings
+from benchmarks.reflectance_peers import PEERS, Peer, Settings
 from benchmarks.reflectance_people import PEOPLE, SCALE, Known, person
 from benchmarks.reflectance_store import Store
 from benchmarks.reflectance_tables import (
@@ -32,7 +33,7 @@ from benchmarks.reflectance_tables import (
     target_rows,
 )
 from benchmarks.reflectance_tuning import HEADER as TUNING_HEADER
-from benchmarks.reflectance_tuning import Kept, kept_of, label, tuned
+from benchmarks.reflectance_tuning import Kept, kept_of, tuned
 
 LIGHTS = ("direct", "reference")
 BINARY, THROUGH = "binary", "binary-polarised"
@@ -64,9 +65,8 @@ def measurements(
     def case(sequence: str) -> Case:
         return Case(known, light, out / sequence, sequence=sequence, scale=scale)
 
-    def of_peer(peer: Peer, settings: Settings, sequence: str, pictures: bool) -> Result:
-        maps = peer.maps(case(sequence), settings)
-        return case(sequence).result(maps, pictures=pictures)
+    def of_peer(peer: Peer, settings: Settings, pictures: bool) -> Result:
+        return case(BINARY).result(peer.maps(case(BINARY), settings), pictures=pictures)
 
     if "coarse" in methods:
         yield "coarse", lambda: case(BINARY).result(case(BINARY).separated())
@@ -81,11 +81,12 @@ def measurements(
         for how, peer, settings in kept:
             # Only re-rendered where a row asks for it.
             pictures = light == "reference"
-            yield how, functools.partial(of_peer, peer, settings, BINARY, pictures)
+            yield how, functools.partial(of_peer, peer, settings, pictures)
     if "polarised" in methods and light == "direct" and known.name in POLARISED:
-        for settings in YARDSTICK.grid:
-            how = label(YARDSTICK, settings)
-            yield how, functools.partial(of_peer, YARDSTICK, settings, THROUGH, True)
+        yield (
+            "polarised, refine",
+            lambda: case(THROUGH).result(case(THROUGH).refined()),
+        )
     if "ceiling" in methods:
         yield (
             f"true maps, roughness {CEILING_ROUGHNESS:g} everywhere",

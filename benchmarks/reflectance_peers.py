@@ -3,7 +3,7 @@
 Two kinds. Far away: `separate` with another method, a field without mesh as it was published or
 with the stage's own lights. On the true mesh: normals from one channel, or from the mean of all,
 with the same positions, shadows and interface that `refine` has; a constant stands for the mirror
-reflection. The polarised yardstick is of the second kind: cross shots hold no mirror reflection.
+reflection.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.reflectance_case import Case
 from benchmarks.reflectance_scores import Maps
 from lightstage.formats.mesh import read_ply
-from processing.albedo import diffuse_albedo, diffuse_light, pooled
+from processing.albedo import diffuse_albedo, diffuse_light
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.interface import skin_interface
 from processing.lighting.lights import PatternLights, irradiance_vectors, pattern_lights
@@ -175,42 +175,6 @@ def placed(
     return Maps(normals, normals, picture(albedo), picture(mirror), even * roughness, even)
 
 
-def polarised(case: Case, settings: Settings) -> dict[str, Maps]:
-    """Parallel and cross shots with the true mesh: what separation by colour is held up to.
-
-    `gain` is what a parallel shot shows of the mirrored light against an unpolarised one: more than
-    all of it on average, since the lamps' field lies across the plane in which they are reflected.
-    """
-    return dict(_polarised(case, settings))
-
-
-def _polarised(case: Case, settings: Settings) -> Iterator[tuple[str, Maps]]:
-    roughness = float(settings["roughness"])
-    lights, sights = true_sights(case)
-    for camera_id, sight in sights.items():
-        rgb = read_frames(case.out, camera_id).pixels(sight.mask)
-        rgb /= lights.colour.astype(np.float32)
-        through = np.array([name.endswith("@cross") for name in lights.patterns])
-        cross, parallel = (
-            lights.of(tuple(np.array(lights.patterns)[some].tolist()))
-            for some in (through, ~through)
-        )
-        normal = matte_normals(rgb[:, through].mean(axis=2), sight, cross, 0.0, roughness)
-        e, lobe = lit(sight, cross, normal, roughness)
-        nothing = np.zeros(len(normal), np.float32)
-        found, power = diffuse_light(rgb[:, through], e, lobe, nothing)
-        per_mm = px_per_mm(case.session.rig.camera(camera_id))
-        body = diffuse_albedo(found, power, sight.mask, per_mm, ALBEDO_PRIOR_POWER).mean(axis=1)
-        e, lobe = lit(sight, parallel, normal, roughness)
-        gloss = rgb[:, ~through].mean(axis=2) - body[:, None] * e
-        weight = np.einsum("np,np->n", lobe, lobe).astype(float)
-        sigma = float(settings["pool_mm"]) * per_mm
-        weighed = np.einsum("np,np->n", lobe, gloss) / float(settings["gain"])
-        weighed, weight = (pooled(x, sight.mask, sigma) for x in (weighed, weight))
-        mirror = np.clip(weighed / np.maximum(weight, 1e-9), 0, 0.2)
-        yield camera_id, placed(sight.mask, normal, found, power, mirror, roughness, per_mm)
-
-
 PEERS = (
     Peer(
         "kampouris",
@@ -255,9 +219,4 @@ PEERS = (
         product(channel=("blue",), specular=(0.0, 0.014, 0.02, 0.026), roughness=(0.2, 0.26)),
         on_mesh,
     ),
-)
-YARDSTICK = Peer(
-    "polarised, true mesh",
-    product(roughness=(0.26,), pool_mm=(1.0,), gain=(1.0, 1.2)),
-    polarised,
 )
