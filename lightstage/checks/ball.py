@@ -74,6 +74,14 @@ class BallModel:
     def _facing(self, directions: np.ndarray) -> np.ndarray:
         return np.asarray(np.maximum(self._directions @ directions.T, 0.0))
 
+    def is_part(self, pattern: str, whole: str) -> bool:
+        """Whether no lamp shines brighter under a pattern than under the whole.
+
+        Two shots of `mux` are no parts of each other: either shows light that the other lacks.
+        """
+        one, all_ = (self._lamps[self.patterns.index(name)] for name in (pattern, whole))
+        return bool((one <= all_ + 1e-6 * all_.max()).all())
+
     def shares(self, camera_id: str, whole: Photo, whole_pattern: str) -> np.ndarray | None:
         """(p, m) each pattern's light as a share of the whole's; None where too little is lit."""
         _, directions = self.normals(camera_id, whole)

@@ -88,7 +88,7 @@ def expected_findings(
         if apart[index] > UNLIKE and ratio > UNLIKE_RATIO:
             other[camera] = name
         over = float(np.quantile(seen, 1 - EXCESS_CELLS)) - 1.0
-        if over > config.max_excess_share:
+        if over > config.max_excess_share and model.is_part(pattern, whole):
             bright[camera] = over
         cells = lit_cells(wholes[camera])
         weight = wholes[camera].coarse[..., 1][cells].astype(float)

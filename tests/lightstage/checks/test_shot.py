@@ -39,7 +39,7 @@ def only(camera, pattern, photo):
 
 
 @pytest.mark.parametrize("person", ["light", "dark"])
-@pytest.mark.parametrize("patterns", [BINARY, DARK_FIRST, BINARY[:3], ("full",)])
+@pytest.mark.parametrize("patterns", [BINARY, DARK_FIRST, BINARY[:3], ("full",), ("x+", "x-")])
 def test_a_good_session_of_any_skin_has_no_findings(stages, person, patterns):
     assert told(stages[person], patterns) == []
 
