@@ -4,8 +4,8 @@ Run `python -m benchmarks.reflectance_accuracy` for the whole tables, which go i
 with `--people tone3,tone6 --light direct --methods refine` for some, which are printed alone. A
 long run may be done in parts with `--results FILE`. Methods: `coarse` (the stage `separate`),
 `refine` (with the true mesh), `own-mesh` (with that of `reconstruct`), `peers` (their grids tried
-first), `polarised` (the yardstick: `refine` of
-polarised photographs) and `ceiling` (truth's own maps, re-rendered).
+first), `polarised` (the yardstick: `refine` of polarised photographs) and `ceiling` (truth's own
+maps, re-rendered).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the checks of motion, room light and flicker are worth: errors of maps with and without.
 
-Run `python -m benchmarks.reflectance_checks`. One person, three views of 602 x 402, direct light,
+Run `python -m benchmarks.reflectance_checks`. One person, two views of 481 x 321, direct light,
 noise as in the other benchmarks; photographs go through `decode`, `separate` and `refine` (with the
 true mesh, where the person was at the first shot). Nothing is told of what was done to the light.
 """
@@ -16,13 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.record import record, table
-from benchmarks.reflectance_curves import Setting, Stage, photographed
+from benchmarks.reflectance_curves import REFINE, Setting, Stage, photographed
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.decode.preparation import PrepareConfig
 from processing.decode.stage import DecodeConfig, decode
-from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
@@ -76,7 +75,7 @@ def errors(
     separate(session, out, SeparateConfig())
     coarse = stage.errors(out)
     shutil.copy(stage.base_mesh, ProcessedFolder(out).base_mesh)
-    refine(session, out, RefineConfig())
+    refine(session, out, REFINE)
     moved = max(max(own["displaced_px"].values(), default=0.0) for own in facts.values())
     room = 100 * float(np.mean([np.mean(own["ambient"]) for own in facts.values()]))
     gains = sorted({name for own in facts.values() for name in own["flicker"]})

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from benchmarks.reflectance_case import Case
-from benchmarks.reflectance_people import new_lights, person
+from benchmarks.reflectance_people import SCALE, new_lights, person
 from benchmarks.reflectance_scores import FINE_SIGMA_MM, Maps, relief
 from lightstage.formats.files import atomic_path
 from processing.colour import srgb_from_linear
@@ -127,12 +127,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--people", default=PEOPLE)
     parser.add_argument("--light", default="direct", choices=("direct", "reference"))
+    parser.add_argument("--scale", type=float, default=SCALE, help="of the pictures' pixels")
     parser.add_argument("--out", type=Path, default=PICTURE)
     told = parser.parse_args()
     sheets = []
     for name in told.people.split(","):
         with tempfile.TemporaryDirectory() as folder:
-            case = Case(person(name), told.light, Path(folder))
+            case = Case(person(name), told.light, Path(folder), scale=told.scale)
             sheets.append(sheet(case, case.refined()[CAMERA]))
     ok, data = cv2.imencode(
         told.out.suffix, titled(np.concatenate(sheets, axis=0)), [cv2.IMWRITE_JPEG_QUALITY, 88]
