@@ -87,11 +87,13 @@ class Frames:
         inner *= np.float32(self.scale)
         return self.window.placed(inner, self.shape)
 
-    def pixels(self, mask: np.ndarray) -> np.ndarray:
+    def pixels(self, mask: np.ndarray, patterns: Sequence[str] | None = None) -> np.ndarray:
         """What the pixels of a mask read, without the whole pictures.
 
         Args:
             mask: (H, W) bool of the whole picture with n true pixels.
+            patterns: P of these frames' patterns, in the order wanted; None for all. No page of
+                another pattern is read.
 
         Returns:
             (n, P, 3) float32 in row order of the mask; 0 outside of the window.
@@ -99,16 +101,19 @@ class Frames:
         if mask.shape != self.shape:
             raise ValueError(f"mask of {mask.shape}, picture of {self.shape}")
         first = np.concatenate([[0], np.cumsum(np.count_nonzero(mask, axis=1))])
-        out = np.zeros((int(first[-1]), len(self.patterns), 3), np.float32)
+        wanted = self.patterns if patterns is None else patterns
+        rows = np.array([self.patterns.index(name) for name in wanted], np.int64)
+        out = np.zeros((int(first[-1]), len(rows), 3), np.float32)
         bits = np.asarray(self.half).view(np.uint16)
         scale, corner = np.float32(self.scale), (self.window.top, self.window.left)
-        _gather(bits, np.ascontiguousarray(mask), first, corner, scale, out)
+        _gather(bits, rows, np.ascontiguousarray(mask), first, corner, scale, out)
         return out
 
 
 @njit(parallel=True, cache=True)
 def _gather(
     bits: np.ndarray,
+    rows: np.ndarray,
     mask: np.ndarray,
     first: np.ndarray,
     corner: tuple[int, int],
@@ -119,14 +124,15 @@ def _gather(
         row = y - corner[0]
         if row < 0 or row >= bits.shape[1]:
             continue
-        for k in range(bits.shape[0]):
+        for k in range(len(rows)):
+            picture = bits[rows[k]]
             n = first[y]
             for x in range(mask.shape[1]):
                 if mask[y, x]:
                     column = x - corner[1]
                     if 0 <= column < bits.shape[2]:
                         for c in range(3):
-                            out[n, k, c] = as_float(bits[k, row, column, c]) * scale
+                            out[n, k, c] = as_float(picture[row, column, c]) * scale
                     n += 1
 
 

@@ -88,6 +88,14 @@ def fitting_methods(lights: PatternLights) -> list[str]:
     return ["colour", "linear", *(("kampouris", "ratios") if pairs else ())]
 
 
+def used_patterns(method: str, lights: PatternLights) -> tuple[str, ...]:
+    """The patterns whose photographs a method takes anything from, in their order."""
+    if method not in ("kampouris", "ratios"):
+        return lights.patterns
+    wanted = {"full", *(f"{axis}{sign}" for axis in "xyz" for sign in "+-")}
+    return tuple(name for name in lights.patterns if name in wanted)
+
+
 def mux_shots(lights: PatternLights) -> bool:
     """Whether these are two shots whose colour channels hold three gradients of their own."""
     return set(lights.patterns) == {"mux-1", "mux-2"}

@@ -10,7 +10,7 @@ from processing.lighting.lights import PatternLights
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 from processing.separation import colour
-from processing.separation.choice import METHODS
+from processing.separation.choice import METHODS, used_patterns
 from processing.separation.chroma import maps_by_chroma
 from processing.separation.config import SeparateConfig, relief_of
 from processing.separation.pixels import Pixels
@@ -48,8 +48,11 @@ def separate_view(
             camera,
         )
         return colour.separate_window(readings, lights, config)
+    used = used_patterns(method, lights)
+    if used != lights.patterns:
+        lights = lights.of(used)
     pixels = Pixels(
-        rgb=frames.pixels(mask),
+        rgb=frames.pixels(mask, used),
         valid=frames.valid[mask],
         views=-camera.pixel_rays()[1][mask],
         mask=mask,

@@ -204,3 +204,11 @@ def test_marks_of_parts_are_those_of_the_whole() -> None:
     joined, whole_one = Marks.joined(parts), Marks.of(bits)
     np.testing.assert_array_equal(joined.places, whole_one.places)
     np.testing.assert_array_equal(joined.bits, whole_one.bits)
+
+
+def test_only_the_patterns_that_are_asked_for_are_read() -> None:
+    images, _, frames = some_frames()
+    mask = np.random.default_rng(8).random(images.shape[1:3]) > 0.4
+    some = frames.pixels(mask, ("x-", "full"))
+    np.testing.assert_array_equal(some, frames.pixels(mask)[:, [2, 0]])
+    assert frames.pixels(mask, ()).shape == (mask.sum(), 0, 3)

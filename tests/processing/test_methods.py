@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from lightstage.formats.config import make_config
 from lightstage.patterns import SEQUENCES
 from processing.errors import ProcessingError
+from processing.frames.read import Frames
+from processing.frames.window import whole
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 from processing.separation import kampouris, linear, mux, polarised, ratios
@@ -21,6 +23,7 @@ from processing.separation.choice import METHODS, chosen_method, fitting_methods
 from processing.separation.config import KampourisConfig, RatiosConfig, SeparateConfig, relief_of
 from processing.separation.pairs import axis_pairs
 from processing.separation.pixels import Pixels
+from processing.separation.view import separate_view
 from tests.processing import lit_ball, shots
 from tests.processing.lit_ball import Ball, angle_deg
 
@@ -345,3 +348,20 @@ def test_each_choice_of_specular_normals_does_something() -> None:
     assert angle_deg(found["mirror"], found["diffuse"]).mean() > 0.1
     assert angle_deg(found["detail"], found["diffuse"]).mean() > 0.01
     assert angle_deg(found["mirror"], found["detail"]).mean() > 0.05
+
+
+@pytest.mark.parametrize("method", ["kampouris", "ratios"])
+def test_photographs_that_a_method_does_not_use_change_nothing(method: str) -> None:
+    lights, shape = LIGHTS["binary"], SIGHT.mask.shape
+    half = np.zeros((8, *shape, 3), np.float16)
+    half[:7, SIGHT.mask] = READ["binary"].transpose(1, 0, 2)
+    half[7] = 300.0
+    names = (*lights.patterns, "single-1")
+    more = Frames(names, half, 1.0, whole(shape), shape, np.zeros(shape, np.uint8))
+    few = dataclasses.replace(more, patterns=names[:7], half=half[:7])
+    both = dataclasses.replace(lights.of((*lights.patterns, "x+")), patterns=names)
+    one = separate_view(method, few, SIGHT.mask, CAMERA, lights, CONFIG)
+    other = separate_view(method, more, SIGHT.mask, CAMERA, both, CONFIG)
+    assert one.confidence.any()
+    for field in dataclasses.fields(one):
+        np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name))
