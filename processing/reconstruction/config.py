@@ -26,13 +26,17 @@ class ReconstructConfig:
         max_cost: a depth of a higher matching cost is dropped.
         agree_mm: two views agree where their surfaces lie within this, along the normal.
         agree_views: a point is kept when at least this many other views agree.
+        relief_mm: shapes smaller than this come from the normals, larger ones from matched depth;
+            0 leaves the points as they were matched.
+        bias_mm: normals are trusted in what is smaller than this alone; the rest of them is
+            replaced by that of the points.
         cell_mm: width of the finest cells of the fused surface.
         trim_mm: the surface is cut where no point lies within this distance.
     """
 
     max_residual_px: float = 2.0
     min_matches: int = 20
-    finest_rows: int = 600
+    finest_rows: int = 800
     coarsest_rows: int = 170
     depth_reach_mm: float = 200.0
     source_views: int = 4
@@ -47,5 +51,7 @@ class ReconstructConfig:
     max_cost: float = 0.7
     agree_mm: float = 0.4
     agree_views: int = 1
+    relief_mm: float = 3.0
+    bias_mm: float = 3.0
     cell_mm: float = 1.2
     trim_mm: float = 2.0

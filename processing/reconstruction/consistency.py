@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit, prange
 
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.views import Level
+from processing.reconstruction.relief import with_relief
+from processing.reconstruction.views import Level, plane_slopes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -217,7 +218,25 @@ def consistent_points(
             index, *stack, trust, pixel_from_world, config.agree_mm, 5.0, merged, agreeing
         )  # fmt: skip
         good = agreeing >= config.agree_views
-        parts.append(
-            (merged[good], stack[1][index][good], agreeing[good], np.full(good.sum(), index))
-        )
+        facing = stack[1][index]
+        if config.relief_mm > 0:
+            merged, facing = _relief(
+                level, index, np.where(good[..., None], merged, np.nan), facing, config
+            )
+        parts.append((merged[good], facing[good], agreeing[good], np.full(good.sum(), index)))
     return Points(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _relief(
+    level: Level,
+    index: int,
+    points: np.ndarray,
+    normals: np.ndarray,
+    config: ReconstructConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """A view's points and normals together; points without a photometric normal as they were."""
+    lens, pose, guide = level.lenses[index], level.poses[index], level.normals[index]
+    known = np.einsum("hwk,hwk->hw", guide, guide) > 0.5
+    slopes = plane_slopes(guide, lens, pose)
+    moved, mended = with_relief(points, slopes, known, lens, pose, config.relief_mm, config.bias_mm)
+    return moved, np.where(np.isnan(mended), normals, mended)

@@ -1,0 +1,227 @@
+"""Positions and normals together: each view's points take their fine relief from the normals.
+
+After [Nehab2005], in the view: ln of inverse depth is what is sought, since its differences between
+pixels are given by the normals alone, whatever the distance. Photometric normals are right in the
+small and wrong in the large (shadows, lamps, colour), matched depth the other way round. So first
+the normals' low frequencies are replaced by those of the points, then the surface is sought that
+keeps near the points and follows the mended normals.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.fft import dctn, idctn, next_fast_len
+
+TOLERANCE = 1e-4
+"""Of the solver's residual, relative to its start: points move by less than a tenth of a
+millimetre, so that is .01 micrometre."""
+MOST_STEPS = 60
+JUMP_MM = 1.0
+"""Neighbours whose points miss the step that their normals give by more are not on one surface."""
+
+
+def with_relief(
+    points: np.ndarray,
+    slopes: np.ndarray,
+    known: np.ndarray,
+    lens: np.ndarray,
+    pose: np.ndarray,
+    relief_mm: float,
+    bias_mm: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move a view's points along their rays so that they follow the normals in the small.
+
+    Args:
+        points: (h, w, 3) world, mm, NaN where there is none.
+        slopes: (h, w, 2) of `views.plane_slopes`: relative slopes of inverse depth by the normals.
+        known: (h, w) bool, where there is a normal.
+        lens: (4,) fx, fy, cx, cy.
+        pose: (3, 4) cam_from_world.
+        relief_mm: shapes smaller than this come from the normals, larger ones from the points.
+        bias_mm: normals are trusted in what is smaller than this alone.
+
+    Returns:
+        Points (h, w, 3) float32, NaN where there was none, and (h, w, 3) float32 unit normals,
+        world, outward: the mended ones, NaN where there is no point or no normal.
+    """
+    moved = np.full(points.shape, np.nan, np.float32)
+    normals = np.full(points.shape, np.nan, np.float32)
+    box = _box(np.isfinite(points[..., 0]))
+    if box is not None:
+        shifted = lens - [0, 0, box[1].start, box[0].start]
+        inside = _in_box(points[box], slopes[box], known[box], shifted, pose, relief_mm, bias_mm)
+        moved[box], normals[box] = inside
+    return moved, normals
+
+
+def _in_box(
+    points: np.ndarray,
+    slopes: np.ndarray,
+    known: np.ndarray,
+    lens: np.ndarray,
+    pose: np.ndarray,
+    relief_mm: float,
+    bias_mm: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `with_relief`, of a part of the picture that holds points."""
+    depth = points.astype(float) @ pose[2, :3] + pose[2, 3]
+    valid = np.isfinite(depth) & (depth > 0)
+    moved = np.full(points.shape, np.nan, np.float32)
+    middle = float(np.median(depth[valid])) if valid.any() else 1.0
+    z = -np.log(np.where(valid, depth, middle))
+    pixel_mm = middle / float(0.5 * (lens[0] + lens[1]))
+    steps, links = [], []
+    for axis, place in ((1, 0), (0, 1)):
+        first, second = _neighbours(axis)
+        step = 0.5 * (slopes[..., place][first] + slopes[..., place][second]).astype(float)
+        both = valid[first] & valid[second] & known[first] & known[second]
+        both &= np.abs(np.diff(z, axis=axis) - step) * middle < JUMP_MM
+        steps.append(step)
+        links.append(both)
+    sigma_px = bias_mm / pixel_mm
+    excess = [np.diff(z, axis=1 - k) - steps[k] for k in range(2)]
+    # (h, w) slopes that the points have beyond the normals' own, in the large.
+    beyond = [low_pass(excess[k], links[k], sigma_px) for k in range(2)]
+    misses = [excess[k] - beyond[k] for k in range(2)]
+    shift = solve(misses, links, valid, (pixel_mm / relief_mm) ** 2)
+    centre = -pose[:, :3].T @ pose[:, 3]
+    moved[valid] = (centre + (points - centre) * np.exp(-shift)[..., None])[valid]
+    turned = [slopes[..., k] + at_pixels(beyond[k], 1 - k) for k in range(2)]
+    normals = normals_of(turned[0], turned[1], lens, pose)
+    normals[~(valid & known)] = np.nan
+    return moved, normals
+
+
+def _box(some: np.ndarray) -> tuple[slice, slice] | None:
+    """The part of a picture that holds all true pixels, its sides of quick transforms' lengths."""
+    if not some.any():
+        return None
+    sides = []
+    for axis in (1, 0):
+        held = np.flatnonzero(some.any(axis=axis))
+        first, count = int(held[0]), int(held[-1] - held[0] + 1)
+        length, whole = int(next_fast_len(count, real=True)), some.shape[1 - axis]
+        if length > whole:
+            length = count
+        first = max(0, min(first, whole - length))
+        sides.append(slice(first, first + length))
+    return sides[0], sides[1]
+
+
+def low_pass(values: np.ndarray, links: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Gaussian mean of the values at links, weighted by them alone; 0 where none is near."""
+    weight = links.astype(np.float32)
+    value = np.where(links, values, 0.0).astype(np.float32)
+    # A wide Gaussian is taken on a coarser grid: a fifth of sigma is fine enough.
+    height, width = links.shape
+    step = max(1, min(int(sigma_px / 5), min(height, width) // 8))
+    pad = ((0, -height % step), (0, -width % step))
+    small = []
+    for layer in (value, weight):
+        wide = np.pad(layer, pad)
+        blocks = wide.reshape(wide.shape[0] // step, step, wide.shape[1] // step, step)
+        small.append(
+            cv2.GaussianBlur(
+                blocks.sum(axis=(1, 3)), (0, 0), sigma_px / step, borderType=cv2.BORDER_CONSTANT
+            )
+        )
+    mean = np.divide(small[0], small[1], out=np.zeros_like(small[0]), where=small[1] > 1e-3)
+    if step == 1:
+        return mean.astype(float)
+    size = (mean.shape[1] * step, mean.shape[0] * step)
+    wide = cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR)
+    return wide[:height, :width].astype(float)
+
+
+def solve(
+    misses: list[np.ndarray],
+    links: list[np.ndarray],
+    valid: np.ndarray,
+    weight: float,
+    tolerance: float = TOLERANCE,
+) -> np.ndarray:
+    """The least-squares shift d: sum over links (d' - d + miss)^2 + weight * sum d^2.
+
+    Conjugate gradients; the same problem without a mask, which the cosine transform solves at once,
+    is the preconditioner.
+
+    Args:
+        misses: across, (h, w - 1), and down, (h - 1, w): how far steps exceed the wanted ones.
+        links: bool, which of them count.
+        valid: (h, w) bool.
+        weight: of staying, above 0.
+        tolerance: of the residual, as a share of its start.
+
+    Returns:
+        (h, w), 0 where not valid.
+    """
+    height, width = valid.shape
+    kx = 2 - 2 * np.cos(np.pi * np.arange(width) / width)
+    ky = 2 - 2 * np.cos(np.pi * np.arange(height) / height)
+    spectrum = kx[None] + ky[:, None] + weight
+
+    def apply(d: np.ndarray) -> np.ndarray:
+        out = weight * d
+        for k in range(2):
+            _spread(np.where(links[k], np.diff(d, axis=1 - k), 0.0), 1 - k, out)
+        return np.where(valid, out, 0.0)
+
+    def without_mask(r: np.ndarray) -> np.ndarray:
+        return np.where(valid, idctn(dctn(r, norm="ortho") / spectrum, norm="ortho"), 0.0)
+
+    rhs = np.zeros(valid.shape)
+    for k in range(2):
+        _spread(np.where(links[k], -misses[k], 0.0), 1 - k, rhs)
+    residual = np.where(valid, rhs, 0.0)
+    out = np.zeros(valid.shape)
+    start = float(np.linalg.norm(residual))
+    if not start > 0:
+        return out
+    better = without_mask(residual)
+    along, energy = better, float((residual * better).sum())
+    for _ in range(MOST_STEPS):
+        pushed = apply(along)
+        length = energy / float((along * pushed).sum())
+        out += length * along
+        residual -= length * pushed
+        if np.linalg.norm(residual) < tolerance * start:
+            break
+        better = without_mask(residual)
+        fresh = float((residual * better).sum())
+        along, energy = better + (fresh / energy) * along, fresh
+    return out
+
+
+def at_pixels(links: np.ndarray, axis: int) -> np.ndarray:
+    """Values between neighbours as values at pixels: means of the two, the ends as they are."""
+    first, second = _neighbours(axis)
+    ends = [(1, 1), (0, 0)] if axis == 0 else [(0, 0), (1, 1)]
+    wide = np.pad(links, ends, mode="edge")
+    return np.asarray(0.5 * (wide[first] + wide[second]))
+
+
+def normals_of(a: np.ndarray, b: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """(h, w, 3) float32 unit normals, world, toward the camera, of planes of these slopes.
+
+    The inverse of `views.plane_slopes`.
+    """
+    height, width = a.shape
+    fx, fy, cx, cy = lens
+    u, v = np.arange(width) + 0.5, (np.arange(height) + 0.5)[:, None]
+    local = -np.stack([fx * a, fy * b, 1 + (cx - u) * a + (cy - v) * b], axis=-1)
+    local /= np.linalg.norm(local, axis=-1, keepdims=True)
+    return np.asarray(local @ pose[:, :3], np.float32)
+
+
+def _neighbours(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    every = slice(None)
+    one, two = slice(None, -1), slice(1, None)
+    return ((one, every), (two, every)) if axis == 0 else ((every, one), (every, two))
+
+
+def _spread(steps: np.ndarray, axis: int, out: np.ndarray) -> None:
+    """Add the transpose of `diff` of steps to `out`."""
+    first, second = _neighbours(axis)
+    out[first] -= steps
+    out[second] += steps
