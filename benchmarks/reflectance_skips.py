@@ -121,6 +121,7 @@ def pattern_rows(root: Path, out: Path) -> list[list[str]]:
     opened = load_session(root)
     frames, mask = read_frames(out, CAMERA), read_foreground(out, CAMERA)
     camera, seven = opened.rig.camera(CAMERA), frames.patterns
+    mask = mask & (np.arange(len(mask)) % 4 == 0)[:, None]  # arrays of fourteen patterns are large
     many = (*seven, *(f"single-{k}" for k in range(len(seven))))
     shape = (len(many), *frames.half.shape[1:])
     with tempfile.TemporaryFile() as file:
@@ -139,7 +140,7 @@ def pattern_rows(root: Path, out: Path) -> list[list[str]]:
             full, full_s = timed(maps)
     return [
         row(
-            "seven patterns of fourteen that `kampouris` does not use (coarse)",
+            "seven patterns of fourteen that `kampouris` does not use (coarse, every fourth row)",
             full_s,
             some_s,
             float(np.abs(full.diffuse_normal - some.diffuse_normal).max()),

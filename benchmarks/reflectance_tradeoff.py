@@ -1,6 +1,7 @@
 """Run time against error of every method of reflectance and some of their settings.
 
-Run `python -m benchmarks.reflectance_tradeoff`; it writes a picture beside the table. Seconds are
+Run `python -m benchmarks.reflectance_tradeoff`; it writes a picture for the documentation. With
+people's names behind it only those are measured, printed and not recorded. Seconds are
 processor seconds for a megapixel of face; errors are those of one light and one dark person at 1.5
 megapixels under direct light with the benchmarks' noise, all visible skin up to 70 degrees.
 """
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -16,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.record import RESULTS, record
+from benchmarks.record import RESULTS, record, table
 from benchmarks.reflectance_people import CAMERAS, Known, noisy, person, session
 from benchmarks.scatter import Panel, draw
 from lightstage.formats.exr import read_exr
@@ -31,7 +33,7 @@ from processing.separation.config import KampourisConfig, RatiosConfig, Separate
 from processing.separation.view import separate_view
 
 WHO = ("tone3", "tone6")
-PICTURE = RESULTS.with_name("reflectance_tradeoff.png")
+PICTURE = RESULTS.parents[1] / "docs" / "reflectance_tradeoff.png"
 STEEPEST_DEG = 70.0
 MAPS = ("diffuse_normal", "diffuse_albedo", "specular_albedo")
 
@@ -131,9 +133,10 @@ def settings() -> dict[str, Callable[[Case], tuple[Maps, np.ndarray, float]]]:
 
 
 def main() -> None:
-    """Run all on both people; write the table and the picture."""
+    """Run all on both people, or on those named; write the table and the picture, or print."""
+    who = tuple(sys.argv[1:]) or WHO
     found: dict[str, list[tuple[float, ...]]] = {}
-    for name in WHO:
+    for name in who:
         with tempfile.TemporaryDirectory() as folder:
             case = prepared(person(name), Path(folder))
             for setting, call in settings().items():
@@ -141,31 +144,39 @@ def main() -> None:
                 megapixels = mask.sum() / 1e6
                 row = (seconds / megapixels, *errors(case, maps, mask))
                 found.setdefault(setting, []).append(row)
+                print(name, setting, " ".join(f"{value:.3f}" for value in row), flush=True)
     titles = ("normal, mean deg", "diffuse albedo RMSE", "specular, share of constant")
+    labels = [person(name).skin if who == WHO else name for name in who]
+    heads = ["method", "processor s a megapixel of face", "seconds, ratio to the first"]
+    heads += [f"{label}: {title}" for label in labels for title in titles]
+    heads.append("errors, mean ratio to the first")
+    first = np.array(next(iter(found.values())))
+    rows = []
+    for setting, values in found.items():
+        ratio = np.array(values) / first
+        cells = [f"{value:.3f}" for row in values for value in row[1:]]
+        seconds = float(np.mean([row[0] for row in values]))
+        times = f"{ratio[:, 0].mean():.1f}"
+        rows.append([setting, f"{seconds:.2f}", times, *cells, f"{ratio[:, 1:].mean():.2f}"])
+    if who != WHO:
+        print(table(heads, rows))
+        return
     panels = [
         Panel(
-            f"{person(who).skin} skin: {title}",
-            [(rows[k][0], rows[k][1 + column]) for rows in found.values()],
+            f"{person(name).skin} skin: {title}",
+            [(values[k][0], values[k][1 + column]) for values in found.values()],
         )
-        for k, who in enumerate(WHO)
+        for k, name in enumerate(who)
         for column, title in enumerate(titles)
     ]
     draw(panels, list(found), "processor s a megapixel of face", PICTURE, columns=len(titles))
-    table = [
-        [
-            setting,
-            f"{np.mean([row[0] for row in rows]):.2f}",
-            *(f"{rows[k][1 + column]:.3f}" for k in range(len(WHO)) for column in range(3)),
-        ]
-        for setting, rows in found.items()
-    ]
-    heads = [f"{person(who).skin}: {title}" for who in WHO for title in titles]
     record(
         "Reflectance: run time against error",
-        ["method", "processor s a megapixel of face", *heads],
-        table,
+        heads,
+        rows,
         f"{' and '.join(WHO)}, frontal view of 1004 x 1504, direct light, pixel noise .001 "
-        f"sqrt(.25 + I); drawn in {PICTURE.name}. `refine` is a third of the stage on three views.",
+        f"sqrt(.25 + I); drawn in docs/{PICTURE.name}. `refine` is a third of the stage on three "
+        "views.",
     )
 
 

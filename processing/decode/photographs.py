@@ -198,14 +198,31 @@ def flats_path(session: Session) -> Path | None:
     return None if flats is None else session.root / str(flats)
 
 
+def read_exposures(session: Session, frames: Mapping[str, Frame]) -> dict[str, float | None]:
+    """What a camera's RAW photographs tell of their exposure, by pattern; None where nothing.
+
+    Raises:
+        FormatError: one that cannot be read.
+    """
+    return {
+        name: read_exposure(session.frame_path(frame))
+        for name, frame in frames.items()
+        if frame.encoding == "raw"
+    }
+
+
 def exposure_factors(
-    session: Session, frames: Mapping[str, Frame], wanted: float | None
+    session: Session,
+    frames: Mapping[str, Frame],
+    exposures: Mapping[str, float | None],
+    wanted: float | None,
 ) -> dict[str, float]:
     """What brings a camera's RAW photographs to one exposure, from what their files tell.
 
     Args:
         session: whose they are.
         frames: by pattern, in the session's order; linear ones need nothing.
+        exposures: of `read_exposures`.
         wanted: exposure that the colours hold for; None for the first photograph's.
 
     Returns:
@@ -214,10 +231,7 @@ def exposure_factors(
     Raises:
         FormatError: some files tell and some do not, or exposures too far apart.
     """
-    told = {
-        name: read_exposure(session.frame_path(frame)) if frame.encoding == "raw" else None
-        for name, frame in frames.items()
-    }
+    told = {name: exposures.get(name) for name in frames}
     raw = [name for name, frame in frames.items() if frame.encoding == "raw"]
     known = [name for name in raw if told[name] is not None]
     silent = [name for name in raw if told[name] is None]

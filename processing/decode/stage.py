@@ -22,7 +22,7 @@ from processing.decode.files import (
     fill_draft,
     first_look,
 )
-from processing.decode.photographs import exposure_factors, read_calibrations
+from processing.decode.photographs import exposure_factors, read_calibrations, read_exposures
 from processing.decode.preparation import (
     PrepareConfig,
     cell_px,
@@ -100,7 +100,10 @@ def decode(
         calibrated = calibrations.get(camera)
         correction = None if calibrated is None else calibrated.correction
         wanted = None if correction is None else correction.exposure
-        factors = exposure_factors(session, frames, wanted)
+        exposures = read_exposures(session, frames)
+        factors = exposure_factors(session, frames, exposures, wanted)
+        if exposures and not any(exposures.values()):
+            warnings.append(f"{camera}: {UNTOLD}")
         if len(set(factors.values())) > 1:
             warnings.append(f"{camera}: {_exposures(factors)}")
         shares = config.clip_share, config.foreground_share
@@ -122,6 +125,7 @@ def decode(
     }
 
 
+UNTOLD = "no photograph tells its exposure, so all are taken to have the same"
 UNCALIBRATED = "No colour calibration: white balance from AsShotNeutral, albedo scale unknown."
 
 

@@ -223,6 +223,20 @@ def test_colours_made_at_another_exposure_are_scaled_to_it(root: Path, tmp_path:
     np.testing.assert_allclose(scaled.images, 2 * plain.images, rtol=2e-3, atol=1e-3)
 
 
+def test_exposures_that_no_file_tells_are_said_to_be_taken_as_equal(
+    root: Path, tmp_path: Path
+) -> None:
+    assert not any("exposure" in said for said in decoded(root, tmp_path / "out")[1]["warnings"])
+    for name, shot in photographs().items():
+        path = root / "frames" / name / "cam0.dng"
+        old = sha256_file(path)
+        write_dng(path, counts_of(shot["cam0"]), exposure=None)
+        text = (root / "session.json").read_text()
+        (root / "session.json").write_text(text.replace(old, sha256_file(path)))
+    _, facts = decoded(root, tmp_path / "out")
+    assert any("cam0: no photograph tells its exposure" in said for said in facts["warnings"])
+
+
 @pytest.mark.parametrize("exposure", [None, (1.0, 6400, 2.0)])
 def test_exposures_unknown_or_far_off_are_refused(
     root: Path, tmp_path: Path, exposure: tuple[float, int, float] | None
