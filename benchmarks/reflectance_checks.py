@@ -1,6 +1,6 @@
 """What the checks of motion, room light and flicker are worth: errors of maps with and without.
 
-Run `python -m benchmarks.reflectance_checks`. One person, two views of 481 x 321, direct light,
+Run `python -m benchmarks.reflectance_checks`. One person, two views of 602 x 402, direct light,
 noise as in the other benchmarks; photographs go through `decode`, `separate` and `refine` (with the
 true mesh, where the person was at the first shot). Nothing is told of what was done to the light.
 """

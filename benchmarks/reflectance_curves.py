@@ -2,7 +2,7 @@
 
 Run `python -m benchmarks.reflectance_curves` for all, written into RESULTS.md and
 docs/reflectance_curves.png, or with `--curves noise,sway` for some, which are printed alone. One
-light and one dark person, two views of 481 x 321, direct light. Photographs go through the stages
+light and one dark person, two views of 602 x 402, direct light. Photographs go through the stages
 `decode`, `separate` and `refine` (with the true mesh, where the person was at the first shot), with
 nothing told of what was done to the light.
 """
@@ -50,7 +50,7 @@ from sim.people.subjects import load_subject
 from sim.session import SessionConfig, write_direct
 from sim.truth import write_truth
 
-SCALE = 0.08
+SCALE = 0.1
 VIEWS = 2
 TEXTURE_ROWS = 1536
 PEOPLE = ("tone3", "tone6")
@@ -256,7 +256,7 @@ def main() -> None:
     if whole or told.picture:
         draw(panels(curves, errors), told.picture or PICTURE)
     if whole:
-        note = "People tone3 and tone6, two views of 481 x 321; docs/reflectance_curves.png."
+        note = "People tone3 and tone6, two views of 602 x 402; docs/reflectance_curves.png."
         record("Reflectance: curves", header, rows, note)
     else:
         print(table(header, rows))
