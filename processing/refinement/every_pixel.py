@@ -18,6 +18,9 @@ from processing.refinement.joint import (
 from processing.refinement.scene import ALL, BAND_PIXELS, Scene, View, gloss_of, place_of, steady
 from processing.surface import Sight
 
+LEAST_WEIGHT = 1e-6
+"""Of a pixel in its neighbours' albedo."""
+
 
 def solve_view(
     scene: Scene, view: View, grid: View, found: Solved, config: RefineConfig
@@ -95,7 +98,8 @@ def solve_view(
     trust /= 1 + turn2 / np.radians(config.doubtful_turn_deg) ** 2
     confidence = np.where(good, trust, 0).astype(np.float32)
     # A pixel that is hardly trusted takes its neighbours' albedo.
-    weight = confidence[:, None] ** 2
+    # Where none is trusted far around, they have one another still.
+    weight = np.maximum(confidence[:, None] ** 2, LEAST_WEIGHT)
     np.multiply(solved.lit, weight, out=solved.lit)
     np.multiply(solved.power, weight, out=solved.power)
     albedo = diffuse_albedo(
