@@ -124,7 +124,7 @@ def peer_depths(
 ) -> tuple[Level, list[np.ndarray], list[np.ndarray]]:
     """SGBM's depth maps of all views, on the level that ours end at."""
     level = pyramid(views, config.finest_rows, config.coarsest_rows)[-1]
-    cameras = [view.camera for view in views]
+    cameras = [session.rig.camera(camera) for camera in session.camera_ids()]
     pictures, masks = [], []
     for camera in session.camera_ids():
         frames = read_frames(out, camera)
@@ -183,7 +183,7 @@ def measure(session: Session, out: Path) -> None:
         ]
     )
     config = ReconstructConfig()
-    views = read_views(session, out)
+    views = read_views(session, out, config)
     # Compiled before the clock starts.
     match_views(views, dataclasses.replace(config, finest_rows=140, iterations=(1,)))
     rows, seconds, median = [], {}, {}
@@ -223,7 +223,7 @@ def measure(session: Session, out: Path) -> None:
             "",
         )
     )
-    camera = views[0].camera
+    camera = session.rig.camera(session.camera_ids()[0])
     record(
         "Geometry: base mesh of one head from nine views",
         (

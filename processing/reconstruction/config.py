@@ -13,7 +13,8 @@ class ReconstructConfig:
         max_residual_px: a camera whose matches miss the rig's geometry by more is refused, in
             pixels of its own pictures at 1000 rows (scaled with the pictures' height).
         min_matches: verified matches below which a camera's pose is called unchecked.
-        finest_rows: pictures are halved until they have at most this many rows.
+        finest_rows: pictures are halved until they have at most this many rows, and once at least
+            unless they have 600 or fewer.
         coarsest_rows: the pyramid ends at the first level with at most this many rows.
         depth_reach_mm: the surface lies within this depth of the point the cameras look at.
         source_views: each view is matched with this many others.
@@ -36,7 +37,7 @@ class ReconstructConfig:
 
     max_residual_px: float = 2.0
     min_matches: int = 20
-    finest_rows: int = 800
+    finest_rows: int = 1600
     coarsest_rows: int = 170
     depth_reach_mm: float = 200.0
     source_views: int = 4

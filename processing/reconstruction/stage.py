@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.errors import ReconstructionError
-from processing.frames.read import Frames, read_foreground, read_frames
+from processing.frames.read import read_foreground, read_frames
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import consistent_points
 from processing.reconstruction.fusion import Holes, boundary_loops, fuse
@@ -22,6 +23,7 @@ from processing.reconstruction.poses import (
     raise_when_off,
     tone_mapped,
 )
+from processing.reconstruction.small_views import matched_times, small_view
 from processing.reconstruction.stereo import match_views
 from processing.reconstruction.views import View, common_basis, make_view
 
@@ -48,7 +50,7 @@ def reconstruct(
         ReconstructionError: views that do not see one surface.
     """
     poses = check_session_poses(session, out, config)
-    views = read_views(session, out)
+    views = read_views(session, out, config)
     mesh, holes, facts = reconstruct_views(views, config, progress)
     write_ply(mesh, ProcessedFolder(out).base_mesh)
     return {
@@ -87,26 +89,36 @@ def check_session_poses(session: Session, out: Path, config: ReconstructConfig) 
     return report
 
 
-def read_views(session: Session, out: Path) -> list[View]:
-    """All cameras' photographs, foreground masks and coarse normals, as the matcher wants them."""
+def read_views(
+    session: Session,
+    out: Path,
+    config: ReconstructConfig,
+    patterns: Sequence[str] | None = None,
+) -> list[View]:
+    """All cameras' photographs, foreground masks and coarse normals, as the matcher wants them.
+
+    Args:
+        session: for its rig.
+        out: processed folder.
+        config: how fine.
+        patterns: which photographs are matched; None for all.
+    """
     folder = ProcessedFolder(out)
-    cameras = session.camera_ids()
-    frames: list[Frames] = [read_frames(out, camera) for camera in cameras]
-    masks = [read_foreground(out, camera) for camera in cameras]
-    images = [frame.images for frame in frames]
-    usable = [mask & frame.valid for mask, frame in zip(masks, frames, strict=True)]
-    basis = common_basis(images, usable)
-    return [
-        make_view(
+    rows = max(camera.height_px for camera in session.rig.cameras)
+    times = matched_times(rows, config.finest_rows)
+    small = [
+        small_view(
             session.rig.camera(camera),
-            image,
-            frame.valid,
-            mask,
+            read_frames(out, camera),
+            read_foreground(out, camera),
             folder.read_view(camera, "diffuse_normal"),
-            basis,
+            times,
+            patterns,
         )
-        for camera, frame, image, mask in zip(cameras, frames, images, masks, strict=True)
+        for camera in session.camera_ids()
     ]
+    basis = common_basis([s.images for s in small], [s.mask & s.valid for s in small])
+    return [make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis) for s in small]
 
 
 def reconstruct_views(

@@ -18,6 +18,9 @@ seen at a more grazing angle has no samples to speak of."""
 WHITE = 0.5
 """Weight of the white part of colour, which holds the highlights, beside the rest."""
 
+BASIS_ROWS = 380
+"""Contrast is measured between pixels of about so many rows a picture."""
+
 
 @dataclasses.dataclass(frozen=True)
 class View:
@@ -71,11 +74,17 @@ def common_basis(images: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> n
         (P, 3, k), k at most TEXTURES, the same for all views.
     """
     patterns = len(images[0])
+    step_px = max(1, round(max(mask.shape[0] for mask in masks) / BASIS_ROWS))
     moment = np.zeros((3 * patterns, 3 * patterns))
     for image, mask in zip(images, masks, strict=True):
-        some = image[:, ::4, ::4].astype(float).transpose(0, 3, 1, 2).reshape(3 * patterns, -1)
-        some = some.reshape(3 * patterns, *mask[::4, ::4].shape)
-        inside = mask[::4, ::4]
+        some = (
+            image[:, ::step_px, ::step_px]
+            .astype(float)
+            .transpose(0, 3, 1, 2)
+            .reshape(3 * patterns, -1)
+        )
+        some = some.reshape(3 * patterns, *mask[::step_px, ::step_px].shape)
+        inside = mask[::step_px, ::step_px]
         for step in (np.s_[1:, :], np.s_[:-1, :]), (np.s_[:, 1:], np.s_[:, :-1]):
             both = inside[step[0]] & inside[step[1]]
             change = (some[:, *step[0]] - some[:, *step[1]])[:, both]

@@ -1,0 +1,123 @@
+"""One person of the geometry benchmarks, photographed with noise, under cameras that were measured.
+
+Poses come from drawn ChArUco boards (geometry_poses.py), never from the truth; meshes are laid into
+the truth's world by the turn and shift that no board can tell.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.geometry import PAIRS, sgbm_depth, splat
+from benchmarks.geometry_people import person, session
+from benchmarks.geometry_poses import measured, onto_truth, true_rig
+from benchmarks.geometry_scores import Skin, true_skin
+from benchmarks.reflectance_case import put_frames
+from benchmarks.reflectance_people import SCALE
+from lightstage.formats.mesh import Mesh
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import Session, load_session
+from lightstage.rig import Rig
+from processing.frames.read import foreground_path, read_foreground, read_frames
+from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.consistency import consistent_points
+from processing.reconstruction.fusion import fuse
+from processing.reconstruction.poses import tone_mapped
+from processing.reconstruction.stage import read_views
+from processing.reconstruction.stereo import focus_point, match_views
+from processing.reconstruction.views import Level, View, pyramid
+from processing.separation.config import SeparateConfig
+from processing.separation.stage import separate
+from sim.session import truth_path
+
+Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
+"""Finest level, and of each view inverse depth and cost."""
+
+
+class Case:
+    """A person's photographs, coarse maps and measured cameras.
+
+    Attributes:
+        session: with the measured rig in place of the true one.
+        skin: the truth.
+    """
+
+    def __init__(self, name: str, light: str, out: Path) -> None:
+        """Add noise, separate.
+
+        Args:
+            name: of PEOPLE.
+            light: ``direct`` or ``reference``.
+            out: processed folder; what an earlier run left in it is used again.
+        """
+        known = person(name)
+        path = session(known, light=light)
+        true: Session = load_session(path)
+        cameras = measured().cameras
+        rig = Rig(true.rig.lights, cameras)
+        self.session = Session(true.root, true.file, rig)
+        self.out = out
+        last = self.session.camera_ids()[-1]
+        if not foreground_path(out, last).is_file():
+            put_frames(self.session, out, np.random.default_rng(known.seed))
+        if not (out / "views" / last / "diffuse_normal.exr").is_file():
+            separate(self.session, out, SeparateConfig())
+        self.skin: Skin = true_skin(ProcessedFolder(truth_path(path)), true.rig)
+        self._turn, self._shift = onto_truth(cameras, true_rig(SCALE))
+
+    def views(self, config: ReconstructConfig, patterns: Sequence[str] | None = None) -> list[View]:
+        """What the matcher sees, of some patterns or of all."""
+        return read_views(self.session, self.out, config, patterns)
+
+    def meshed(self, depths: Depths, config: ReconstructConfig) -> Mesh:
+        """Consistency and fusion; in the truth's world."""
+        return self.laid(fuse(consistent_points(*depths, config), config))
+
+    def laid(self, mesh: Mesh) -> Mesh:
+        """A mesh in the truth's world."""
+        return Mesh(self._turn.apply(mesh.vertices) + self._shift, mesh.faces)
+
+    def peer(self, views: list[View], config: ReconstructConfig) -> Depths:
+        """SGBM's depth of eight pairs, as `benchmarks.geometry` takes it, lenses straightened."""
+        level = pyramid(views, config.finest_rows, config.coarsest_rows)[-1]
+        pictures, masks = [], []
+        for name in self.session.camera_ids():
+            frames = read_frames(self.out, name)
+            mask = read_foreground(self.out, name)
+            camera = self.session.rig.camera(name)
+            picture = tone_mapped(frames.image(frames.patterns.index("full")), mask)
+            lens, dist = camera.opencv_matrix, np.array(camera.dist)
+            pictures.append(cv2.undistort(picture, lens, dist))
+            masks.append(cv2.undistort(mask.astype(np.uint8), lens, dist) > 0)
+        cameras = [
+            dataclasses.replace(self.session.rig.camera(name), dist=(0.0,) * 5)
+            for name in self.session.camera_ids()
+        ]
+        focus = focus_point(cameras)
+        clouds: list[list[np.ndarray]] = [[] for _ in views]
+        for first, second in PAIRS:
+            points = sgbm_depth(
+                cameras[first],
+                cameras[second],
+                [pictures[first], pictures[second]],
+                [masks[first], masks[second]],
+                focus,
+            )
+            clouds[first].append(points)
+            clouds[second].append(points)
+        depths = [splat(np.concatenate(c), level, k) for k, c in enumerate(clouds)]
+        costs = [np.where(depth > 0, 0.2, 2.0).astype(np.float32) for depth in depths]
+        return level, depths, costs
+
+
+def timed_match(views: list[View], config: ReconstructConfig) -> tuple[Depths, float]:
+    """Our depths, and processor seconds."""
+    start = time.process_time()
+    found = match_views(views, config)
+    return found, time.process_time() - start
