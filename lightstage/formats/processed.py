@@ -31,8 +31,13 @@ MAPS: dict[str, MapSpec] = {
     "confidence": MapSpec(1),
     "position": MapSpec(3, half=False),
     "view": MapSpec(1),
+    "tangent_normal": MapSpec(3),
+    "coverage": MapSpec(1),
+    "filled": MapSpec(1),
 }
-"""Every map that a view or the atlas may hold (position in mm, view an index, -1 for none)."""
+"""Every map that a view or the atlas may hold: position in mm; view an index, -1 for none;
+tangent_normal the specular normal in MikkTSpace's frame, -1..1; coverage the number of views;
+filled 0 where seen, 1 where guessed from the other side of the face, 2 from around."""
 
 
 @dataclasses.dataclass(frozen=True)

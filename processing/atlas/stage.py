@@ -15,9 +15,11 @@ from lightstage.formats.processed import MAPS, ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.formats.template import Template
 from lightstage.rig import Camera
-from processing.atlas.blend import BlendConfig, Blender, ViewSamples, view_samples
-from processing.atlas.fill import MeshFill, gutter_sources
+from processing.atlas.blend import BlendConfig, Blender
+from processing.atlas.fill import BY_DIFFUSION, MeshFill, gutter_sources, mirrored_vertices
 from processing.atlas.raster import Raster, rasterise, texel_size_mm
+from processing.atlas.tangents import tangent_frames, to_tangent_space
+from processing.atlas.weights import Texels, ViewSamples, view_samples
 from processing.errors import AtlasError
 from processing.registration.target import Target
 
@@ -29,6 +31,8 @@ BLENDED = (
     "ambient_occlusion",
 )
 NORMALS = ("diffuse_normal", "specular_normal")
+OPTIONAL = ("roughness",)
+"""Blended where every view has it."""
 FILL_WEIGHT = 0.02
 """The guess for unseen texels counts like a view of this weight, which feathers its rim."""
 
@@ -43,6 +47,8 @@ class AtlasConfig:
     """How far the islands' colours reach beyond their borders."""
     largest_gap_mm: float = 1.5
     """Where the registered mesh is farther than this from the scan, views are not believed."""
+    mirror_mm: float = 3.0
+    """A template's vertex whose mirror image has none nearer than this has no other side."""
     blend: BlendConfig = dataclasses.field(default_factory=BlendConfig)
 
     def __post_init__(self) -> None:
@@ -54,14 +60,19 @@ class AtlasConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Texels:
-    """The atlas's covered texels and what the mesh is there."""
+class _Geometry:
+    """The atlas's covered texels and the mesh they lie on."""
 
     raster: Raster
     flat: np.ndarray
+    mesh: Mesh
     triangles: np.ndarray
     vertices: np.ndarray
     vertex_normals: np.ndarray
+
+    def at(self, values: np.ndarray) -> np.ndarray:
+        """(k, c) float32 of per-vertex values."""
+        return self.raster.at(values, self.triangles, self.flat)
 
 
 def atlas(
@@ -90,30 +101,40 @@ def atlas(
     folder = ProcessedFolder(out)
     mesh = _registered(folder, template)
     cameras = _cameras(session, folder)
-    total = len(cameras) * (1 + len(BLENDED))
-    texels = _texels(mesh, config)
-    normals = _unit(texels.raster.at(texels.vertex_normals, texels.triangles, texels.flat))
-    positions = texels.raster.at(texels.vertices, texels.triangles, texels.flat)
-    trust = texels.raster.at(_trust(folder, texels, config), texels.triangles, texels.flat)[:, 0]
+    names = BLENDED + tuple(
+        name
+        for name in OPTIONAL
+        if all(folder.view_path(camera.id, name).is_file() for camera in cameras.values())
+    )
+    total = len(cameras) * (1 + len(names))
+    shape = _geometry(mesh, config)
+    texels = Texels(
+        shape.at(shape.vertices),
+        _unit(shape.at(shape.vertex_normals)),
+        shape.at(_trust(folder, shape, config))[:, 0],
+    )
     views: list[ViewSamples] = []
-    best = np.zeros(len(texels.flat), np.float32)
-    heaviest = np.full(len(texels.flat), -1, np.float32)
+    best = np.zeros(len(shape.flat), np.float32)
+    heaviest = np.full(len(shape.flat), -1, np.float32)
+    coverage = np.zeros(len(shape.flat), np.float32)
+    middle = shape.vertices.mean(axis=0)
+    finest = min(np.linalg.norm(c.centre_mm - middle) / c.fx_px for c in cameras.values())
     for index, camera in cameras.items():
         found = view_samples(
             camera,
-            texels.vertices,
-            texels.triangles,
-            positions,
-            normals,
-            trust,
+            shape.vertices,
+            shape.triangles,
+            texels,
             folder.read_view(camera.id, "confidence"),
             folder.read_mask(camera.id),
             folder.read_view(camera.id, "diffuse_normal"),
-            config.blend,
+            float(finest),
+            config.blend.weights,
         )
         better = found.weight > best[found.slot]
         best[found.slot[better]] = found.weight[better]
         heaviest[found.slot[better]] = index
+        coverage[found.slot] += 1
         views.append(found)
         progress(len(views), total)
     if not best.any():
@@ -123,27 +144,34 @@ def atlas(
             expected="masks and confidences above 0 on it",
             hint="Do rig.json and the mesh share world coordinates?",
         )
-    gutter = gutter_sources(texels.raster.face >= 0, config.gutter_px)
+    gutter = gutter_sources(shape.raster.face >= 0, config.gutter_px)
 
     def write(name: str, values: np.ndarray) -> None:
-        image = np.zeros((texels.raster.face.size, MAPS[name].channels), np.float32)
+        image = np.zeros((shape.raster.face.size, MAPS[name].channels), np.float32)
         if name == "view":
             image[:] = -1
-        image[texels.flat] = values.reshape(len(values), -1)
+        image[shape.flat] = values.reshape(len(values), -1)
         image[gutter[0]] = image[gutter[1]]
-        folder.write_atlas(name, image.reshape(*texels.raster.face.shape, -1))
+        folder.write_atlas(name, image.reshape(*shape.raster.face.shape, -1))
 
-    write("position", positions)
+    normals = texels.normals
+    write("position", texels.positions)
     write("view", heaviest)
     write("confidence", best)
-    del positions, trust, heaviest
-    fill = MeshFill(texels.vertices, texels.triangles, texels.raster, texels.flat, best)
+    write("coverage", coverage)
+    facts = _facts(shape, config, best, views)
+    del texels, heaviest, coverage
+    mirror = mirrored_vertices(template.mesh.vertices, config.mirror_mm)
+    fill = MeshFill(shape.vertices, shape.triangles, shape.raster, shape.flat, best, mirror)
+    kind = np.round(shape.at(fill.kind[:, None].astype(float)))[:, 0]
+    write("filled", np.where(best > 0, 0, np.clip(kind, 1, BY_DIFFUSION)))
     share = (best / (best + FILL_WEIGHT))[:, None]
-    for number, name in enumerate(BLENDED, 1):
-        blender = Blender(len(texels.flat), MAPS[name].channels, config.blend)
+    for number, name in enumerate(names, 1):
+        blender = Blender(len(shape.flat), MAPS[name].channels, config.blend)
         for view, camera in enumerate(cameras.values()):
-            image = folder.read_view(camera.id, name)
-            blender.add(views[view], image.reshape(*image.shape[:2], -1))
+            if len(views[view].slot):
+                image = folder.read_view(camera.id, name)
+                blender.add(views[view], image.reshape(*image.shape[:2], -1))
             progress(number * len(cameras) + view + 1, total)
         values = blender.result()
         if name in NORMALS:
@@ -152,9 +180,20 @@ def atlas(
         else:
             guess = fill.vertex_values(values)
             values *= share
-            values += (1 - share) * texels.raster.at(guess, texels.triangles, texels.flat)
+            values += (1 - share) * shape.at(guess)
         write(name, values)
-    return _facts(mesh, texels, config, best, views)
+        if name == "specular_normal":
+            write("tangent_normal", _tangent(shape, values))
+    return {**facts, "maps": [*names, "tangent_normal"]}
+
+
+def _tangent(shape: _Geometry, world: np.ndarray) -> np.ndarray:
+    """(k, 3) tangent-space normals."""
+    mesh = shape.mesh
+    assert mesh.uvs is not None  # _geometry refused it
+    normals = shape.vertex_normals
+    frames = tangent_frames(shape.vertices, shape.triangles, mesh.uvs, mesh.triangle_uvs(), normals)
+    return to_tangent_space(world, shape.raster, shape.flat, shape.triangles, normals, frames)
 
 
 def _registered(folder: ProcessedFolder, template: Template) -> Mesh:
@@ -194,18 +233,18 @@ def _cameras(session: Session, folder: ProcessedFolder) -> dict[int, Camera]:
     return cameras
 
 
-def _texels(mesh: Mesh, config: AtlasConfig) -> _Texels:
+def _geometry(mesh: Mesh, config: AtlasConfig) -> _Geometry:
     triangles = mesh.triangles()
     if mesh.uvs is None:
         raise AtlasError("registered mesh", found="no UV", expected="the template's UV")
     raster = rasterise(mesh.uvs, mesh.triangle_uvs(), config.rows, config.rows * 2 // 3)
     normals = vertex_normals(mesh.vertices, triangles)
-    return _Texels(raster, raster.texels(), triangles, mesh.vertices, normals)
+    return _Geometry(raster, raster.texels(), mesh, triangles, mesh.vertices, normals)
 
 
-def _trust(folder: ProcessedFolder, texels: _Texels, config: AtlasConfig) -> np.ndarray:
+def _trust(folder: ProcessedFolder, shape: _Geometry, config: AtlasConfig) -> np.ndarray:
     """(n, 1) per vertex: 1 on the scan, falling to 0 at the largest gap."""
-    gap = Target(read_ply(folder.base_mesh)).closest(texels.vertices).distance_mm
+    gap = Target(read_ply(folder.base_mesh)).closest(shape.vertices).distance_mm
     ratio: np.ndarray = np.clip(gap / config.largest_gap_mm, 0, 1)
     return (1 - ratio**2)[:, None]
 
@@ -217,25 +256,22 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _facts(
-    mesh: Mesh,
-    texels: _Texels,
-    config: AtlasConfig,
-    best: np.ndarray,
-    views: list[ViewSamples],
+    shape: _Geometry, config: AtlasConfig, best: np.ndarray, views: list[ViewSamples]
 ) -> dict[str, Any]:
     columns = config.rows * 2 // 3
-    assert mesh.uvs is not None  # _texels refused it
+    mesh = shape.mesh
+    assert mesh.uvs is not None  # _geometry refused it
     size = texel_size_mm(
-        mesh.vertices, texels.triangles, mesh.uvs, mesh.triangle_uvs(), config.rows, columns
+        mesh.vertices, shape.triangles, mesh.uvs, mesh.triangle_uvs(), config.rows, columns
     )
     seen = best > 0
     return {
         "rows": config.rows,
         "columns": columns,
         "views": len(views),
-        "covered_share": len(texels.flat) / texels.raster.face.size,
+        "covered_share": len(shape.flat) / shape.raster.face.size,
         "seen_share": float(seen.mean()),
         "views_per_seen_texel": float(sum(len(v.slot) for v in views) / seen.sum()),
-        "texel_mm_median": float(np.median(size[texels.raster.face.ravel()[texels.flat][seen]])),
+        "texel_mm_median": float(np.median(size[shape.raster.face.ravel()[shape.flat][seen]])),
         "mean_confidence": float(best[seen].mean()),
     }

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lightstage.formats.mesh import vertex_normals
-from processing.atlas.blend import BlendConfig, Blender, ViewSamples, masked_blur, view_samples
+from processing.atlas.blend import BlendConfig, Blender
+from processing.atlas.sampling import low_band
 from processing.atlas.visibility import depth_buffer, silhouette_distance
+from processing.atlas.weights import Texels, ViewSamples, WeightConfig, view_samples
 from processing.rays import MeshRays, interpolate
 from tests.processing.shapes import bumpy_ellipsoid, camera
 
@@ -52,17 +55,36 @@ def test_silhouette_distance_counts_from_jumps_holes_and_the_border():
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
-    sigma=st.floats(0.3, 5),
+    sigma=st.floats(0.5, 12),
     scale=st.sampled_from([1e-6, 1e-3, 1.0, 1e3, 1e6]),
 )
-def test_masked_blur_keeps_constants_and_never_reads_outside(seed, sigma, scale):
+def test_the_low_band_keeps_constants_and_never_reads_outside(seed, sigma, scale):
     rng = np.random.default_rng(seed)
     mask = rng.uniform(size=(24, 30)) > 0.5
     image = np.full((24, 30, 2), scale, np.float32)
     image[~mask] = [np.nan, -1e9]
-    found = masked_blur(image, mask, sigma)
-    assert np.allclose(found[mask], scale, rtol=1e-4)
-    assert (found[~mask] == 0).all()
+    found = low_band(image, mask, sigma)
+    read = found.counts > 1e-5
+    assert read.any()
+    assert np.allclose(found.sums[read] / found.counts[read, None], scale, rtol=1e-3)
+
+
+@pytest.mark.parametrize("sigma", [3.0, 8.0, 17.0])
+def test_the_low_band_is_the_gaussian_blur_of_the_whole_picture(sigma):
+    rng = np.random.default_rng(0)
+    image = rng.normal(size=(160, 200, 1)).astype(np.float32)
+    found = low_band(image, np.ones((160, 200), bool), sigma)
+    blur = gaussian_filter(image[..., 0].astype(float), sigma, mode="constant")
+    ones = gaussian_filter(np.ones((160, 200)), sigma, mode="constant")
+    height, width = found.counts.shape
+    rows = np.clip((np.arange(height) + 0.5) * found.step - 0.5, 0, 159)
+    columns = np.clip((np.arange(width) + 0.5) * found.step - 0.5, 0, 199)
+    at = np.stack(np.meshgrid(rows, columns, indexing="ij"))
+    truth = map_coordinates(blur / ones, at, order=1)
+    error = found.sums[..., 0] / found.counts - truth
+    margin = int(sigma / found.step) + 1
+    inner = (slice(margin, -margin), slice(margin, -margin))
+    assert np.sqrt(np.mean(error[inner] ** 2)) < 0.1 * np.std(blur)
 
 
 def samples_of(pixel, weight, shape=(20, 20), usable=None):
@@ -75,10 +97,22 @@ def samples_of(pixel, weight, shape=(20, 20), usable=None):
     )
 
 
-def bilinear(image, usable, x, y):
-    """Plain float64 twin: usable taps of the 2 x 2 neighbourhood, renormalised."""
+def spline(t):
+    """Catmull and Rom's weights as their matrix gives them."""
+    matrix = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]]) / 2
+    return np.array([1, t, t**2, t**3]) @ matrix
+
+
+def sampled(image, usable, x, y):
+    """Plain float64 twin: a cubic over 16 usable taps, else bilinear over usable ones."""
     total, weight = 0.0, 0.0
     left, top = int(np.floor(x - 0.5)), int(np.floor(y - 0.5))
+    if 1 <= left < image.shape[1] - 2 and 1 <= top < image.shape[0] - 2:
+        window = (slice(top - 1, top + 3), slice(left - 1, left + 3))
+        if usable[window].all():
+            taps = image[window][..., 0]
+            value = spline(y - 0.5 - top) @ taps @ spline(x - 0.5 - left)
+            return float(np.clip(value, taps.min(), taps.max()))
     for row in (top, top + 1):
         for column in (left, left + 1):
             inside = 0 <= row < image.shape[0] and 0 <= column < image.shape[1]
@@ -94,7 +128,7 @@ def bilinear(image, usable, x, y):
 def test_sampling_agrees_with_its_plain_twin(seed):
     rng = np.random.default_rng(seed)
     image = rng.normal(size=(20, 20, 1)).astype(np.float32)
-    usable = rng.uniform(size=(20, 20)) > 0.3
+    usable = rng.uniform(size=(20, 20)) > rng.choice([0.02, 0.3])
     image[~usable] = np.nan
     pixel = rng.uniform(-1, 21, size=(50, 2)).astype(np.float32)
     blender = Blender(50, 1, BlendConfig())
@@ -102,7 +136,7 @@ def test_sampling_agrees_with_its_plain_twin(seed):
     found = blender.result()[:, 0]
     clean = np.where(usable[..., None], image, 0).astype(float)
     for value, (x, y) in zip(found, pixel, strict=True):
-        assert value == pytest.approx(bilinear(clean, usable, float(x), float(y)), abs=1e-4)
+        assert value == pytest.approx(sampled(clean, usable, float(x), float(y)), abs=1e-4)
 
 
 def test_a_pixel_centre_reads_exactly_that_pixel():
@@ -155,13 +189,12 @@ def test_a_view_whose_normals_are_wrong_is_not_believed():
             cam,
             mesh.vertices,
             triangles,
-            mesh.vertices.astype(np.float32),
-            normals,
-            np.ones(len(normals), np.float32),
+            Texels(mesh.vertices.astype(np.float32), normals, np.ones(len(normals), np.float32)),
             np.ones(shape, np.float32),
             np.ones(shape, bool),
             measured_normals(cam, mesh) @ tilt.T,
-            BlendConfig(),
+            1e9,
+            WeightConfig(),
         )
         weights[tilt_deg] = np.zeros(len(normals))
         weights[tilt_deg][found.slot] = found.weight
@@ -181,13 +214,16 @@ def test_views_see_only_what_faces_them_and_is_not_hidden():
         cam,
         mesh.vertices,
         triangles,
-        mesh.vertices.astype(np.float32),
-        normals.astype(np.float32),
-        np.ones(len(normals), np.float32),
+        Texels(
+            mesh.vertices.astype(np.float32),
+            normals.astype(np.float32),
+            np.ones(len(normals), np.float32),
+        ),
         np.ones(shape, np.float32),
         np.ones(shape, bool),
         measured_normals(cam, mesh),
-        BlendConfig(),
+        1e9,
+        WeightConfig(),
     )
     truth = MeshRays(mesh.vertices, triangles).visible(
         mesh.vertices, normals, cam.centre_mm[None], offset_mm=3.0
@@ -216,12 +252,11 @@ def test_no_trust_or_no_confidence_means_no_sample():
             cam,
             mesh.vertices,
             triangles,
-            mesh.vertices.astype(np.float32),
-            normals,
-            trust,
+            Texels(mesh.vertices.astype(np.float32), normals, trust),
             confidence.astype(np.float32),
             np.ones(shape, bool),
             measured_normals(cam, mesh),
-            BlendConfig(),
+            1e9,
+            WeightConfig(),
         )
         assert len(found.slot) == 0

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.atlas.fill import MeshFill, gutter_sources
+from processing.atlas.fill import MeshFill, gutter_sources, mirrored_vertices
 from processing.atlas.raster import rasterise, texel_size_mm
 from tests.processing.shapes import ellipsoid
 
@@ -141,7 +141,8 @@ def test_unseen_parts_continue_what_was_seen_across_the_seam():
     seen = (place[:, 2] > 0).astype(np.float32)
     values = np.where(seen[:, None] > 0, 0.5 + place[:, :1] / 300, np.nan).astype(np.float32)
     values[seen == 0] = 0
-    fill = MeshFill(mesh.vertices, triangles, raster, texels, seen)
+    none = np.full(len(mesh.vertices), -1)
+    fill = MeshFill(mesh.vertices, triangles, raster, texels, seen, none)
     found = fill.vertex_values(values)[:, 0]
     front = mesh.vertices[:, 2] > 15
     assert np.abs(found - (0.5 + mesh.vertices[:, 0] / 300))[front].max() < 0.02
@@ -159,5 +160,40 @@ def test_filling_with_everything_or_nothing_seen_is_finite():
     values = np.full((len(texels), 1), 0.25, np.float32)
     for weight, expected in ((1.0, 0.25), (0.0, 0.0)):
         seen = np.full(len(texels), weight, np.float32)
-        fill = MeshFill(mesh.vertices, mesh.triangles(), raster, texels, seen)
+        mirror = mirrored_vertices(mesh.vertices, 1.0)
+        fill = MeshFill(mesh.vertices, mesh.triangles(), raster, texels, seen, mirror)
         assert np.allclose(fill.vertex_values(values), expected, atol=1e-5)
+
+
+def test_the_other_side_is_a_better_guess_than_the_surroundings():
+    mesh = ellipsoid()
+    triangles = mesh.triangles()
+    assert mesh.uvs is not None
+    raster = rasterise(mesh.uvs, mesh.triangle_uvs(), 96, 64)
+    texels = raster.texels()
+    place = raster.at(mesh.vertices, triangles)
+
+    def albedo(points):
+        """Symmetric but for a slow slope, with detail that no diffusion guesses."""
+        return (
+            0.5 + 0.1 * np.cos(points[:, :1] / 6) * np.cos(points[:, 1:2] / 8) + points[:, :1] / 800
+        )
+
+    hidden = (place[:, 0] > 20) & (place[:, 0] < 60) & (np.abs(place[:, 1]) < 40)
+    weight = (~hidden).astype(np.float32)
+    values = np.where(hidden[:, None], 0, albedo(place)).astype(np.float32)
+    mirror = mirrored_vertices(mesh.vertices, 1.0)
+    assert (mirror >= 0).all()
+    errors = []
+    for counterpart in (mirror, np.full(len(mirror), -1)):
+        fill = MeshFill(mesh.vertices, triangles, raster, texels, weight, counterpart)
+        guessed = fill.kind > 0
+        found = fill.vertex_values(values)
+        errors.append(np.abs(found - albedo(mesh.vertices))[guessed].mean())
+        assert guessed.sum() > 50
+    assert errors[0] < 0.4 * errors[1]
+
+
+def test_vertices_without_another_side_say_so():
+    rest = np.array([[10.0, 0, 0], [-10.0, 0.5, 0], [40.0, 5, 5]])
+    assert mirrored_vertices(rest, 1.0).tolist() == [1, 0, -1]

@@ -125,6 +125,40 @@ def test_unseen_texels_say_so_and_carry_a_smooth_guess(textured):
     assert guess.max() < 0.75
 
 
+def test_coverage_and_filled_say_what_is_seen(textured):
+    out, _, _ = textured
+    confidence, view = out.read_atlas("confidence"), out.read_atlas("view")
+    coverage, filled = out.read_atlas("coverage"), out.read_atlas("filled")
+    assert ((coverage > 0) == (view >= 0)).all()
+    assert coverage.max() <= 5
+    front = out.read_atlas("position")[..., 2] > 60
+    assert coverage[front].mean() > 2
+    assert (filled[confidence > 1e-3] == 0).all()
+    back = out.read_atlas("position")[..., 2] < -85
+    assert set(np.unique(filled[back])) <= {1, 2}
+
+
+def test_tangent_normals_are_straight_where_the_surface_has_no_relief(textured):
+    out, _, _ = textured
+    tangent = out.read_atlas("tangent_normal")
+    known = np.linalg.norm(tangent, axis=2) > 0.5
+    assert np.allclose(np.linalg.norm(tangent[known], axis=1), 1, atol=2e-3)
+    assert np.median(tangent[known][:, 2]) > 0.999
+
+
+def test_roughness_is_blended_where_every_view_has_it(tmp_path):
+    session, out, template = capture(tmp_path)
+    for cam in session.rig.cameras[:-1]:
+        out.write_view(cam.id, "roughness", np.full((cam.height_px, cam.width_px), 0.3))
+    facts = atlas(session, out.root, template, AtlasConfig(rows=48))
+    assert "roughness" not in facts["maps"]
+    last = session.rig.cameras[-1]
+    out.write_view(last.id, "roughness", np.full((last.height_px, last.width_px), 0.3))
+    facts = atlas(session, out.root, template, AtlasConfig(rows=48))
+    assert "roughness" in facts["maps"]
+    assert np.abs(out.read_atlas("roughness") - 0.3).max() < 1e-3
+
+
 def test_the_heaviest_view_is_the_one_that_faces_the_texel(textured):
     out, _, _ = textured
     position, view = out.read_atlas("position"), out.read_atlas("view")

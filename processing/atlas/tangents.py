@@ -1,0 +1,159 @@
+"""Tangent-space normals as MikkTSpace defines them, so that other renderers read them right.
+
+Tangents are averaged over the corners that share a vertex, a texture coordinate and the texture's
+handedness, weighted by the corner's angle; normal and tangent are interpolated without
+renormalising, the bitangent is their cross product times the handedness [Mikkelsen2008]. Green
+points along +v (OpenGL, glTF, Blender; Unreal flips it on import).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numba
+import numpy as np
+
+from processing.atlas.raster import Raster
+
+
+@dataclasses.dataclass(frozen=True)
+class TangentFrames:
+    """Tangents of a mesh with UV.
+
+    Attributes:
+        corner: (t, 3) int32 into `tangents`.
+        tangents: (g, 3) unit, zero where the texture has no area.
+        sign: (t,) +1 where the texture is not mirrored, -1 where it is.
+    """
+
+    corner: np.ndarray
+    tangents: np.ndarray
+    sign: np.ndarray
+
+
+def tangent_frames(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    uvs: np.ndarray,
+    triangle_uvs: np.ndarray,
+    normals: np.ndarray,
+) -> TangentFrames:
+    """Tangents of every corner.
+
+    Args:
+        vertices: (n, 3) mm.
+        triangles: (t, 3).
+        uvs: (k, 2) OBJ texture coordinates, v upward.
+        triangle_uvs: (t, 3) into them.
+        normals: (n, 3) unit.
+
+    Returns:
+        TangentFrames.
+    """
+    p, q = vertices[triangles], uvs[triangle_uvs]
+    e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    d1, d2 = q[:, 1] - q[:, 0], q[:, 2] - q[:, 0]
+    area = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    sign = np.where(area < 0, -1.0, 1.0)
+    along = sign[:, None] * (d2[:, 1:] * e1 - d1[:, 1:] * e2)
+    key = np.stack(
+        [triangles, triangle_uvs, np.repeat(sign[:, None] > 0, 3, axis=1)], axis=-1
+    ).reshape(-1, 3)
+    _, corner = np.unique(key, axis=0, return_inverse=True)
+    corner = corner.reshape(-1, 3)
+    total = np.zeros((int(corner.max()) + 1, 3))
+    for k in range(3):
+        normal = normals[triangles[:, k]]
+        ahead, behind = (_unit(_flat(p[:, (k + step) % 3] - p[:, k], normal)) for step in (1, 2))
+        angle = np.arccos(np.clip(np.einsum("ti,ti->t", ahead, behind), -1, 1))
+        angle[area == 0] = 0
+        weighted = angle[:, None] * _unit(_flat(along, normal))
+        for axis in range(3):
+            total[:, axis] += np.bincount(corner[:, k], weighted[:, axis], len(total))
+    return TangentFrames(corner.astype(np.int32), _unit(total), sign)
+
+
+def to_tangent_space(
+    world: np.ndarray,
+    raster: Raster,
+    texels: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray,
+    frames: TangentFrames,
+) -> np.ndarray:
+    """World normals at texels in the frame that a renderer will rebuild there.
+
+    Args:
+        world: (k, 3) unit.
+        raster: of the atlas.
+        texels: (k,) flat indices.
+        triangles: (t, 3).
+        normals: (n, 3) the mesh's.
+        frames: of the mesh.
+
+    Returns:
+        (k, 3) float32 unit; (0, 0, 1) where the texture has no tangent.
+    """
+    out = np.empty((len(texels), 3), np.float32)
+    _encode(
+        np.ascontiguousarray(world, np.float64),
+        raster.face.ravel(),
+        raster.barycentric.reshape(-1, 2),
+        texels,
+        np.ascontiguousarray(triangles, np.int32),
+        np.ascontiguousarray(normals, np.float64),
+        frames.corner,
+        frames.tangents,
+        frames.sign,
+        out,
+    )
+    return out
+
+
+@numba.njit(cache=True, parallel=True)
+def _encode(
+    world: np.ndarray,
+    face: np.ndarray,
+    barycentric: np.ndarray,
+    texels: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray,
+    corner: np.ndarray,
+    tangents: np.ndarray,
+    sign: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    for k in numba.prange(len(texels)):
+        t = face[texels[k]]
+        b1, b2 = barycentric[texels[k]]
+        b0 = 1.0 - b1 - b2
+        i, j, m = triangles[t]
+        n = b0 * normals[i] + b1 * normals[j] + b2 * normals[m]
+        i, j, m = corner[t]
+        a = b0 * tangents[i] + b1 * tangents[j] + b2 * tangents[m]
+        b = sign[t] * np.cross(n, a)
+        # Cramer's rule for x a + y b + z n = world.
+        volume = np.dot(a, np.cross(b, n))
+        x, y, z = 0.0, 0.0, 1.0
+        if abs(volume) > 1e-12:
+            x = np.dot(world[k], np.cross(b, n)) / volume
+            y = np.dot(world[k], np.cross(n, a)) / volume
+            z = np.dot(world[k], np.cross(a, b)) / volume
+        length = np.sqrt(x * x + y * y + z * z)
+        if not length > 1e-12:
+            x, y, z, length = 0.0, 0.0, 1.0, 1.0
+        out[k, 0] = x / length
+        out[k, 1] = y / length
+        out[k, 2] = z / length
+
+
+def _flat(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The part of (n, 3) vectors across unit normals."""
+    flat: np.ndarray = vectors - np.einsum("ni,ni->n", vectors, normals)[:, None] * normals
+    return flat
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit: np.ndarray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-12)
+    return unit
