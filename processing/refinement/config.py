@@ -52,6 +52,11 @@ class RefineConfig:
     """The face's own mean counts as this share of a typical vertex's evidence."""
     gloss_spread: float = 0.003
     """Standard deviation of the specular albedo over a face."""
+    mistaken: float = 0.004
+    mistaken_bounces: float = 0.2
+    """Where light goes from skin to skin or inside it, some is mistaken for gloss: what the
+    specular albedo is wrong by as a share of the diffuse one, everywhere, and times the light that
+    comes from other skin (1 = white under `full`)."""
     rounds: int = 2
     """Steps of the last solve of each pixel."""
     albedo_prior_power: float = 0.005

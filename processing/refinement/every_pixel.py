@@ -10,13 +10,13 @@ from processing.albedo import diffuse_albedo
 from processing.pixels import PixelMaps
 from processing.refinement.config import RefineConfig
 from processing.refinement.gloss import local_specular
-from processing.refinement.gloss_search import around_of, grid_evidence
+from processing.refinement.gloss_search import around_of, grid_evidence, mistaken
 from processing.refinement.joint import (
     Solved,
     solve_jointly,
 )
 from processing.refinement.scene import ALL, BAND_PIXELS, Scene, View, gloss_of, place_of, steady
-from processing.surface import Sight
+from processing.surface import Sight, at_vertices_to
 
 LEAST_WEIGHT = 1e-6
 """Of a pixel in its neighbours' albedo."""
@@ -40,12 +40,18 @@ def solve_view(
     sight, mask = view.sight, view.sight.mask
     evidence = grid_evidence(scene, grid, found, config)
     roughness, specular = gloss_of(scene, grid.sight)
+    spread = config.gloss_spread / np.sqrt(scene.doubt)
+    shadows = grid.sight.shadows
+    wrong = mistaken(scene, [found], config)
+    wrong = at_vertices_to(wrong[:, None], shadows.corners, shadows.weights)[:, 0]
     specular = local_specular(
         evidence,
         specular,
         grid.sight.mask,
         config.specular_detail_mm * grid.px_per_mm,
         config.specular_detail_spread / np.sqrt(scene.doubt),
+        config.specular_pool_mm * grid.px_per_mm,
+        1 / (1 + (wrong / spread) ** 2),
     )
     around = around_of(scene, grid, found)
     start = found.normal

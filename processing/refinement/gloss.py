@@ -57,6 +57,7 @@ def better_gloss(
     specular_pool_mm: float,
     prior: float,
     spread: float,
+    wrong: np.ndarray | float = 0.0,
 ) -> Gloss:
     """Gloss nearer to what the pixels say, by one step of Gauss-Newton.
 
@@ -68,6 +69,8 @@ def better_gloss(
         prior: the whole face's own answer counts as this share of a typical vertex's information.
         spread: standard deviation of the specular albedo over a face: where noise would make it
             larger, the whole face's answer counts instead.
+        wrong: one or (V,) standard deviation of what all pixels of a place misjudge together, as
+            the model of light is not quite right: their number does not make it less.
 
     Returns:
         Gloss, finite everywhere; the given one where there is no evidence at all.
@@ -89,12 +92,15 @@ def better_gloss(
     roughness = np.clip(gloss.roughness + step, *ROUGHNESS_RANGE)
     step = roughness - gloss.roughness
     found = s_left - sm * step + ss * gloss.specular
-    # The whole face's own level stands for a place that says little.
-    typical = prior * ss.sum() / max(int((ss > 0).sum()), 1)
+    level = found.sum() / ss.sum()
     # Averages stand for so many vertices of their own.
     together = max(4 * np.pi * (specular_pool_mm / surface.edge_mm) ** 2, 1.0)
+    told = 1 / (1 + together * ss * wrong**2)
+    found, ss = found * told, ss * told
+    # The whole face's own level stands for a place that says little.
+    typical = prior * ss.sum() / max(int((ss > 0).sum()), 1)
     typical += 1 / (together * spread**2)
-    top = found + typical * found.sum() / ss.sum()
+    top = found + typical * level
     specular = np.clip(top / (ss + typical), *SPECULAR_RANGE)
     return Gloss(roughness, specular)
 
@@ -107,9 +113,17 @@ def smooth(values: np.ndarray, average: sparse.csr_array, rounds: int) -> np.nda
 
 
 def local_specular(
-    evidence: np.ndarray, specular: np.ndarray, mask: np.ndarray, sigma_px: float, spread: float
+    evidence: np.ndarray,
+    specular: np.ndarray,
+    mask: np.ndarray,
+    sigma_px: float,
+    spread: float,
+    pool_px: float,
+    trusted: np.ndarray | float = 1.0,
 ) -> np.ndarray:
     """Specular albedo of one view's pixels, finer than the mesh holds.
+
+    What pixels say together over the mesh's own pool counts as far as it is trusted.
 
     Args:
         evidence: (n, 5) of `joint.gloss_evidence` about `specular`.
@@ -117,6 +131,8 @@ def local_specular(
         mask: (h, w) bool with n true pixels, in row order.
         sigma_px: over which pixels share one.
         spread: standard deviation of the truth about the mesh's.
+        pool_px: sigma of the mesh's pool, more than `sigma_px`.
+        trusted: one or (n,) 0..1.
 
     Returns:
         (n,).
@@ -125,6 +141,13 @@ def local_specular(
     image[mask] = evidence[:, [0, 3]]
     # Sums over the Gaussian's own weight: so many pixels count as independent.
     count = max(4 * np.pi * sigma_px**2, 1.0)
-    near = cv2.GaussianBlur(image, (0, 0), max(sigma_px, 0.3), borderType=cv2.BORDER_CONSTANT)
-    information, left = (near[mask] * count).T
+    near, far = (
+        cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3), borderType=cv2.BORDER_CONSTANT)[mask]
+        for sigma in (sigma_px, pool_px)
+    )
+    information, left = (near * count).T
+    wide = np.divide(far[:, 1], far[:, 0], out=np.zeros_like(left), where=far[:, 0] > 0)
+    every = float(evidence[:, 0].sum(dtype=float))
+    level = float(evidence[:, 3].sum(dtype=float)) / every if every > 0 else 0.0
+    left -= information * (1 - trusted) * (wide - level)
     return np.clip(specular + left / (information + 1 / spread**2), *SPECULAR_RANGE)

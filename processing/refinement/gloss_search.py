@@ -75,9 +75,23 @@ def find_gloss(
             specular_pool_mm=config.specular_pool_mm,
             prior=config.gloss_prior,
             spread=config.gloss_spread / np.sqrt(scene.doubt),
+            wrong=mistaken(scene, solved, config),
         )
         progress(done + 1, config.gloss_rounds)
     return solved
+
+
+def mistaken(scene: Scene, solved: list[Solved], config: RefineConfig) -> np.ndarray:
+    """(V,) what vertices' specular albedo is wrong by where light from elsewhere is mistaken.
+
+    It goes as the face's mean albedo; 0 where no light wanders from skin to skin or inside it.
+    """
+    if not (scene.bounces or scene.scattering):
+        return np.zeros(len(scene.bounced))
+    lit, power = (sum(getattr(x, name).sum() for x in solved) for name in ("lit", "power"))
+    albedo = float(lit / power) if power > 0 else 0.0
+    bounced = scene.bounced.mean(axis=(1, 2))
+    return np.asarray(albedo * (config.mistaken + config.mistaken_bounces * bounced))
 
 
 def doubt(grids: list[View], solved: list[Solved], config: RefineConfig) -> float:

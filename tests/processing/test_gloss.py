@@ -167,10 +167,10 @@ def test_local_specular_follows_strong_evidence_and_ignores_weak() -> None:
     for strength, known in ((1e8, 0.034), (1e-3, 0.03)):
         evidence = np.zeros((count, 5), np.float32)
         evidence[:, 0], evidence[:, 3] = strength, strength * 0.004
-        found = local_specular(evidence, specular, mask, 2.0, 0.002)
+        found = local_specular(evidence, specular, mask, 2.0, 0.002, 8.0)
         np.testing.assert_allclose(found, known, atol=1e-5)
     np.testing.assert_array_equal(
-        local_specular(np.zeros((count, 5), np.float32), specular, mask, 2.0, 0.002), specular
+        local_specular(np.zeros((count, 5), np.float32), specular, mask, 2.0, 0.002, 8.0), specular
     )
 
 
@@ -179,10 +179,38 @@ def test_local_specular_weighs_evidence_against_the_spread_expected() -> None:
     information, spread, sigma = 1e3, 0.002, 2.0
     evidence = np.zeros((3600, 5), np.float32)
     evidence[:, 0], evidence[:, 3] = information, information * 0.004
-    found = local_specular(evidence, np.full(3600, 0.03), mask, sigma, spread).reshape(60, 60)
+    found = local_specular(evidence, np.full(3600, 0.03), mask, sigma, spread, 8.0).reshape(60, 60)
     pooled = information * 4 * np.pi * sigma**2
     share = pooled / (pooled + 1 / spread**2)
     np.testing.assert_allclose(found[30, 30], 0.03 + 0.004 * share, rtol=1e-5)
+
+
+def test_where_all_of_a_pool_may_be_mistaken_only_the_level_and_the_detail_count() -> None:
+    mask = np.ones((80, 80), bool)
+    across = np.arange(80) / 80
+    offset = np.broadcast_to(0.004 * across, mask.shape).ravel()
+    evidence = np.zeros((6400, 5), np.float32)
+    evidence[:, 0], evidence[:, 3] = 1e8, 1e8 * offset
+    specular = np.full(6400, 0.03)
+    given = (evidence, specular, mask, 1.0, 0.002, 4.0)
+    np.testing.assert_allclose(local_specular(*given, 1.0), 0.03 + offset, atol=2e-4)
+    inside = np.zeros(mask.shape, bool)
+    inside[20:60, 20:60] = True
+    found = local_specular(*given, np.zeros(6400))[inside.ravel()]
+    np.testing.assert_allclose(found, 0.03 + offset.mean(), atol=1e-4)
+
+
+def test_places_that_may_be_mistaken_take_the_faces_level() -> None:
+    sums = np.tile([1e8, 0.0, 1e8, 0.0, 0.0], (COUNT, 1))
+    bright = SURFACE.vertices[:, 0] > 0
+    sums[bright, 3] = 1e8 * 0.02
+    given = {"roughness_pool_mm": 6.0, "specular_pool_mm": 6.0, "prior": 0.0, "spread": 0.003}
+    gloss = skin_gloss(COUNT, 0.28)
+    sure = better_gloss(gloss, sums, SURFACE, **given)
+    doubted = better_gloss(gloss, sums, SURFACE, **given, wrong=np.full(COUNT, 0.006))
+    middle = sure.specular.mean()
+    share = (doubted.specular - middle).std() / (sure.specular - middle).std()
+    assert share == pytest.approx(1 / (1 + (0.006 / 0.003) ** 2), rel=0.02)
 
 
 def sight_of(mask: np.ndarray, step: int) -> Sight:
