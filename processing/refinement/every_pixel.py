@@ -93,7 +93,8 @@ def solve_view(
     parts.clear()
     # A normal that the mesh could not have: mistaken shadows, or hair.
     agreement = np.einsum("nk,nk->n", solved.normal, sight.normals)
-    good = view.usable & (agreement > 0)
+    seen = np.einsum("nk,nk->n", solved.normal, sight.views) > 0
+    good = view.usable & (agreement > 0) & seen
     trust = steady(view, config) * np.clip(2 * agreement, 0, 1)
     if not scene.lights.polarised:
         trust *= np.clip(view.saturation / config.grey_saturation - 1, 0, 1)

@@ -41,7 +41,7 @@ class View:
         sight: what the camera sees of the mesh.
         rgb: (n, P, 3) float32 readings in the lights' own colour, 0 where not usable.
         saturation: (n,) of the sum over patterns.
-        usable: (n,) bool: not clipped, not dark, finite.
+        usable: (n,) bool: not clipped, not dark, finite, and not turned from the camera.
         px_per_mm: pixels a millimetre.
         mirrored: (L,) see `joint.Place`.
     """
@@ -156,9 +156,17 @@ def read_view(
         rgb[band], saturation[band], usable[band] = clean, colourful, good
         done += len(pixels)
     rgb /= white.astype(np.float32)
+    usable &= faces_camera(sight)
     evened(rgb, scene.lights, camera, sight.normals)
     mirrored = mirrored_of_lamps(scene.lights, camera)
     return View(sight, rgb, saturation, usable, px_per_mm(camera) / step, mirrored)
+
+
+def faces_camera(sight: Sight) -> np.ndarray:
+    """(n,) bool: the mesh's averaged normal looks at the camera. Elsewhere, at rims and in folds,
+    no lobe can be reckoned with.
+    """
+    return np.asarray(np.einsum("nk,nk->n", sight.normals, sight.views) > 0)
 
 
 def place_of(scene: Scene, view: View, band: slice = ALL) -> Place:

@@ -16,7 +16,7 @@ from processing.lighting.interface import mirrored, skin_interface, smith
 from processing.lighting.lobe import transport
 from processing.refinement.config import RefineConfig
 from processing.refinement.family import best_facets, unexplained
-from processing.refinement.scene import Scene, View, prepare_scene
+from processing.refinement.scene import Scene, View, faces_camera, prepare_scene
 from processing.surface import see
 from tests.processing import lit_ball
 
@@ -122,6 +122,18 @@ def test_long_tails_mirror_more_of_grazing_light_and_stretching_changes_no_table
     np.testing.assert_array_equal(plain.table, stretched.table)
     assert stretched.facets == Facets(True, 1.44)
     assert np.abs(plain.table - skin_interface().table).max() > 1e-3
+
+
+def test_a_normal_turned_from_the_camera_is_not_used(scene: Scene) -> None:
+    sight = view(scene, BECKMANN).sight
+    assert faces_camera(sight).all()
+    normals = sight.normals.copy()
+    normals[::3] *= -1
+    normals[1] = 0
+    found = faces_camera(dataclasses.replace(sight, normals=normals))
+    assert not found[::3].any()
+    assert not found[1]
+    assert found.sum() == len(normals) - len(normals[::3]) - 1
 
 
 def test_names_tell_the_family() -> None:
