@@ -76,7 +76,7 @@ def test_the_world_is_the_rigs_own(written: Rig, measured: MeasuredCameras) -> N
 def test_a_camera_that_moved_between_boards_is_named_and_refused(
     true_rig: Rig, written: Rig
 ) -> None:
-    sights = sights_of(true_rig, 20, 2)
+    sights = sights_of(true_rig, 12, 2)
     bad = [
         dataclasses.replace(s, pixels=s.pixels + np.array([6.0 * (s.shot % 3), 0]))
         if s.camera == "cam3"
@@ -93,7 +93,7 @@ def test_a_camera_that_moved_between_boards_is_named_and_refused(
 def test_wrong_corners_count_little(true_rig: Rig, written: Rig) -> None:
     rng = np.random.default_rng(4)
     wrong = []
-    for sight in sights_of(true_rig, 20, 2):
+    for sight in sights_of(true_rig, 12, 2):
         pixels = sight.pixels.copy()
         some = rng.random(len(pixels)) < 0.05
         pixels[some] += rng.normal(0, 30, (some.sum(), 2))
@@ -110,7 +110,7 @@ def test_swapped_cameras_are_warned_of(true_rig: Rig, written: Rig) -> None:
     names = {"cam1": "cam4", "cam4": "cam1"}
     swapped = [
         dataclasses.replace(s, camera=names.get(s.camera, s.camera))
-        for s in sights_of(true_rig, 20, 2)
+        for s in sights_of(true_rig, 12, 2)
     ]
     found = measure_cameras(swapped, written, BOARD, CONFIG)
     assert any("cam1" in said and "where rig.json has cam4" in said for said in found.warnings)
@@ -120,7 +120,7 @@ def test_swapped_cameras_are_warned_of(true_rig: Rig, written: Rig) -> None:
 def test_too_few_boards_and_cameras_that_share_none(true_rig: Rig, written: Rig) -> None:
     with pytest.raises(PoseError, match="0 boards seen"):
         measure_cameras([], written, BOARD, CONFIG)
-    sights = [s for s in sights_of(true_rig, 20, 2) if s.camera != "cam2"]
+    sights = [s for s in sights_of(true_rig, 12, 2) if s.camera != "cam2"]
     found = measure_cameras(sights, written, BOARD, CONFIG)
     assert found.cameras[2] == written.cameras[2]
     assert any(said.startswith("cam2 was not measured") for said in found.warnings)
