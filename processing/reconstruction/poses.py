@@ -136,6 +136,17 @@ def check_poses(
     )
 
 
+def in_pixels(report: PoseReport, times: int) -> PoseReport:
+    """A report of pictures whose pixels are cells of `times` pixels a side, in those pixels."""
+    return dataclasses.replace(
+        report,
+        residual_px=tuple(times * value for value in report.residual_px),
+        limit_px=times * report.limit_px,
+        pairs=tuple((one, two, times * value) for one, two, value in report.pairs),
+        track_residual_px=times * report.track_residual_px,
+    )
+
+
 def raise_when_off(report: PoseReport, stage_radius_mm: float) -> None:
     """Turn a report into an error where a camera is off or the rig's unit is wrong.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 from numba import njit, prange
 
@@ -80,16 +81,33 @@ def small_view(
     inside = np.zeros((height, width), bool)
     mean = np.zeros((height, width, 3), np.float32)
     _reduced(mask, normals, times, inside, mean)
-    small = dataclasses.replace(
+    return SmallView(of_cells(camera, times), images, valid, inside, mean)
+
+
+def of_cells(camera: Camera, times: int) -> Camera:
+    """A camera whose pixels are cells of `times` pixels a side, the last ones perhaps cut."""
+    return dataclasses.replace(
         camera,
-        width_px=width,
-        height_px=height,
+        width_px=-(-camera.width_px // times),
+        height_px=-(-camera.height_px // times),
         fx_px=camera.fx_px / times,
         fy_px=camera.fy_px / times,
         cx_px=camera.cx_px / times,
         cy_px=camera.cy_px / times,
     )
-    return SmallView(small, images, valid, inside, mean)
+
+
+def smaller_picture(
+    picture: np.ndarray, mask: np.ndarray, times: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """An (h, w) uint8 picture by means over whole cells, and which of them a mask holds wholly."""
+    if times == 1:
+        return picture, mask
+    height, width = (side // times for side in mask.shape)
+    cut = np.s_[: height * times, : width * times]
+    small = cv2.resize(picture[cut], (width, height), interpolation=cv2.INTER_AREA)
+    blocks = mask[cut].reshape(height, times, width, times)
+    return np.asarray(small), np.asarray(blocks.all(axis=(1, 3)))
 
 
 @njit(cache=True, parallel=True)

@@ -20,14 +20,23 @@ from processing.reconstruction.fusion import Holes, boundary_loops, fuse
 from processing.reconstruction.poses import (
     PoseReport,
     check_poses,
+    in_pixels,
     raise_when_off,
     tone_mapped,
 )
-from processing.reconstruction.small_views import matched_times, small_view
+from processing.reconstruction.small_views import (
+    matched_times,
+    of_cells,
+    small_view,
+    smaller_picture,
+)
 from processing.reconstruction.stereo import match_views
 from processing.reconstruction.views import View, common_basis, make_view
 
 __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
+
+CHECKED_ROWS = 1600
+"""Poses are checked in pictures of at most twice so many rows."""
 
 
 def reconstruct(
@@ -76,14 +85,19 @@ def check_session_poses(session: Session, out: Path, config: ReconstructConfig) 
     Raises:
         PoseError: cameras that do not stand where the rig says, or a rig in another unit.
     """
-    cameras = [session.rig.camera(camera) for camera in session.camera_ids()]
-    pictures, masks = [], []
-    for camera in cameras:
-        frames = read_frames(out, camera.id)
-        masks.append(read_foreground(out, camera.id) & frames.valid)
+    cameras, pictures, masks = [], [], []
+    rows = max(camera.height_px for camera in session.rig.cameras)
+    # Features are looked for in pictures of half to whole this size: larger ones take minutes.
+    times = max(1, matched_times(rows, CHECKED_ROWS) // 2)
+    for name in session.camera_ids():
+        frames = read_frames(out, name)
+        mask = read_foreground(out, name) & frames.valid
         brightest = int(np.argmax([half[::8, ::8].mean(dtype=float) for half in frames.half]))
-        pictures.append(tone_mapped(frames.image(brightest), masks[-1]))
-    report = check_poses(pictures, masks, cameras, config)
+        small, inside = smaller_picture(tone_mapped(frames.image(brightest), mask), mask, times)
+        cameras.append(of_cells(session.rig.camera(name), times))
+        pictures.append(small)
+        masks.append(inside)
+    report = in_pixels(check_poses(pictures, masks, cameras, config), times)
     radius = float(np.median(np.linalg.norm(session.rig.positions_mm, axis=1)))
     raise_when_off(report, radius)
     return report

@@ -7,7 +7,13 @@ from lightstage.rig import default_rig
 from processing.frames.drafts import RED
 from processing.frames.read import Frames
 from processing.frames.window import Window
-from processing.reconstruction.small_views import matched_times, small_view
+from processing.reconstruction.poses import PoseReport, in_pixels
+from processing.reconstruction.small_views import (
+    matched_times,
+    of_cells,
+    small_view,
+    smaller_picture,
+)
 
 CAMERA = default_rig().scaled(0.01).cameras[0]
 SHAPE = (CAMERA.height_px, CAMERA.width_px)
@@ -65,3 +71,21 @@ def test_a_point_keeps_its_place() -> None:
 )
 def test_large_pictures_are_halved_once_at_least(rows: int, times: int) -> None:
     assert matched_times(rows, 1600) == times
+
+
+def test_poses_are_checked_in_smaller_pictures_and_told_in_whole_ones() -> None:
+    picture = np.arange(35, dtype=np.uint8).reshape(5, 7)
+    mask = picture != 8
+    small, inside = smaller_picture(picture, mask, 2)
+    assert small.tolist() == [[4, 6, 8], [18, 20, 22]]
+    assert inside.tolist() == [[False, True, True], [True, True, True]]
+    assert smaller_picture(picture, mask, 1)[0] is picture
+    points = np.array([[10.0, -20, 30]])
+    np.testing.assert_allclose(
+        2 * of_cells(CAMERA, 2).project(points)[0], CAMERA.project(points)[0]
+    )
+    report = PoseReport(("a",), (9,), (0.5,), 2.0, (), ((0, 1, 0.25),), 3, 0.125, 50.0)
+    whole = in_pixels(report, 2)
+    assert (whole.residual_px, whole.limit_px, whole.track_residual_px) == ((1.0,), 4.0, 0.25)
+    assert whole.pairs == ((0, 1, 0.5),)
+    assert whole.spread_mm == 50.0
