@@ -100,14 +100,22 @@ class Camera:
         return pixels, depth
 
     def pixel_rays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rays through all pixel centres; the distortion is undone by fixed-point iteration.
+        """Rays through all pixel centres.
 
         Returns:
             (3,) origin in mm and (h, w, 3) unit directions in the world, float64.
         """
         columns = np.arange(self.width_px) + 0.5
         rows = np.arange(self.height_px) + 0.5
-        u, v = np.meshgrid((columns - self.cx_px) / self.fx_px, (rows - self.cy_px) / self.fy_px)
+        return self.centre_mm, self.rays_through(*np.meshgrid(columns, rows))
+
+    def rays_through(self, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
+        """(.., 3) unit directions in the world through places (..) of the picture, float64.
+
+        A pixel's centre is half a pixel from its corner; the distortion is undone by fixed-point
+        iteration.
+        """
+        u, v = (x_px - self.cx_px) / self.fx_px, (y_px - self.cy_px) / self.fy_px
         x, y = u.copy(), v.copy()
         k1, k2, p1, p2, k3 = self.dist
         for _ in range(8 if any(self.dist) else 0):
@@ -117,8 +125,8 @@ class Camera:
             dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
             x, y = (u - dx) / radial, (v - dy) / radial
         local = np.stack([x, y, np.ones_like(x)], axis=-1)
-        local /= np.linalg.norm(local, axis=-1, keepdims=True)
-        return self.centre_mm, local @ self.cam_from_world[:, :3]
+        local /= np.sqrt(x * x + y * y + 1)[..., None]
+        return np.asarray(local @ self.cam_from_world[:, :3])
 
     def scaled(self, factor: float) -> Camera:
         """The same camera with `factor` times as many pixels a side (rounded to even numbers)."""

@@ -63,19 +63,34 @@ class MeshRays:
         Returns:
             Hits of h * w entries.
         """
-        origin, directions = camera.pixel_rays()
-        flat = directions.reshape(-1, 3)
-        chosen = np.ones(len(flat), bool) if mask is None else mask.ravel()
-        some = self.cast(origin, flat[chosen])
+        shape = (camera.height_px, camera.width_px)
+        chosen = np.ones(shape, bool) if mask is None else mask
+        some, _ = self.cast_pixels(camera, *np.nonzero(chosen))
+        count, chosen = chosen.size, chosen.ravel()
         hits = Hits(
-            np.full(len(flat), -1, np.int32),
-            np.zeros((len(flat), 3), np.float32),
-            np.full(len(flat), np.inf, np.float32),
+            np.full(count, -1, np.int32),
+            np.zeros((count, 3), np.float32),
+            np.full(count, np.inf, np.float32),
         )
         hits.face[chosen] = some.face
         hits.barycentric[chosen] = some.barycentric
         hits.distance_mm[chosen] = some.distance_mm
         return hits
+
+    def cast_pixels(
+        self, camera: Camera, rows: np.ndarray, columns: np.ndarray
+    ) -> tuple[Hits, np.ndarray]:
+        """First hits of some of a camera's pixels.
+
+        Args:
+            camera: the view.
+            rows, columns: (n,) whole numbers.
+
+        Returns:
+            Hits of n entries, and the rays' (n, 3) unit directions, float64.
+        """
+        directions = camera.rays_through(columns + 0.5, rows + 0.5)
+        return self.cast(camera.centre_mm, directions), directions
 
     def visible(
         self,

@@ -19,9 +19,11 @@ from processing.rays import MeshRays
 MOST_ROUNDS = 100
 MOST_SPLITS = 4
 BAND_PIXELS = 2_000_000
-"""Pixels of a picture whose rays are held at once."""
+"""Pixels whose rays are held at once."""
 SEEN_STEP = 3
-"""Every so many pixels a ray finds the triangles that a camera sees."""
+SEEN_RAYS = 150_000
+"""Every so many pixels a ray finds the triangles that a camera sees, and rarer in a picture that
+would need more rays than this: what falls between them neighbours what was met."""
 SKY_MM = 1e5
 """Distance of the directions that ambient occlusion asks for: far beyond the stage."""
 
@@ -213,9 +215,9 @@ def _faces_seen(
     """(t,) bool: triangles that some camera sees, and their neighbours."""
     touched = np.zeros(count, bool)
     for camera, foreground in seen_by:
-        some = np.zeros_like(foreground)
-        some[::SEEN_STEP, ::SEEN_STEP] = foreground[::SEEN_STEP, ::SEEN_STEP]
-        face = rays.cast_camera(camera, some).face
+        step = max(SEEN_STEP, int(np.sqrt(np.count_nonzero(foreground) / SEEN_RAYS)))
+        some = np.nonzero(foreground[::step, ::step])
+        face = rays.cast_pixels(_every(camera, step), *some)[0].face
         touched[triangles[np.unique(face[face >= 0])].ravel()] = True
     for _ in range(2):
         near = touched[triangles].any(axis=1)
@@ -233,44 +235,48 @@ def see(surface: LitSurface, camera: Camera, foreground: np.ndarray, step: int =
         step: only every so many pixels of every so many rows.
     """
     camera, foreground = _every(camera, step), foreground[::step, ::step]
-    height, width = foreground.shape
-    rows = max(1, BAND_PIXELS // width)
+    rows, columns = np.nonzero(foreground)
     parts = [
-        _see_rows(
-            surface, _rows(camera, first, min(height, first + rows)), foreground[first:][:rows]
-        )
-        for first in range(0, height, rows)
+        _see_pixels(surface, camera, rows[first:][:BAND_PIXELS], columns[first:][:BAND_PIXELS])
+        for first in range(0, max(len(rows), 1), BAND_PIXELS)
     ]
-    joined = {
-        name: np.concatenate([part.pop(name) for part in parts])
-        for name in (
-            "mask",
-            "points",
-            "normals",
-            "views",
-            "occlusion",
-            "corners",
-            "weights",
-            "depth",
-        )
-    }
+    joined = {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
+    found = joined["found"]
+    mask = np.zeros(foreground.shape, bool)
+    mask[rows[found], columns[found]] = True
+    depth = np.full(foreground.shape, np.inf, np.float32)
+    depth[mask] = joined["distance_mm"]
     return Sight(
-        mask=joined["mask"],
+        mask=mask,
         points_mm=joined["points"],
         normals=joined["normals"],
         views=joined["views"],
         occlusion=joined["occlusion"],
         shadows=Shadows(joined["corners"], joined["weights"], surface.visible),
-        depth_mm=joined["depth"],
+        depth_mm=depth,
         step=step,
     )
 
 
-def _see_rows(surface: LitSurface, camera: Camera, foreground: np.ndarray) -> dict[str, np.ndarray]:
-    """What `see` says of a camera whose rays are few enough to be held at once."""
-    hits = surface.rays.cast_camera(camera, foreground)
+def depth_of(
+    surface: LitSurface, camera: Camera, foreground: np.ndarray, band: int = BAND_PIXELS
+) -> np.ndarray:
+    """(h, w) float32 distance of the mesh at the pixels of a mask, mm; infinite elsewhere."""
+    depth = np.full(foreground.shape, np.inf, np.float32)
+    rows, columns = np.nonzero(foreground)
+    for first in range(0, len(rows), band):
+        some = rows[first:][:band], columns[first:][:band]
+        depth[some] = surface.rays.cast_pixels(camera, *some)[0].distance_mm
+    return depth
+
+
+def _see_pixels(
+    surface: LitSurface, camera: Camera, rows: np.ndarray, columns: np.ndarray
+) -> dict[str, np.ndarray]:
+    """What `see` says of pixels that are few enough for their rays to be held at once."""
+    hits, directions = surface.rays.cast_pixels(camera, rows, columns)
     found = hits.face >= 0
-    distance_mm = hits.distance_mm[found]
+    distance_mm, directions = hits.distance_mm[found], directions[found]
     face, weights = hits.face[found].astype(np.int64), hits.barycentric[found].astype(np.float64)
     for _ in range(surface.splits):
         face, weights = _in_part(face, weights)
@@ -280,26 +286,16 @@ def _see_rows(surface: LitSurface, camera: Camera, foreground: np.ndarray) -> di
     at_pixels = at_vertices_to(at_vertices, corners, weights)
     normals = at_pixels[:, :3]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    origin, rays = camera.pixel_rays()
-    directions = rays.reshape(-1, 3)[found]
-    mask = found.reshape(foreground.shape)
-    depth = np.full(foreground.shape, np.inf, np.float32)
-    depth[mask] = distance_mm
     return {
-        "mask": mask,
-        "points": (origin + directions * distance_mm[:, None]).astype(np.float32),
+        "found": found,
+        "points": (camera.centre_mm + directions * distance_mm[:, None]).astype(np.float32),
         "normals": normals,
         "views": -directions.astype(np.float32),
         "occlusion": at_pixels[:, 3],
         "corners": corners,
         "weights": weights,
-        "depth": depth,
+        "distance_mm": distance_mm,
     }
-
-
-def _rows(camera: Camera, first: int, beyond: int) -> Camera:
-    """The camera that has only some of another one's rows."""
-    return dataclasses.replace(camera, height_px=beyond - first, cy_px=camera.cy_px - first)
 
 
 def _every(camera: Camera, step: int) -> Camera:

@@ -36,6 +36,9 @@ class RefineConfig:
     """Steps of the search for roughness and specular albedo."""
     gloss_pixels: int = 150_000
     """At most this many pixels of a view, on a regular grid, give evidence of gloss."""
+    light_step_mm: float = 0.25
+    """Light is gathered at nodes so far apart and interpolated between them; in pictures whose
+    pixels are larger than half of it, and everywhere for 0, each pixel's own is gathered."""
     family_pixels: int = 4000
     """So many pixels of a view say which family of mirror lobes the face has; 0 takes Beckmann's
     round one."""

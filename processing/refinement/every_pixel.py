@@ -4,152 +4,279 @@ from __future__ import annotations
 
 import dataclasses
 
+import cv2
 import numpy as np
 
-from processing.albedo import diffuse_albedo
-from processing.pixels import PixelMaps
+from lightstage.rig import Camera
+from processing.albedo import pooled
+from processing.frames.read import Frames
+from processing.masks import edge_distance_px
+from processing.readings import px_per_mm
 from processing.refinement.config import RefineConfig
+from processing.refinement.finish import (
+    GIVEN,
+    LEAST_WEIGHT,
+    Maps,
+    empty_maps,
+    facing,
+    finish,
+    limits_of,
+)
 from processing.refinement.gloss import local_specular
 from processing.refinement.gloss_search import around_of, grid_evidence, mistaken
-from processing.refinement.joint import (
-    Solved,
-    solve_jointly,
+from processing.refinement.joint import Solved, solve_jointly, spread_of
+from processing.refinement.node_pixels import Photos, Picture, pixel_kernel
+from processing.refinement.nodes import (
+    GridKnows,
+    NodeSites,
+    banded_nodes,
+    grid_light,
+    node_sites,
+    step_px,
 )
-from processing.refinement.scene import ALL, BAND_PIXELS, Scene, View, gloss_of, place_of, steady
-from processing.surface import Sight, at_vertices_to
+from processing.refinement.scene import (
+    Scene,
+    View,
+    edge_distance,
+    gloss_of,
+    place_of,
+    read_sight,
+)
+from processing.surface import Sight, at_vertices_to, depth_edges, depth_of, see
 
-LEAST_WEIGHT = 1e-6
-"""Of a pixel in its neighbours' albedo."""
+BAND_PIXELS = 500_000
+"""Pixels whose own light is gathered at a time: what they need is held no longer."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SolvedView:
+    """A view's maps.
+
+    Attributes:
+        mask: (h, w) bool, pixels that show the mesh.
+        maps: of these.
+        between_nodes: share of them whose light was interpolated.
+    """
+
+    mask: np.ndarray
+    maps: Maps
+    between_nodes: float
 
 
 def solve_view(
-    scene: Scene, view: View, grid: View, found: Solved, config: RefineConfig
-) -> PixelMaps:
+    scene: Scene,
+    frames: Frames,
+    camera: Camera,
+    foreground: np.ndarray,
+    grid: View,
+    found: Solved,
+    config: RefineConfig,
+) -> SolvedView:
     """Maps of all of a view's pixels.
 
     Args:
         scene: with its gloss found.
-        view: all pixels.
-        grid: of the same view.
+        frames: the camera's photographs.
+        camera: the view.
+        foreground: (h, w) bool.
+        grid: pixels of the same view.
         found: the grid's pixels.
         config: see there.
 
     Returns:
-        PixelMaps, zero where a pixel cannot be solved.
+        Maps, zero where a pixel cannot be solved.
     """
-    sight, mask = view.sight, view.sight.mask
+    knows = grid_knows(scene, grid, found, config)
+    sites = light = None
+    # Polarisers make what a lamp gives depend on the pixel: that is not interpolated.
+    if step_px(px_per_mm(camera), config) > 1 and not scene.lights.polarised:
+        light = grid_light(scene, camera, knows)
+        sites = node_sites(scene, camera, foreground, light, knows, config)
+    picture = pictured(scene, camera, foreground, sites, config)
+    count = int(picture.first[-1])
+    maps, done = empty_maps(count), np.zeros(count, bool)
+    limits = limits_of(config)
+    if sites is not None and light is not None:
+        photos = photos_of(frames, scene.lights.colour, config)
+        spread = spread_of(config.noise, knows.around)
+        for nodes in banded_nodes(scene, sites, light, knows):
+            pixel_kernel(photos, nodes, picture, spread, config.rounds, limits, maps, done)
+    share = float(done.mean()) if count else 0.0
+    left = picture.mask.copy()
+    left[picture.mask] = ~done
+    rows, columns = np.nonzero(left)
+    places, of_grid = np.flatnonzero(~done), columns_of(knows)
+    for first in range(0, len(places), BAND_PIXELS):
+        band = slice(first, first + BAND_PIXELS)
+        some = np.zeros(left.shape, bool)
+        some[rows[band], columns[band]] = True
+        sight = see(scene.surface, camera, some)
+        met = sight.mask[rows[band], columns[band]]
+        view = read_sight(frames, camera, sight, scene, config)
+        inside = picture.inside[sight.mask] / np.float32(4)
+        given = solve_exactly(scene, view, knows, of_grid, inside, config)
+        finish(given, places[band][met], limits, maps)
+    return SolvedView(picture.mask, maps, share)
+
+
+def columns_of(knows: GridKnows) -> np.ndarray:
+    """(n, 8 + 3 P): normal, roughness, specular albedo, prior, and what wanders here."""
+    rest = knows.around.rest.reshape(len(knows.prior), -1)
+    given = [knows.found.normal, knows.roughness, knows.specular, knows.prior, rest]
+    return np.column_stack(given)
+
+
+def grid_knows(scene: Scene, grid: View, found: Solved, config: RefineConfig) -> GridKnows:
+    """What a grid tells all pixels of its view."""
+    sight, around = grid.sight, around_of(scene, grid, found)
     evidence = grid_evidence(scene, grid, found, config)
-    roughness, specular = gloss_of(scene, grid.sight)
+    roughness, specular = gloss_of(scene, sight)
     spread = config.gloss_spread / np.sqrt(scene.doubt)
-    shadows = grid.sight.shadows
     wrong = mistaken(scene, [found], config)
-    wrong = at_vertices_to(wrong[:, None], shadows.corners, shadows.weights)[:, 0]
+    wrong = at_vertices_to(wrong[:, None], sight.shadows.corners, sight.shadows.weights)[:, 0]
     specular = local_specular(
         evidence,
         specular,
-        grid.sight.mask,
+        sight.mask,
         config.specular_detail_mm * grid.px_per_mm,
         config.specular_detail_spread / np.sqrt(scene.doubt),
         config.specular_pool_mm * grid.px_per_mm,
         1 / (1 + (wrong / spread) ** 2),
     )
-    around = around_of(scene, grid, found)
-    start = found.normal
-    whole = grid.sight.step == 1
-    if not whole:
-        flat = around.rest.reshape(len(around.rest), -1)
-        of_grid = np.column_stack([start, roughness, specular, flat])
-        # Where the grid has no pixel nearby the mesh's own gloss and normals are all there is.
-        roughness, specular = gloss_of(scene, sight)
-    parts = []
-    for first in range(0, len(sight.normals), BAND_PIXELS):
-        band = slice(first, first + BAND_PIXELS)
-        if whole:
-            begin, rest = start[band], around.rest[band]
-        else:
-            columns, near = enlarged(of_grid, grid.sight, sight, band)
-            roughness[band][near], specular[band][near] = columns[near, 3:5].T
-            length = np.linalg.norm(columns[:, :3], axis=1, keepdims=True)
-            begin = np.where(
-                length > 0.5, columns[:, :3] / np.maximum(length, 0.5), sight.normals[band]
-            )
-            begin = np.where(view.usable[band, None], begin, 0)
-            rest = columns[:, 5:].reshape(-1, *around.rest.shape[1:])
-        part = solve_jointly(
-            view.rgb[band],
-            scene.lights,
-            place_of(scene, view, band),
-            begin,
-            roughness[band],
-            specular[band],
-            scene.interface,
-            dataclasses.replace(around, rest=rest),
-            config.noise,
-            rounds=config.rounds,
-        )
-        # Light on its way to neighbours is asked of the grid alone.
-        parts.append(dataclasses.replace(part, irradiance=part.irradiance[:, :0].copy()))
-    solved = joined(parts)
-    parts.clear()
-    # A normal that the mesh could not have: mistaken shadows, or hair.
-    agreement = np.einsum("nk,nk->n", solved.normal, sight.normals)
-    seen = np.einsum("nk,nk->n", solved.normal, sight.views) > 0
-    good = view.usable & (agreement > 0) & seen
-    trust = steady(view, config) * np.clip(2 * agreement, 0, 1)
-    if not scene.lights.polarised:
-        trust *= np.clip(view.saturation / config.grey_saturation - 1, 0, 1)
-    power = solved.power.mean(axis=1)
-    trust *= power / (power + config.dark_power)
-    trust /= 1 + solved.misfit / config.doubtful_misfit
-    turn2 = 1 / np.maximum(solved.certainty, 1e-12)
-    trust /= 1 + turn2 / np.radians(config.doubtful_turn_deg) ** 2
-    confidence = np.where(good, trust, 0).astype(np.float32)
+    inside = edge_distance(sight.mask, sight.depth_mm, config)[sight.mask] * sight.step
+    nothing = np.zeros((len(specular), 3), np.float32)
+    given = given_of(scene, grid, found, roughness, specular, nothing, inside)
+    alone = empty_maps(len(given))
+    finish(given, np.arange(len(given)), limits_of(config), alone)
     # A pixel that is hardly trusted takes its neighbours' albedo.
     # Where none is trusted far around, they have one another still.
-    weight = np.maximum(confidence[:, None] ** 2, LEAST_WEIGHT)
-    np.multiply(solved.lit, weight, out=solved.lit)
-    np.multiply(solved.power, weight, out=solved.power)
-    albedo = diffuse_albedo(
-        solved.lit, solved.power, mask, view.px_per_mm, config.albedo_prior_power
-    )
-    matte, normal = (
-        steadied(found, sight.normals, confidence / config.steady_below, good)
-        for found in (solved.matte, solved.normal)
-    )
-    albedo[~good] = 0
-    specular, roughness = np.where(good, specular, 0), np.where(good, roughness, 0)
-    return PixelMaps(matte, normal, albedo, specular, roughness, confidence)
+    weight = np.maximum(alone.confidence[:, None] ** 2, LEAST_WEIGHT)
+    pools = []
+    for values in (found.lit * weight, found.power * weight):
+        each = [pooled(values[:, c], sight.mask, grid.px_per_mm) for c in range(3)]
+        pools.append(np.stack(each, axis=1))
+    lit, power = pools
+    prior = np.where(power > 0, lit / np.where(power > 0, power, 1), 0).astype(np.float32)
+    return GridKnows(grid, found, around, roughness, specular, prior)
 
 
-def joined(parts: list[Solved]) -> Solved:
-    """The pixels of several bands as one."""
-    names = [field.name for field in dataclasses.fields(Solved)]
-    return Solved(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+def pictured(
+    scene: Scene,
+    camera: Camera,
+    foreground: np.ndarray,
+    sites: NodeSites | None,
+    config: RefineConfig,
+) -> Picture:
+    """Which pixels show the mesh, and how far each is from an edge.
 
-
-def steadied(
-    normals: np.ndarray, mesh: np.ndarray, trust: np.ndarray, good: np.ndarray
-) -> np.ndarray:
-    """(n, 3) unit normals, drawn to the mesh's where trust is below 1; zero where not good.
-
-    In a nostril, which hardly any light enters, readings tell less of the surface than the mesh.
+    Between safe nodes all do, and there is no edge; elsewhere rays tell.
     """
-    share = np.clip(trust, 0, 1)[:, None]
-    mixed = share * normals + (1 - share) * mesh
-    length = np.linalg.norm(mixed, axis=1, keepdims=True)
-    good = good[:, None] & (length > 1e-6)
-    return np.where(good, mixed / np.where(good, length, 1), 0)
+    asked = foreground
+    if sites is not None:
+        safe = np.zeros(foreground.shape, bool)
+        cells = sites.safe.repeat(sites.sight.step, axis=0).repeat(sites.sight.step, axis=1)
+        height, width = np.minimum(cells.shape, safe.shape).tolist()
+        safe[:height, :width] = cells[:height, :width]
+        asked = foreground & ~safe
+    near = cv2.dilate(asked.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    depth = depth_of(scene.surface, camera, near & foreground)
+    mask = foreground & ~(asked & np.isinf(depth))
+    edges = depth_edges(depth, config.depth_step_mm) & asked
+    distance = edge_distance_px(mask & ~edges)
+    inside = np.minimum(4 * distance, 255).astype(np.uint8)
+    first = np.concatenate([[0], np.cumsum(np.count_nonzero(mask, axis=1))])
+    return Picture(mask, first, inside)
 
 
-def enlarged(
-    values: np.ndarray, grid: Sight, view: Sight, band: slice = ALL
-) -> tuple[np.ndarray, np.ndarray]:
+def photos_of(frames: Frames, white: np.ndarray, config: RefineConfig) -> Photos:
+    """What compiled code takes of a camera's photographs."""
+    return Photos(
+        np.asarray(frames.half).view(np.uint16),
+        np.asarray(frames.clipped),
+        np.float32(frames.scale),
+        frames.window.top,
+        frames.window.left,
+        np.concatenate([white, white / np.linalg.norm(white)]).astype(np.float32),
+        config.dark_level,
+    )
+
+
+def solve_exactly(
+    scene: Scene,
+    view: View,
+    knows: GridKnows,
+    of_grid: np.ndarray,
+    inside: np.ndarray,
+    config: RefineConfig,
+) -> np.ndarray:
+    """(n, GIVEN) what `finish` takes of n pixels whose own light is gathered.
+
+    Args:
+        scene: with its gloss found.
+        view: the pixels.
+        knows: what the grid tells.
+        of_grid: its columns.
+        inside: (n,) pixels to the nearest edge.
+        config: see there.
+    """
+    sight = view.sight
+    # Where the grid has no pixel nearby the mesh's own gloss and normals are all there is.
+    roughness, specular = gloss_of(scene, sight)
+    columns, near = enlarged(of_grid, knows.view.sight, sight)
+    roughness[near], specular[near] = columns[near, 3:5].T
+    length = np.linalg.norm(columns[:, :3], axis=1, keepdims=True)
+    begin = np.where(length > 0.5, columns[:, :3] / np.maximum(length, 0.5), sight.normals)
+    begin = np.where(view.usable[:, None], begin, 0)
+    rest = columns[:, 8:].reshape(-1, *knows.around.rest.shape[1:])
+    solved = solve_jointly(
+        view.rgb,
+        scene.lights,
+        place_of(scene, view),
+        begin,
+        roughness,
+        specular,
+        scene.interface,
+        dataclasses.replace(knows.around, rest=rest),
+        config.noise,
+        rounds=config.rounds,
+    )
+    return given_of(scene, view, solved, roughness, specular, columns[:, 5:8], inside)
+
+
+def given_of(
+    scene: Scene,
+    view: View,
+    solved: Solved,
+    roughness: np.ndarray,
+    specular: np.ndarray,
+    prior: np.ndarray,
+    inside: np.ndarray,
+) -> np.ndarray:
+    """(n, GIVEN) float32 what `finish` takes of n solved pixels."""
+    sight = view.sight
+    albedo = np.divide(
+        solved.lit, solved.power, out=np.zeros_like(solved.lit), where=solved.power > 0
+    )
+    # Polarised light needs no colour to tell what is mirrored.
+    colourful = np.full_like(view.saturation, 1e9) if scene.lights.polarised else view.saturation
+    given = np.column_stack(
+        [
+            solved.normal, solved.matte, albedo, solved.power, solved.misfit, solved.certainty,
+            colourful, sight.normals, facing(sight.normals, sight.views), inside, prior,
+            roughness, specular, view.usable, sight.occlusion, sight.views,
+        ]
+    ).astype(np.float32, copy=False)  # fmt: skip
+    assert given.shape[1] == GIVEN
+    return given
+
+
+def enlarged(values: np.ndarray, grid: Sight, view: Sight) -> tuple[np.ndarray, np.ndarray]:
     """Values (m, k) of a grid's pixels at n pixels of the whole view, linearly between them.
 
     Returns:
         (n, k), and (n,) bool whether the grid has a pixel near by.
     """
-    rows, columns = (places[band] for places in np.nonzero(view.mask))
+    rows, columns = np.nonzero(view.mask)
     image = np.zeros((*grid.mask.shape, values.shape[1] + 1), np.float32)
     image[grid.mask] = np.column_stack([values, np.ones(len(values))])
     y, x = rows / grid.step, columns / grid.step

@@ -207,11 +207,13 @@ def _arguments(
         weights=place.shadows.weights,
         rests=single(scattered.rest),
     )
+    return pixels, lamps_of(lights, place, interface), spread_of(noise, scattered)
+
+
+def spread_of(noise: Noise, scattered: Scattered) -> Spread:
+    """What compiled code takes of the readings' noise, and of what light stays where it entered."""
     kept = np.ascontiguousarray(scattered.kept, np.float64)
-    spread = Spread(
-        float(noise.sensor) ** 2, float(noise.model) ** 2, float(noise.shade) ** 2, kept
-    )
-    return pixels, lamps_of(lights, place, interface), spread
+    return Spread(float(noise.sensor) ** 2, float(noise.model) ** 2, float(noise.shade) ** 2, kept)
 
 
 def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps:

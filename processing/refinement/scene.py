@@ -17,6 +17,7 @@ from processing.lighting.polarisers import evened, mirrored_of_lamps
 from processing.masks import edge_distance_px
 from processing.readings import px_per_mm, read_pixels
 from processing.refinement.config import RefineConfig
+from processing.refinement.finish import facing
 from processing.refinement.gloss import Gloss, skin_gloss
 from processing.refinement.joint import Place
 from processing.surface import (
@@ -130,15 +131,23 @@ def read_view(
     step = 1
     if most is not None:
         step = max(1, int(np.ceil(np.sqrt(foreground.sum() / most))))
-    sight = see(scene.surface, camera, foreground, step)
-    if not sight.mask.any():
+    view = read_sight(frames, camera, see(scene.surface, camera, foreground, step), scene, config)
+    if not len(view.usable):
         raise ProcessingError(
             f"camera {camera.id}",
             found="no pixel that shows the mesh",
             expected="a face in front of the camera",
             hint="Do base_mesh.ply and the rig belong to this session?",
         )
-    chosen = np.zeros(foreground.shape, bool)
+    return view
+
+
+def read_sight(
+    frames: Frames, camera: Camera, sight: Sight, scene: Scene, config: RefineConfig
+) -> View:
+    """The readings of what a camera sees of the mesh."""
+    step = sight.step
+    chosen = np.zeros(frames.shape, bool)
     chosen[::step, ::step] = sight.mask
     white = scene.lights.colour
     count = int(sight.mask.sum())
@@ -146,7 +155,7 @@ def read_view(
     saturation, usable = np.empty(count, np.float32), np.empty(count, bool)
     valid = frames.valid
     done = 0
-    rows = max(1, BAND_PIXELS * step**2 // foreground.shape[1])
+    rows = max(1, BAND_PIXELS * step**2 // frames.shape[1])
     for first in range(0, len(chosen), rows):
         some = np.zeros_like(chosen)
         some[first : first + rows] = chosen[first : first + rows]
@@ -192,7 +201,10 @@ def gloss_of(scene: Scene, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
 def steady(view: View, config: RefineConfig) -> np.ndarray:
     """(n,) 0..1: how far a pixel is from edges and from being seen edge on."""
     sight = view.sight
-    facing = (np.maximum(np.einsum("nk,nk->n", sight.normals, sight.views), 0) / 0.8) ** 0.7
-    edges = depth_edges(sight.depth_mm, config.depth_step_mm)
-    inside = edge_distance_px(sight.mask & ~edges)[sight.mask] * sight.step
-    return np.asarray(np.clip(facing, 0, 1) * np.clip(inside / config.edge_px, 0, 1))
+    inside = edge_distance(sight.mask, sight.depth_mm, config)[sight.mask] * sight.step
+    return np.asarray(facing(sight.normals, sight.views) * np.clip(inside / config.edge_px, 0, 1))
+
+
+def edge_distance(mask: np.ndarray, depth_mm: np.ndarray, config: RefineConfig) -> np.ndarray:
+    """(h, w) float32 pixels to the nearest edge of a mask or step of its depth."""
+    return edge_distance_px(mask & ~depth_edges(depth_mm, config.depth_step_mm))

@@ -54,15 +54,16 @@ def refine(
     progress(2, steps)
     found = find_gloss(scene, grids, config, lambda done, _: progress(2 + done, steps))
     confidence: dict[str, float] = {}
+    between: dict[str, float] = {}
     pixels = 0
     for done, (camera, lit) in enumerate(seen_by):
-        grid = view = grids[done]
-        if grid.sight.step > 1:
-            view = read_view(read_frames(out, camera.id), camera, lit, scene, config)
-        maps = solve_view(scene, view, grid, found[done], config)
-        mask = view.sight.mask
+        solved = solve_view(
+            scene, read_frames(out, camera.id), camera, lit, grids[done], found[done], config
+        )
+        mask, maps = solved.mask, solved.maps.pixel_maps()
         occlusion = np.ones(mask.shape, np.float32)
-        occlusion[mask] = view.sight.occlusion
+        occlusion[mask] = solved.maps.occlusion
+        between[camera.id] = round(solved.between_nodes, 4)
         mask, maps = with_coarse(folder, camera.id, mask, maps, config.coarse_confidence)
         write_maps(folder, camera.id, mask, maps)
         folder.write_view(camera.id, "ambient_occlusion", np.where(mask, occlusion, 0))
@@ -73,10 +74,12 @@ def refine(
     seen = np.unique(np.concatenate([grid.sight.shadows.corners.ravel() for grid in grids]))
     return {
         "maps": "exact",
+        "lights": lights.source,
         "views": len(cameras),
         "pixels": pixels,
         "vertices": len(scene.surface.vertices),
         "mean_confidence": confidence,
+        "between_nodes": between,
         "roughness_mean": round(float(scene.gloss.roughness[seen].mean()), 4),
         "specular_mean": round(float(scene.gloss.specular[seen].mean()), 5),
         "mirror_lobe": scene.facets.name,

@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit, prange
 
 from processing.frames.halves import as_float
+from processing.lanes import LANES, every, load_row, store_turned
 from processing.separation.coarse_pixel import FAST, LENGTH, OUT, solve_pixel
-from processing.separation.lanes import LANES, every, load_row, store_turned
 
 RUN = 128
 """Pixels of a row that are loaded at once."""

@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from processing.lighting.lobe import GRAZING
-from processing.separation.far_tables import CELLS, LOBE_SIDE, ROWS
-from processing.separation.lanes import (
+from processing.lanes import (
     LANES,
     at_least,
     every,
@@ -24,6 +22,8 @@ from processing.separation.lanes import (
     store,
     totals,
 )
+from processing.lighting.lobe import GRAZING
+from processing.separation.far_tables import CELLS, LOBE_SIDE, ROWS
 
 LENGTH = 11
 """Place of |rho n| in what a pixel gives."""

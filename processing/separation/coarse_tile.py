@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from processing.lanes import LANES, at_least, every, lane, load, store, totals
 from processing.lighting.lobe import GRAZING
 from processing.separation.coarse_pixel import FAST
 from processing.separation.far_tables import ROWS
-from processing.separation.lanes import LANES, at_least, every, lane, load, store, totals
 from processing.separation.triples import load_triples, over_root, store_triples
 
 TILE_ROWS = 8

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from processing.lanes import LANES
 from processing.separation.coarse_kernels import COUNT, SUMS, put
 from processing.separation.coarse_pixel import ACROSS, CELL, FAST, LENGTH, OUT, solve_pixel
 from processing.separation.coarse_tile import (
@@ -29,7 +30,6 @@ from processing.separation.coarse_tile import (
     store_eight,
     usable,
 )
-from processing.separation.lanes import LANES
 
 
 @njit(cache=True, fastmath=FAST, forceinline=True)

@@ -14,6 +14,7 @@ import numpy as np
 
 from lightstage.rig import Camera
 from processing.albedo import shrunk
+from processing.lanes import LANES
 from processing.lighting.interface import skin_interface
 from processing.lighting.lights import PatternLights
 from processing.pixels import PixelMaps
@@ -23,7 +24,6 @@ from processing.separation.coarse_tile import TILE_ROWS
 from processing.separation.coarse_tiles import solve_tiles
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import far_tables
-from processing.separation.lanes import LANES
 from processing.separation.pixels import Pixels
 
 RAY_STEP_RAD = 1e-3

@@ -12,11 +12,11 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from processing.lanes import LANES
 from processing.lighting.facets import STEEPEST, unmasked
 from processing.lighting.interface import Interface, let_through, row_of
 from processing.lighting.lights import OCTAHEDRON, PatternLights, octahedral_normals
 from processing.lighting.lobe import fresnel_table
-from processing.separation.lanes import LANES
 
 ROWS = 12
 """Rows of the diffuse table."""

@@ -9,7 +9,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from processing.separation.lanes import LANES, LANES_TYPE
+from processing.lanes import LANES, LANES_TYPE
 
 _VECTOR = ir.VectorType(ir.FloatType(), LANES)
 _ANY_ORDER = ("reassoc", "contract", "nsz")

@@ -13,6 +13,18 @@ from numba import njit
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Camera
 from processing.frames.halves import as_float
+from processing.lanes import (
+    LANES,
+    at_least,
+    every,
+    lane,
+    largest,
+    load,
+    load_row,
+    store,
+    store_turned,
+    totals,
+)
 from processing.lighting.interface import BARE, skin_interface
 from processing.lighting.lamps import nominal_lamps
 from processing.lighting.lights import PatternLights, far_field, lights_of
@@ -27,18 +39,6 @@ from processing.separation.colour import (
 )
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import far_tables
-from processing.separation.lanes import (
-    LANES,
-    at_least,
-    every,
-    lane,
-    largest,
-    load,
-    load_row,
-    store,
-    store_turned,
-    totals,
-)
 from processing.separation.pixels import Pixels
 from tests.processing import coarse_twin, lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg

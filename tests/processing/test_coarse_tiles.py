@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numba import njit
 
 from lightstage.rig import Camera
+from processing.lanes import LANES, lane, load
 from processing.lighting.interface import skin_interface
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
@@ -18,7 +19,6 @@ from processing.separation.coarse_tile import TILE_ROWS
 from processing.separation.colour import separate_window, window_readings
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import far_tables
-from processing.separation.lanes import LANES, lane, load
 from processing.separation.triples import load_triples, over_root, store_triples
 from tests.processing import coarse_twin, lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg

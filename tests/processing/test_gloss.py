@@ -256,7 +256,3 @@ def test_where_the_grid_has_no_pixel_nearby_that_is_said() -> None:
     assert not near[16:].any()
     np.testing.assert_allclose(found.reshape(32, 32, 2)[near], 7.0, rtol=1e-5)
     assert not found.reshape(32, 32, 2)[~near].any()
-    band = slice(64, 128)
-    again, some = enlarged(np.full((32, 2), 7.0), grid, view, band)
-    np.testing.assert_array_equal(again, found[band])
-    np.testing.assert_array_equal(some, near.ravel()[band])

@@ -1,8 +1,9 @@
 """Eight floats that a compiled loop handles as one number: a vector of the processor.
 
 Numba leaves it to the compiler to find vectors, which it does over long arrays and not over a
-pixel's seven patterns. `Lanes` inside an njit function knows + - *, sums and the largest; the
-patterns of a pixel lie in its lanes. Half floats are turned by the processor's own conversion.
+pixel's seven patterns. `Lanes` inside an njit function knows + - * /, roots, sums and the largest;
+in its lanes lie the patterns of a pixel, or eight pixels. Half floats are turned by the processor's
+own conversion.
 """
 
 from __future__ import annotations
@@ -226,8 +227,29 @@ def _pairwise(build: Callable[[Any, Any, Any], Any]) -> Any:
 _plus = _pairwise(lambda builder, a, b: builder.fadd(a, b, flags=_ANY_ORDER))
 _minus = _pairwise(lambda builder, a, b: builder.fsub(a, b, flags=_ANY_ORDER))
 _times = _pairwise(lambda builder, a, b: builder.fmul(a, b, flags=_ANY_ORDER))
+_over = _pairwise(lambda builder, a, b: builder.fdiv(a, b, flags=_ANY_ORDER))
 at_least = _pairwise(lambda builder, a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b))
 """The larger of two Lanes, lane by lane; the second where one is NaN. For compiled code."""
+at_most = _pairwise(lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
+"""The smaller of two Lanes, lane by lane; the second where one is NaN. For compiled code."""
+above = _pairwise(
+    lambda builder, a, b: builder.uitofp(builder.fcmp_ordered(">", a, b), _VECTOR),
+)
+"""1 where the first of two Lanes is the larger, 0 elsewhere and for NaN. For compiled code."""
+
+
+@intrinsic
+def root(typing_context: Any, value: Any) -> Any:
+    """Square roots, lane by lane; NaN below 0."""
+    del typing_context, value
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        del context, signature
+        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        name = f"llvm.sqrt.v{LANES}f32"
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), args)
+
+    return LANES_TYPE(LANES_TYPE), code
 
 
 def _spread(named: Any, apply: Any) -> None:
@@ -248,5 +270,6 @@ for _named, _apply in (
     (operator.add, _plus),
     (operator.sub, _minus),
     (operator.mul, _times),
+    (operator.truediv, _over),
 ):
     _spread(_named, _apply)

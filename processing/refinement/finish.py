@@ -1,0 +1,123 @@
+"""A solved pixel's maps: how far it is trusted, and what stands in where it is not."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from processing.pixels import PixelMaps
+from processing.refinement.config import RefineConfig
+
+NORMAL, MATTE, ALBEDO, POWER, MISFIT, CERTAINTY, SATURATION = 0, 3, 6, 9, 12, 13, 14
+MESH, FACING, INSIDE, PRIOR, ROUGHNESS, SPECULAR, USABLE, OPEN = 15, 18, 19, 20, 23, 24, 25, 26
+VIEW, GIVEN = 27, 30
+"""Places of what `finish_pixel` is given: both normals, albedo and its power in R G B, what
+`joint.Solved` says of misfit and certainty, saturation, the mesh's normal, how much it faces the
+camera (`facing`), the distance to the nearest edge in pixels, the neighbours' albedo, gloss, 1
+where the readings can be used, ambient occlusion, and the direction to the camera."""
+LEAST_WEIGHT = 1e-6
+"""Of a pixel in its neighbours' albedo."""
+
+
+class Limits(NamedTuple):
+    """What `RefineConfig` says of trust."""
+
+    edge_px: float
+    grey_saturation: float
+    dark_power: float
+    doubtful_misfit: float
+    doubtful_turn2: float
+    prior_power: float
+    steady_below: float
+
+
+class Maps(NamedTuple):
+    """Of n pixels, float32: both normals and albedo (n, 3), the others (n,)."""
+
+    matte: np.ndarray
+    normal: np.ndarray
+    albedo: np.ndarray
+    specular: np.ndarray
+    roughness: np.ndarray
+    confidence: np.ndarray
+    occlusion: np.ndarray
+
+    def pixel_maps(self) -> PixelMaps:
+        """As stages know them."""
+        return PixelMaps(*self[:6])
+
+
+def limits_of(config: RefineConfig) -> Limits:
+    """The part of a configuration that compiled code takes."""
+    return Limits(
+        config.edge_px,
+        config.grey_saturation,
+        config.dark_power,
+        config.doubtful_misfit,
+        float(np.radians(config.doubtful_turn_deg)) ** 2,
+        config.albedo_prior_power,
+        config.steady_below,
+    )
+
+
+def empty_maps(count: int) -> Maps:
+    """Zero: nothing is solved; memory is taken when it is written to."""
+    three = (np.zeros((count, 3), np.float32) for _ in range(3))
+    one = (np.zeros(count, np.float32) for _ in range(4))
+    return Maps(*three, *one)
+
+
+def facing(normals: np.ndarray, views: np.ndarray) -> np.ndarray:
+    """(n,) 0..1: less where a surface of (n, 3) normals is seen edge on."""
+    cosine = np.maximum(np.einsum("nk,nk->n", normals, views), 0)
+    return np.asarray(np.minimum((cosine / 0.8) ** 0.7, 1))
+
+
+@njit(cache=True, error_model="numpy")
+def finish_pixel(given: np.ndarray, at: int, limits: Limits, maps: Maps) -> None:
+    """Write one pixel's maps from the GIVEN numbers of it; what is unsolved stays zero."""
+    maps.occlusion[at] = given[OPEN]
+    agreement = toward = 0.0
+    for x in range(3):
+        agreement += given[NORMAL + x] * given[MESH + x]
+        toward += given[NORMAL + x] * given[VIEW + x]
+    # A normal that the mesh could not have: mistaken shadows, or hair.
+    if not (given[USABLE] > 0 and given[FACING] > 0 and agreement > 0 and toward > 0):
+        return
+    power = (given[POWER] + given[POWER + 1] + given[POWER + 2]) / 3
+    trust = given[FACING] * min(max(given[INSIDE] / limits.edge_px, 0.0), 1.0)
+    trust *= min(2 * agreement, 1.0)
+    trust *= min(max(given[SATURATION] / limits.grey_saturation - 1, 0.0), 1.0)
+    trust *= power / (power + limits.dark_power)
+    trust /= 1 + given[MISFIT] / limits.doubtful_misfit
+    trust /= 1 + 1 / (max(given[CERTAINTY], 1e-12) * limits.doubtful_turn2)
+    if not math.isfinite(trust):
+        return
+    maps.confidence[at] = trust
+    # A pixel that is hardly trusted takes its neighbours' albedo.
+    weight = max(trust * trust, LEAST_WEIGHT)
+    prior = PRIOR if given[PRIOR] + given[PRIOR + 1] + given[PRIOR + 2] > 0 else ALBEDO
+    for c in range(3):
+        own = given[POWER + c] * weight
+        lit = given[ALBEDO + c] * own + limits.prior_power * given[prior + c]
+        maps.albedo[at, c] = max(lit / (own + limits.prior_power), 0.0)
+    share = min(trust / limits.steady_below, 1.0)
+    for first, out in ((MATTE, maps.matte), (NORMAL, maps.normal)):
+        x = share * given[first] + (1 - share) * given[MESH]
+        y = share * given[first + 1] + (1 - share) * given[MESH + 1]
+        z = share * given[first + 2] + (1 - share) * given[MESH + 2]
+        length = math.sqrt(x * x + y * y + z * z)
+        if length > 1e-6:
+            out[at, 0], out[at, 1], out[at, 2] = x / length, y / length, z / length
+    maps.specular[at] = given[SPECULAR]
+    maps.roughness[at] = given[ROUGHNESS]
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def finish(given: np.ndarray, places: np.ndarray, limits: Limits, maps: Maps) -> None:
+    """Write the maps of (n, GIVEN) pixels at their (n,) places."""
+    for i in prange(len(places)):
+        finish_pixel(given[i], places[i], limits, maps)
