@@ -13,22 +13,18 @@ the width is wrong along the diagonals, by a factor of at most sqrt(1 / (1 - sin
 
 from __future__ import annotations
 
-from typing import Any
-
-import numba
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
-from learning.render.lanes_math import ANY_ORDER
+from learning.render.diffusion_kernel import LANES, couple, sweep
 
 STEPS = 4
 """Steps along each axis: kurtosis of the kernel is 3 + 3 / STEPS; a Gaussian's is 3."""
-LANES = 32
-"""Lines that are solved side by side."""
 SEAM = 6.0
 """Neighbours this many times the median distance apart lie on two sides of a seam."""
+SAMPLE = 7
+"""Every so manieth texel tells the median distance."""
 
 
 class Diffusion:
@@ -43,174 +39,87 @@ class Diffusion:
                 the root of `area` where None.
             sigma_px: the kernel's standard deviation in that unit.
         """
-        mass = area.detach()[:, 0]
+        self.mass = area.detach()[:, 0].contiguous()
+        mass = self.mass.cpu().numpy()
         if edges is None:
-            edges = mass.clamp_min(0).sqrt()[:, None].expand(-1, 2, -1, -1)
-        self.mass = mass
-        tau = sigma_px**2 / 2 / STEPS
-        across = _couplings(mass, edges.detach()[:, 0], tau)
-        down = _couplings(mass.mT, edges.detach()[:, 1].mT, tau)
-        self.systems = (_factors(mass, across), _factors(mass.mT.contiguous(), down))
+            length = np.sqrt(np.maximum(mass, 0))
+            lengths = [length, length]
+        else:
+            known = edges.detach().cpu()
+            lengths = [known[:, axis].contiguous().numpy() for axis in (0, 1)]
+        tau = mass.dtype.type(sigma_px**2 / 2 / STEPS)
+        self.systems = [
+            _system(mass, length, axis == 0, tau) for axis, length in enumerate(lengths)
+        ]
 
     def spread(self, planes: Tensor) -> Tensor:
-        """Spread (B, C, H, W) densities; sum(area * result) = sum(area * planes)."""
-        return _Spread.apply(planes, self)
+        """Spread (B, C, H, W) densities; sum(area * result) = sum(area * planes).
 
-    def solve(self, planes: Tensor) -> Tensor:
-        """As `spread`, without a graph."""
-        if planes.device.type == "cpu":
-            out = planes.detach().clone(memory_format=torch.contiguous_format).numpy()
-            mass = self.mass.contiguous().numpy()
-            (pa, ka), (pd, kd) = self.systems
-            for axis in _order():
+        On processors it has no gradient (see `scattering`).
+        """
+        if planes.device.type != "cpu":
+            return self.spread_by_scans(planes)
+        out = planes.detach().clone(memory_format=torch.contiguous_format)
+        self.spread_in_place(out.numpy())
+        return out
+
+    def spread_in_place(self, planes: np.ndarray) -> None:
+        """As `spread`, of an array."""
+        mass = self.mass.numpy()
+        for axis, times in _order():
+            pivots, flow = self.systems[axis]
+            sweep(planes, mass, pivots, flow, axis == 0, times)
+
+    def spread_by_scans(self, planes: Tensor) -> Tensor:
+        """As `spread`, in torch's operations, with a gradient, on any device."""
+        values, mass = planes, self.mass[:, None]
+        lines = [
+            [_by_lines(x, planes, axis) for x in self.systems[axis]] for axis in (0, 1)
+        ]
+        for axis, times in _order():
+            pivots, flow = lines[axis]
+            for _ in range(times):
                 if axis == 0:
-                    solve_rows(out, mass, pa.numpy(), ka.numpy())
+                    values = _scan_solve(values, mass, pivots, flow)
                 else:
-                    solve_columns(out, mass, pd.numpy(), kd.numpy())
-            return torch.from_numpy(out)
-        return self.solve_by_scans(planes)
-
-    def solve_by_scans(self, planes: Tensor) -> Tensor:
-        """As `solve`, in torch's operations, on any device."""
-        (pa, ka), (pd, kd) = self.systems
-        values = planes
-        for axis in _order():
-            if axis == 0:
-                values = _scan_solve(values, self.mass[:, None], pa[:, None], ka[:, None])
-            else:
-                turned = self.mass.mT[:, None]
-                values = _scan_solve(values.mT, turned, pd[:, None], kd[:, None]).mT
+                    values = _scan_solve(values.mT, mass.mT, pivots, flow).mT
         return values
 
 
-class _Spread(torch.autograd.Function):
-    """`Diffusion.solve` and its transpose: area times it over area, as it is symmetric."""
-
-    @staticmethod
-    def forward(ctx: Any, planes: Tensor, diffusion: Diffusion) -> Tensor:
-        ctx.diffusion = diffusion
-        return diffusion.solve(planes)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, worth: Tensor) -> tuple[Tensor, None]:
-        mass = ctx.diffusion.mass[:, None]
-        some = mass > 0
-        spread = ctx.diffusion.solve(torch.where(some, worth / torch.where(some, mass, 1.0), 0.0))
-        return torch.where(some, spread * mass, worth), None
+def _order() -> list[tuple[int, int]]:
+    """Axes of the steps and how many in a row: rows, columns twice, rows twice, ... , rows."""
+    axes = [axis for step in range(STEPS) for axis in ((0, 1) if step % 2 == 0 else (1, 0))]
+    out: list[tuple[int, int]] = []
+    for axis in axes:
+        if out and out[-1][0] == axis:
+            out[-1] = (axis, out[-1][1] + 1)
+        else:
+            out.append((axis, 1))
+    return out
 
 
-def _order() -> list[int]:
-    """Axes of the steps, a palindrome: rows, columns, columns, rows, ..."""
-    return [axis for step in range(STEPS) for axis in ((0, 1) if step % 2 == 0 else (1, 0))]
-
-
-def _couplings(mass: Tensor, length: Tensor, tau: float) -> Tensor:
-    """(B, H, W): tau times what flows from a texel to the next one in its row; 0 at the end.
-
-    area / distance^2 is a texel's cross-section over distance, also where rows and columns are not
-    perpendicular, and gives the right width along the row.
-    """
-    both = (mass[:, :, :-1] > 0) & (mass[:, :, 1:] > 0)
-    distance = 0.5 * (length[:, :, :-1] + length[:, :, 1:])
-    some = distance[both]
-    typical = some.median() if some.numel() else distance.new_ones(())
-    joined = both & (distance < SEAM * typical) & (distance > 0)
-    between = 0.5 * (mass[:, :, :-1] + mass[:, :, 1:])
-    flow = torch.where(joined, tau * between / torch.where(joined, distance, 1.0).square(), 0.0)
-    return torch.nn.functional.pad(flow, (0, 1))
-
-
-def _factors(mass: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
-    """One over the pivots of every row's system, and the couplings; on the mass's device."""
-    weights, couplings = mass.contiguous().cpu().numpy(), flow.contiguous().cpu().numpy()
-    pivots = np.zeros_like(weights)
-    factorise(weights, couplings, pivots)
-    return torch.from_numpy(pivots).to(mass), flow.contiguous()
-
-
-@numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
-def factorise(mass: np.ndarray, flow: np.ndarray, pivots: np.ndarray) -> None:
-    """One over the pivots of Gauss's elimination along rows; 0 where no surface is."""
+def _system(
+    mass: np.ndarray, length: np.ndarray, along_rows: bool, tau: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """One over the pivots, and the couplings, of one axis: (B, groups, steps, LANES)."""
     batch, height, width = mass.shape
-    for line in numba.prange(batch * height):
-        entry, row = line // height, line % height
-        before, pivot = mass.dtype.type(0.0), mass.dtype.type(0.0)
-        for i in range(width):
-            after = flow[entry, row, i]
-            total = mass[entry, row, i] + before + after - before * before * pivot
-            pivot = mass.dtype.type(1.0) / total if total > 0 else mass.dtype.type(0.0)
-            pivots[entry, row, i] = pivot
-            before = after
+    lines, steps = (height, width) if along_rows else (width, height)
+    flow = np.zeros((batch, -(-lines // LANES), steps, LANES), mass.dtype)
+    pivots = np.zeros_like(flow)
+    some = length.reshape(-1)[::SAMPLE][mass.reshape(-1)[::SAMPLE] > 0]
+    if not some.size:
+        some = length[mass > 0]
+    limit = SEAM * float(np.median(some)) if some.size else 0.0
+    couple(mass, length, along_rows, tau, mass.dtype.type(limit), flow, pivots)
+    return pivots, flow
 
 
-@numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def eliminate(values: np.ndarray, pivots: np.ndarray, flow: np.ndarray, count: int) -> None:
-    """Solve LANES tridiagonal systems side by side; (count * LANES,) arrays, in place."""
-    for lane in range(LANES):
-        values[lane] *= pivots[lane]
-    for i in range(1, count):
-        for lane in range(LANES):
-            at = i * LANES + lane
-            values[at] = (values[at] + flow[at - LANES] * values[at - LANES]) * pivots[at]
-    for i in range(count - 2, -1, -1):
-        for lane in range(LANES):
-            at = i * LANES + lane
-            values[at] += pivots[at] * flow[at] * values[at + LANES]
-
-
-@numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
-def solve_rows(planes: np.ndarray, mass: np.ndarray, pivots: np.ndarray, flow: np.ndarray) -> None:
-    """One implicit step along the rows of (B, C, H, W), in place; the rest (B, H, W)."""
-    batch, channels, height, width = planes.shape
-    groups = (height + LANES - 1) // LANES
-    for group in numba.prange(batch * groups):
-        entry, first = group // groups, (group % groups) * LANES
-        count = min(LANES, height - first)
-        buf = np.zeros(width * LANES, planes.dtype)
-        pivot = np.zeros(width * LANES, planes.dtype)
-        joined = np.zeros(width * LANES, planes.dtype)
-        for lane in range(count):
-            for i in range(width):
-                pivot[i * LANES + lane] = pivots[entry, first + lane, i]
-                joined[i * LANES + lane] = flow[entry, first + lane, i]
-        for channel in range(channels):
-            for lane in range(count):
-                for i in range(width):
-                    weight = mass[entry, first + lane, i]
-                    buf[i * LANES + lane] = planes[entry, channel, first + lane, i] * weight
-            eliminate(buf, pivot, joined, width)
-            for lane in range(count):
-                for i in range(width):
-                    planes[entry, channel, first + lane, i] = buf[i * LANES + lane]
-
-
-@numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
-def solve_columns(
-    planes: np.ndarray, mass: np.ndarray, pivots: np.ndarray, flow: np.ndarray
-) -> None:
-    """One implicit step along the columns; `pivots` and `flow` are (B, W, H)."""
-    batch, channels, height, width = planes.shape
-    groups = (width + LANES - 1) // LANES
-    for group in numba.prange(batch * groups):
-        entry, first = group // groups, (group % groups) * LANES
-        count = min(LANES, width - first)
-        buf = np.zeros(height * LANES, planes.dtype)
-        pivot = np.zeros(height * LANES, planes.dtype)
-        joined = np.zeros(height * LANES, planes.dtype)
-        for lane in range(count):
-            for i in range(height):
-                pivot[i * LANES + lane] = pivots[entry, first + lane, i]
-                joined[i * LANES + lane] = flow[entry, first + lane, i]
-        for channel in range(channels):
-            for i in range(height):
-                for lane in range(count):
-                    weight = mass[entry, i, first + lane]
-                    buf[i * LANES + lane] = planes[entry, channel, i, first + lane] * weight
-            eliminate(buf, pivot, joined, height)
-            for i in range(height):
-                for lane in range(count):
-                    planes[entry, channel, i, first + lane] = buf[i * LANES + lane]
+def _by_lines(values: np.ndarray, like: Tensor, axis: int) -> Tensor:
+    """(B, 1, lines, steps) of (B, groups, steps, LANES)."""
+    batch, groups, steps, _ = values.shape
+    lines = like.shape[-2] if axis == 0 else like.shape[-1]
+    turned = values.transpose(0, 1, 3, 2).reshape(batch, 1, groups * LANES, steps)
+    return torch.from_numpy(np.ascontiguousarray(turned[:, :, :lines])).to(like)
 
 
 def _scan_solve(planes: Tensor, mass: Tensor, pivots: Tensor, flow: Tensor) -> Tensor:

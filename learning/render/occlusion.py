@@ -38,6 +38,7 @@ def bake_visibility(
     position_mm: np.ndarray,
     distant: np.ndarray,
     progress: ProgressCallback = quiet,
+    cast_only: bool = False,
 ) -> np.ndarray:
     """Cast a ray from every texel to every light.
 
@@ -47,6 +48,7 @@ def bake_visibility(
         position_mm: (L, 3) lights.
         distant: (L,) bool, directional lights: only their direction counts.
         progress: called with (rays done, rays in all).
+        cast_only: a light below a texel's horizon counts as seen, since the cosine darkens it.
 
     Returns:
         (L, rows, columns) float32, 1 = seen, 0 = shadowed, below the horizon or no surface.
@@ -56,7 +58,7 @@ def bake_visibility(
     normals = raster.normals(mesh)[covered]
     out = np.zeros((len(position_mm), *covered.shape), np.float32)
     out[:, covered] = _visible(
-        mesh.vertices, raster.triangles, points, normals, position_mm, distant, progress
+        mesh.vertices, raster.triangles, points, normals, position_mm, distant, progress, cast_only
     )
     return out
 
@@ -105,6 +107,7 @@ def _visible(
     position_mm: np.ndarray,
     distant: np.ndarray,
     progress: ProgressCallback,
+    cast_only: bool = False,
 ) -> np.ndarray:
     """(L, n) float32 for n points with their normals."""
     scene = open3d.t.geometry.RaycastingScene()
@@ -115,7 +118,7 @@ def _visible(
     starts = (points + OFFSET_MM * normals).astype(np.float32)
     lights = np.asarray(position_mm, np.float32).reshape(-1, 3)
     reach = 4 * float(np.ptp(vertices, axis=0).max()) + 1.0
-    out = np.zeros((len(lights), len(starts)), np.float32)
+    out = np.full((len(lights), len(starts)), float(cast_only), np.float32)
     for index, light in enumerate(lights):
         for first in range(0, len(starts), RAYS_AT_ONCE):
             start = starts[first : first + RAYS_AT_ONCE]

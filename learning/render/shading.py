@@ -65,7 +65,8 @@ def _scattered(
         return scatter_paper(diffuse, irradiance, translucency, maps.area, sigma)
     if not translucency.requires_grad and not bool((translucency > 0).any()):
         return diffuse
-    return scatter(diffuse, irradiance, translucency, maps.area, sigma, maps.edges)
+    fused = options.engine == "auto"
+    return scatter(diffuse, irradiance, translucency, maps.area, sigma, maps.edges, fused)
 
 
 def direct(

@@ -15,6 +15,8 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from learning.render.diffusion import Diffusion
+from learning.render.fused import can_fuse
+from learning.render.scattering import FusedScatter
 
 SCATTERED = (0.5, 0.15, 0.05)
 """w_SSS, the scattered share of red, green and blue [Lattas2021]."""
@@ -32,6 +34,7 @@ def scatter(
     area: Tensor,
     sigma_px: float,
     edges: Tensor | None = None,
+    fused: bool = True,
 ) -> Tensor:
     """Spread diffuse light, keeping its sum over the surface.
 
@@ -42,16 +45,23 @@ def scatter(
         area: (B, 1, H, W) relative surface of a texel, 0 where there is none.
         sigma_px: the kernel's standard deviation in edges of a texel of area 1.
         edges: (B, 2, H, W) see `SkinMaps`.
+        fused: take the compiled code on a processor.
 
     Returns:
         (B, 3, H, W); sum(area * result) = sum(area * diffuse).
     """
+    batch = len(diffuse)
+    if edges is not None:
+        edges = edges.expand(batch, -1, -1, -1)
+    diffusion = Diffusion(area.expand(batch, -1, -1, -1), edges, sigma_px)
+    if fused and can_fuse(diffuse):
+        same = [x.expand(batch, -1, -1, -1) for x in (irradiance, translucency)]
+        return FusedScatter.apply(diffuse, *same, diffusion, SCATTERED, SMALLEST)
     weight = diffuse.new_tensor(SCATTERED).view(1, 3, 1, 1)
-    share = (translucency * (1 - irradiance)).clamp(0.0, 1.0) * weight
     # The square root, moved so that its gradient stays finite at 0; any root keeps the energy.
+    share = (translucency * (1 - irradiance)).clamp(0.0, 1.0) * weight
     root = (share + SMALLEST).sqrt() - SMALLEST**0.5
-    diffusion = Diffusion(area, edges, sigma_px)
-    both = diffusion.spread(torch.cat([root * diffuse, root], dim=1))
+    both = diffusion.spread_by_scans(torch.cat([root * diffuse, root], dim=1))
     return diffuse + root * (both[:, :3] - diffuse * both[:, 3:])
 
 
