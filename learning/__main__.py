@@ -1,4 +1,4 @@
-"""Commands of the learning package: train, infer, render, bake."""
+"""Commands of the learning package: train, infer, render, bake, occlusion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,19 @@ app = make_app("Render skin, train the networks, infer reflectance.")
 
 MapsOption = Annotated[Path, typer.Option(help="Folder of atlas maps.")]
 MeshOption = Annotated[Path, typer.Option(help="Mesh with the maps' UV, in their axes.")]
-LightsOption = Annotated[Path, typer.Option(help="Light set (lightstage.environment/1).")]
+LightsOption = Annotated[
+    Path,
+    typer.Option(help="Light set (lightstage.environment/1), or .exr picture of light all round."),
+]
+CountOption = Annotated[int, typer.Option(help="Lights that stand for a picture of light.")]
+RotateOption = Annotated[float, typer.Option(help="Turn the light about +y, degrees.")]
+ShadowsOption = Annotated[
+    str,
+    typer.Option(
+        help="Cast shadows: `baked` by rays; `table`, of our own template, in a hundredth of the "
+        "time; `none`."
+    ),
+]
 RigOption = Annotated[Path | None, typer.Option(help="rig.json; the default rig without it.")]
 CameraOption = Annotated[str, typer.Option(help="Camera of the rig.")]
 TemplateOption = Annotated[
@@ -43,31 +55,45 @@ def render(
     captured_only: Annotated[
         bool, typer.Option("--captured-only", help="Leave out texels of confidence 0.")
     ] = False,
+    lights: CountOption = 64,
+    rotate: RotateOption = 0.0,
+    shadows: ShadowsOption = "baked",
+    turntable: Annotated[
+        int, typer.Option(help="Pictures from around the head, OUT_000 and on.")
+    ] = 1,
     as_json: bool = JsonFlag,
 ) -> None:
     """Relight: show a head with maps under a light set, with cast shadows.
 
     Places that no camera saw are shown with what the atlas was filled with there.
     """
-    from learning.commands import render_command
+    from learning.commands import RenderRequest, render_command
 
     with progress_bar("render") as progress:
         facts = render_command(
-            maps,
-            mesh,
-            environment,
-            out,
-            rig,
-            camera,
-            template,
-            mode,
+            RenderRequest(
+                maps,
+                mesh,
+                environment,
+                out,
+                rig,
+                camera,
+                template,
+                mode,
+                lights,
+                rotate,
+                shadows,
+            ),
             background,
             captured_only,
+            turntable,
             progress,
         )
+    many = f"{facts['pictures']} pictures of " if facts["pictures"] > 1 else ""
     finish(
-        f"{out}: {facts['width_px']} x {facts['height_px']} px, {facts['lights']} lights, "
-        f"{facts['surface_percent']:.0f} % surface, {facts['seconds']:.1f} s",
+        f"{out}: {many}{facts['width_px']} x {facts['height_px']} px, {facts['lights']} lights, "
+        f"{facts['surface_percent']:.0f} % surface, {facts['seconds']:.1f} s"
+        + "".join(f"; {note}" for note in facts["notes"]),
         facts,
         as_json,
     )
@@ -83,16 +109,46 @@ def bake(
     camera: CameraOption = "cam0",
     template: TemplateOption = None,
     mode: ModeOption = "physical",
+    lights: CountOption = 64,
+    rotate: RotateOption = 0.0,
+    shadows: ShadowsOption = "baked",
     as_json: bool = JsonFlag,
 ) -> None:
     """Bake light and shadow into a texture, as a photograph would give it."""
-    from learning.commands import bake_command
+    from learning.commands import RenderRequest, bake_command
 
     with progress_bar("bake") as progress:
-        facts = bake_command(maps, mesh, environment, out, rig, camera, template, mode, progress)
+        request = RenderRequest(
+            maps, mesh, environment, out, rig, camera, template, mode, lights, rotate, shadows
+        )
+        facts = bake_command(request, progress)
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels, {facts['lights']} lights, "
-        f"{facts['seconds']:.1f} s",
+        f"{facts['seconds']:.1f} s" + "".join(f"; {note}" for note in facts["notes"]),
+        facts,
+        as_json,
+    )
+
+
+@app.command()
+def occlusion(
+    out: Annotated[Path, typer.Option(help="Table to write, .npz.")],
+    template: Annotated[Path | None, typer.Option(help="Template; our own without it.")] = None,
+    rows: Annotated[int, typer.Option(help="Rows of the texture shadows are baked in.")] = 96,
+    directions: Annotated[int, typer.Option(help="Lights all round that are baked.")] = 2048,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Bake a template's cast shadows into a table that needs no rays."""
+    from learning.commands import occlusion_command
+    from lightstage.formats.template import default_template_path
+
+    with progress_bar("occlusion") as progress:
+        facts = occlusion_command(
+            template or default_template_path(), out, rows, directions, progress
+        )
+    finish(
+        f"{out}: {facts['directions']} directions at {facts['rows']} x {facts['columns']} texels, "
+        f"{facts['bytes'] / 1000:.0f} kB, {facts['seconds']:.1f} s",
         facts,
         as_json,
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
 from learning.checkpoint import load_generator
 from learning.data import DataConfig
@@ -15,13 +16,21 @@ from learning.errors import MapsError
 from learning.infer import infer
 from learning.maps import TexturedHead, load_head
 from learning.presets import preset
-from learning.relight import lit_texture, render_head, write_picture
+from learning.relight import (
+    lit_texture,
+    read_light,
+    render_head,
+    shadows_of,
+    turned_camera,
+    write_picture,
+)
+from learning.render.occlusion_model import OcclusionConfig, bake_table
 from learning.render.shading import ShadeOptions
 from learning.train import train
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
-from lightstage.formats.environment import read_lights
+from lightstage.formats.environment import LightSet
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import read_mesh
 from lightstage.formats.processed import ProcessedFolder, write_map
@@ -34,68 +43,130 @@ DEFAULT_RIG_SCALE = 1080 / 6016
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
 
 
+@dataclasses.dataclass(frozen=True)
+class RenderRequest:
+    """What `render` and `bake` are asked for.
+
+    Attributes:
+        maps: folder of atlas maps.
+        mesh: registered_mesh.obj beside the maps where None.
+        environment: light set, or .exr picture of light.
+        out: file to write.
+        rig: rig.json; the default rig where None.
+        camera: of the rig.
+        template: whose shininess and translucency maps to use.
+        mode: of shading.
+        lights: that stand for a picture of light.
+        rotate_deg: turns the light about +y.
+        shadows: `baked`, `table` or `none`.
+    """
+
+    maps: Path
+    mesh: Path | None
+    environment: Path
+    out: Path
+    rig: Path | None
+    camera: str
+    template: Path | None
+    mode: str
+    lights: int
+    rotate_deg: float
+    shadows: str
+
+
 def render_command(
-    maps: Path,
-    mesh: Path | None,
-    environment: Path,
-    out: Path,
-    rig: Path | None,
-    camera: str,
-    template: Path | None,
-    mode: str,
+    request: RenderRequest,
     background: str,
     captured_only: bool,
+    turntable: int,
     progress: ProgressCallback,
 ) -> dict[str, Any]:
-    """Render a head to a picture; returns the facts."""
+    """Render a head to a picture, or to several from around it; returns the facts."""
     began = time.monotonic()
+    out = request.out
     if background not in BACKGROUNDS:
         raise ConfigError("--background", found=repr(background), expected="white or black")
     if out.suffix.lower() not in (".png", ".exr"):
         raise MapsError(out, found=f"suffix {out.suffix!r}", expected=".png or .exr")
-    options = make_config(ShadeOptions, {"mode": mode}, "shading")
-    view = _camera(rig, camera)
-    # An atlas lies in a processed folder, beside the mesh that it belongs to.
-    shape = ProcessedFolder(maps.parent).registered_mesh if mesh is None else mesh
-    head, lights = _head(maps, shape, template), read_lights(environment)
-    rgb, alpha = render_head(
-        head, lights, view, BACKGROUNDS[background], captured_only, options, progress
-    )
-    write_picture(out, rgb, alpha)
+    if not 1 <= turntable <= 999:
+        raise ConfigError("--turntable", found=str(turntable), expected="1 to 999 pictures")
+    options = make_config(ShadeOptions, {"mode": request.mode}, "shading")
+    view = _camera(request.rig, request.camera)
+    head, lights, seen = _lit_head(request, progress)
+    centre = head.mesh.vertices.mean(axis=0)
+    for index in range(turntable):
+        camera = turned_camera(view, 360.0 * index / turntable, centre) if index else view
+        rgb, alpha = render_head(
+            head, lights, camera, BACKGROUNDS[background], captured_only, options, seen
+        )
+        name = out if turntable == 1 else out.with_stem(f"{out.stem}_{index:03d}")
+        write_picture(name, rgb, alpha)
+        progress(index + 1, turntable)
     return {
         "width_px": view.width_px,
         "height_px": view.height_px,
+        "pictures": turntable,
         "lights": len(lights.rgb),
         "surface_percent": 100 * float(alpha.mean()),
+        "notes": list(head.notes),
         "seconds": time.monotonic() - began,
     }
 
 
-def bake_command(
-    maps: Path,
-    mesh: Path,
-    environment: Path,
-    out: Path,
-    rig: Path | None,
-    camera: str,
-    template: Path | None,
-    mode: str,
-    progress: ProgressCallback,
-) -> dict[str, Any]:
+def bake_command(request: RenderRequest, progress: ProgressCallback) -> dict[str, Any]:
     """Bake light into a texture; returns the facts."""
     began = time.monotonic()
-    options = make_config(ShadeOptions, {"mode": mode}, "shading")
-    view = _camera(rig, camera)
-    head, lights = _head(maps, mesh, template), read_lights(environment)
-    texture = lit_texture(head, lights, view.centre_mm, options, progress)
-    write_exr(out, texture)
+    options = make_config(ShadeOptions, {"mode": request.mode}, "shading")
+    view = _camera(request.rig, request.camera)
+    head, lights, seen = _lit_head(request, progress)
+    texture = lit_texture(head, lights, view.centre_mm, options, seen)
+    write_exr(request.out, texture)
     rows, columns = texture.shape[:2]
     return {
         "rows": rows,
         "columns": columns,
         "lights": len(lights.rgb),
+        "notes": list(head.notes),
         "seconds": time.monotonic() - began,
     }
+
+
+def occlusion_command(
+    template: Path, out: Path, rows: int, count: int, progress: ProgressCallback
+) -> dict[str, Any]:
+    """Bake a template's table of cast shadows; returns the facts."""
+    began = time.monotonic()
+    if not 8 <= rows <= 4096 or not 4 <= count <= 65536:
+        raise ConfigError(
+            "--rows, --directions",
+            found=f"{rows}, {count}",
+            expected="8 to 4096 rows, 4 to 65536 directions",
+        )
+    mesh = load_template(template).mesh
+    table = bake_table(mesh, OcclusionConfig(rows, count), progress)
+    table.save(out)
+    return {
+        "directions": count,
+        "rows": rows,
+        "columns": table.covered.shape[1],
+        "bytes": out.stat().st_size,
+        "seconds": time.monotonic() - began,
+    }
+
+
+def _lit_head(
+    request: RenderRequest, progress: ProgressCallback
+) -> tuple[TexturedHead, LightSet, Tensor | None]:
+    """The head, the light and its shadows."""
+    if not 1 <= request.lights <= 4096:
+        raise ConfigError("--lights", found=str(request.lights), expected="1 to 4096")
+    # An atlas lies in a processed folder, beside the mesh that it belongs to.
+    folder = ProcessedFolder(request.maps.parent)
+    mesh = folder.registered_mesh if request.mesh is None else request.mesh
+    lights = read_light(request.environment, request.lights, request.rotate_deg)
+    head = _head(request.maps, mesh, request.template)
+    pose = read_head_pose(folder.head_pose) if folder.head_pose.exists() else None
+    return head, lights, shadows_of(head, lights, request.shadows, pose, progress)
 
 
 def _camera(rig: Path | None, camera: str) -> Camera:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from learning.errors import MapsError
+from learning.map_checks import looks_encoded, not_unit, require_albedo, require_millimetres
 from learning.render.shading import SkinMaps
 from learning.render.uv import UvRaster, rasterise, texel_surface
 from lightstage.formats.mesh import Mesh
@@ -31,20 +32,23 @@ class TexturedHead:
         raster: its texels at the maps' size.
         skin: batch of one.
         captured: (rows, columns) bool, texels of the surface whose confidence is above 0.
+        notes: what was mended or looks wrong in the maps, one line each.
     """
 
     mesh: Mesh
     raster: UvRaster
     skin: SkinMaps
     captured: np.ndarray
+    notes: tuple[str, ...] = ()
 
 
 def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> TexturedHead:
     """Read a folder of atlas maps.
 
     Needed are diffuse_albedo, specular_albedo, diffuse_normal and specular_normal; a texel without
-    a normal takes the mesh's. ambient_occlusion and confidence are used where present. Shininess
-    and translucency come from the template.
+    a normal takes the mesh's; normals of another length than 1 are made unit and counted; an albedo
+    that looks like undecoded sRGB is said, and taken as it is. ambient_occlusion and confidence are
+    used where present. Shininess and translucency come from the template.
 
     Args:
         folder: such as OUT/atlas.
@@ -52,7 +56,7 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
         template: its skin maps are used; without one, constants.
 
     Raises:
-        MapsError: maps of different sizes.
+        MapsError: maps of different sizes, a negative albedo, a mesh that is not in mm.
         FormatError: a missing map, NaN, or a mesh without UV.
     """
     names = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
@@ -69,7 +73,11 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
                 expected=f"{rows} x {columns}, as diffuse_albedo",
                 hint="Maps of one folder belong to one atlas; make them again together.",
             )
+    for name in ("diffuse_albedo", "specular_albedo"):
+        require_albedo(maps[name], folder / f"{name}.exr")
+    require_millimetres(mesh, "mesh")
     raster = rasterise(mesh, rows, columns)
+    notes = _notes(maps, raster.covered)
     position = raster.interpolate(mesh.vertices)
     normals = raster.normals(mesh)
     for name in ("diffuse_normal", "specular_normal"):
@@ -84,7 +92,19 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
         _resized(skin_maps.get("shininess"), rows, columns, SHININESS),
         _resized(skin_maps.get("translucency"), rows, columns, TRANSLUCENCY),
     )
-    return TexturedHead(mesh, raster, skin, captured)
+    return TexturedHead(mesh, raster, skin, captured, notes)
+
+
+def _notes(maps: dict[str, np.ndarray], covered: np.ndarray) -> tuple[str, ...]:
+    """What a user should know of the maps."""
+    notes = []
+    for name in ("diffuse_normal", "specular_normal"):
+        count = not_unit(maps[name], covered)
+        if count:
+            notes.append(f"{name}: {count} normals were not of length 1; made unit")
+    if looks_encoded(maps["diffuse_albedo"], covered):
+        notes.append("diffuse_albedo looks like an 8-bit sRGB picture; linear light is expected")
+    return tuple(notes)
 
 
 def skin_maps_from(

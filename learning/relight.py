@@ -2,24 +2,113 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
+from torch import Tensor
 
 from learning.errors import MapsError
 from learning.maps import TexturedHead, from_batch
 from learning.render.environments import from_light_set
 from learning.render.occlusion import bake_environment
+from learning.render.occlusion_model import default_occlusion
+from learning.render.panorama import median_cut, read_panorama
 from learning.render.shading import ShadeOptions, shade
 from learning.render.view import render_view
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.formats.environment import LightSet
+from lightstage.errors import ConfigError
+from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import atomic_path
 from lightstage.rig import Camera
 from processing.colour import srgb_from_linear
+
+FAR_MM = 100_000.0
+"""Lights of a picture stand this far away: a head turns them by less than 0.1 degrees."""
+
+
+SHADOWS = ("baked", "table", "none")
+"""Cast shadows: rays to every light; the template's table of them; none."""
+
+
+def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
+    """Read light to render under: a light set, or an .exr picture of light as `count` lights.
+
+    Args:
+        path: .json (lightstage.environment/1) or .exr (latitude-longitude).
+        count: lights that stand for a picture, by median cut.
+        rotate_deg: turns the light about +y, from +z toward +x.
+
+    Raises:
+        FormatError: a file that cannot be read.
+        MapsError: a picture of another shape, NaN or negative light.
+    """
+    if path.suffix.lower() != ".exr":
+        return turned_lights(read_lights(path), rotate_deg)
+    found = median_cut(read_panorama(path), count, np.zeros(3))
+    lights = LightSet(
+        path.stem,
+        FAR_MM * found.position_mm[0].double().numpy(),
+        found.rgb[0].double().numpy(),
+        np.zeros(3),
+    )
+    return turned_lights(lights, rotate_deg)
+
+
+def turned_lights(lights: LightSet, angle_deg: float) -> LightSet:
+    """A light set turned about +y, from +z toward +x."""
+    turned = lights.position_mm @ about_y(angle_deg).T
+    return dataclasses.replace(lights, position_mm=turned)
+
+
+def about_y(angle_deg: float) -> np.ndarray:
+    """(3, 3) rotation about +y, from +z toward +x."""
+    a = np.deg2rad(angle_deg)
+    return np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+
+
+def turned_camera(camera: Camera, angle_deg: float, centre_mm: np.ndarray) -> Camera:
+    """A camera that has gone round the vertical through a point, from +z toward +x."""
+    turn = about_y(angle_deg)
+    rotation, translation = camera.cam_from_world[:, :3], camera.cam_from_world[:, 3]
+    moved = rotation @ turn.T
+    shift = translation + rotation @ (np.asarray(centre_mm) - turn.T @ np.asarray(centre_mm))
+    return dataclasses.replace(camera, cam_from_world=np.column_stack([moved, shift]))
+
+
+def shadows_of(
+    head: TexturedHead,
+    lights: LightSet,
+    how: str = "baked",
+    head_from_world: np.ndarray | None = None,
+    progress: ProgressCallback = quiet,
+) -> Tensor | None:
+    """Visibility of every light, (1, L, rows, columns), or None for all seen.
+
+    Args:
+        head: maps and mesh.
+        lights: in the axes of the mesh.
+        how: of `SHADOWS`; the table fits our own template's texture alone.
+        head_from_world: (3, 4), for the table; the mesh is in the head frame where None.
+        progress: of the rays.
+    """
+    if how not in SHADOWS:
+        raise ConfigError("shadows", found=repr(how), expected=", ".join(SHADOWS))
+    if how == "none" or not len(lights.rgb):
+        return None
+    if how == "baked":
+        environment = from_light_set(lights, np.zeros(3))
+        return torch.from_numpy(bake_environment(head.mesh, head.raster, environment, progress))[
+            None
+        ]
+    pose = np.eye(3, 4) if head_from_world is None else head_from_world
+    place = lights.position_mm @ pose[:, :3].T + pose[:, 3]
+    size = head.raster.covered.shape
+    seen = default_occlusion().for_lights(torch.from_numpy(place).float(), (size[0], size[1]))
+    return seen[None]
 
 
 def lit_texture(
@@ -27,24 +116,23 @@ def lit_texture(
     lights: LightSet,
     camera_mm: np.ndarray,
     options: ShadeOptions | None = None,
-    progress: ProgressCallback = quiet,
+    seen: Tensor | None = None,
 ) -> np.ndarray:
     """The texture that a photograph would give: shaded, with cast shadows.
 
     Args:
         head: maps and mesh.
-        lights: in the axes of the mesh.
+        lights: in the axes of the mesh; none leave the ambient light alone.
         camera_mm: (3,) from where the highlights are seen.
         options: of the shading.
-        progress: of the shadow rays.
+        seen: of `shadows_of`; no shadows where None.
 
     Returns:
         (rows, columns, 3) float32 linear; zero where no surface is.
     """
     environment = from_light_set(lights, camera_mm)
-    seen = bake_environment(head.mesh, head.raster, environment, progress)
     with torch.inference_mode():
-        lit = shade(head.skin, environment, options, torch.from_numpy(seen)[None])
+        lit = shade(head.skin, environment, options, seen)
     return from_batch(lit) * head.raster.covered[..., None]
 
 
@@ -55,13 +143,13 @@ def render_head(
     background: float = 1.0,
     captured_only: bool = False,
     options: ShadeOptions | None = None,
-    progress: ProgressCallback = quiet,
+    seen: Tensor | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A picture of the head: (h, w, 3) linear rgb before a grey background, and (h, w) alpha.
 
     Texels that were not captured show what they were filled with, unless `captured_only`.
     """
-    texture = lit_texture(head, lights, camera.centre_mm, options, progress)
+    texture = lit_texture(head, lights, camera.centre_mm, options, seen)
     shown = head.captured if captured_only else head.raster.covered
     return render_view(texture, shown, head.mesh, camera, background)
 

@@ -73,9 +73,7 @@ class Diffusion:
     def spread_by_scans(self, planes: Tensor) -> Tensor:
         """As `spread`, in torch's operations, with a gradient, on any device."""
         values, mass = planes, self.mass[:, None]
-        lines = [
-            [_by_lines(x, planes, axis) for x in self.systems[axis]] for axis in (0, 1)
-        ]
+        lines = [[_by_lines(x, planes, axis) for x in self.systems[axis]] for axis in (0, 1)]
         for axis, times in _order():
             pivots, flow = lines[axis]
             for _ in range(times):

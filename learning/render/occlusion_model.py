@@ -1,19 +1,20 @@
-"""Cast shadows of a known topology without rays: a few pictures, mixed by the light's direction.
+"""Cast shadows of a known topology without rays: a table of baked pictures, one bit a texel.
 
-Visibility of every texel is baked from many directions on the mean shape. Its principal pictures
-are kept, and what each weighs is known at the baked directions; in between, a kernel on the sphere
-interpolates, so that a shadow moves with its light and has a gradient.
+Visibility of every texel is baked once, on the mean shape, from directions spread evenly over the
+sphere. A light between them gets the three nearest ones' pictures, mixed by its place in their
+triangle and sharpened; so a shadow moves with its light and has a gradient. Pictures of one bit are
+small enough to keep thousands, and many directions tell more than a few smooth pictures do.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
+import functools
 from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
+from scipy.spatial import ConvexHull
 from torch import Tensor
 
 from learning.errors import CheckpointError
@@ -24,105 +25,132 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import atomic_path
 from lightstage.formats.mesh import Mesh
 
-SCHEMA = "lightstage.occlusion/1"
-SHARPNESS = (8.0, 16.0, 32.0, 64.0, 128.0)
-"""Kernel sharpnesses that are tried; a kernel of 32 is 10 degrees wide."""
-NOISE = (1e-3, 1e-2, 1e-1)
-"""Smoothings that are tried."""
+STEEPNESS = 4.0
+"""How much steeper than the mixture the shadow's edge is: nearly that of the baked pictures."""
 
 
 @dataclasses.dataclass(frozen=True)
 class OcclusionConfig:
-    """How shadows are learned.
+    """What is baked.
 
     Attributes:
-        rows: of the texture that they are baked in; columns follow the template's 3 : 2.
-        directions: that are baked.
-        rank: pictures that are kept.
+        rows: of the texture that shadows are baked in; two thirds as many columns.
+        directions: lights, far away, evenly over the sphere.
     """
 
-    rows: int = 144
-    directions: int = 1024
-    rank: int = 64
+    rows: int = 96
+    directions: int = 2048
 
 
-class LowRankOcclusion:
-    """The mixture of pictures; see the module."""
+class OcclusionTable:
+    """Baked pictures of visibility, and what lies between them."""
 
-    def __init__(self, tensors: dict[str, Tensor]) -> None:
-        """From `fit`'s or a file's tensors.
-
-        Args:
-            tensors: mean (t,), pictures (k, t), weights (d, k), directions (d, 3), sharpness (),
-                covered (rows, columns).
-        """
-        self.tensors = tensors
-        self.covered = tensors["covered"].bool()
-
-    def predict(self, directions: Tensor) -> Tensor:
-        """Visibility of distant lights.
+    def __init__(self, bits: np.ndarray, covered: np.ndarray) -> None:
+        """A table.
 
         Args:
-            directions: (n, 3) from the head to each light, of any length but 0; differentiable.
-
-        Returns:
-            (n, rows, columns), 0..1: the share of the light that is not blocked by another part of
-            the head; 1 where there is no surface.
+            bits: (d, ceil(t / 8)) uint8, packed visibility under `even_directions(d)`.
+            covered: (rows, columns) bool, the t texels that show a surface.
         """
-        t = {k: v.to(directions) for k, v in self.tensors.items() if k != "covered"}
-        unit = directions / directions.norm(dim=-1, keepdim=True).clamp_min(1e-6)
-        near = torch.exp(t["sharpness"] * (unit @ t["directions"].T - 1))
-        flat = (t["mean"] + near @ t["weights"] @ t["pictures"]).clamp(0, 1)
+        self.bits, self.covered = bits, covered
+        self.directions = even_directions(len(bits))
+        self.triangles = ConvexHull(self.directions).simplices
+        corners = self.directions[self.triangles].transpose(0, 2, 1)
+        self._inverse = np.linalg.inv(corners)
+
+    def pictures(self, indices: np.ndarray) -> np.ndarray:
+        """(n, t) float32 visibility at some of the baked directions."""
+        count = int(self.covered.sum())
+        return np.unpackbits(self.bits[indices], axis=1, count=count).astype(np.float32)
+
+    def mixed(self, directions: Tensor) -> Tensor:
+        """(n, rows, columns): the three nearest pictures of (n, 3) directions, not yet sharpened.
+
+        1 where there is no surface. Differentiable in the directions.
+        """
+        toward = directions.detach().cpu().double().numpy()
+        places = np.einsum("tij,nj->nti", self._inverse, toward)
+        nearest = self.triangles[places.min(axis=2).argmax(axis=1)]
+        corners = torch.from_numpy(self.directions[nearest]).to(directions).mT
+        weights = torch.linalg.solve(corners, directions[:, :, None])[:, :, 0].clamp_min(0)
+        weights = weights / weights.sum(dim=1, keepdim=True).clamp_min(1e-12)
+        seen = torch.from_numpy(self.pictures(nearest.ravel())).to(directions)
+        flat = torch.einsum("nk,nkt->nt", weights, seen.unflatten(0, (-1, 3)))
         out = flat.new_ones((len(flat), *self.covered.shape))
-        return out.masked_scatter(self.covered.to(flat.device).expand_as(out), flat)
+        mask = torch.from_numpy(self.covered).to(directions.device)
+        return out.masked_scatter(mask.expand_as(out), flat)
 
     def for_lights(self, position_mm: Tensor, size: tuple[int, int]) -> Tensor:
-        """Visibility of (L, 3) lights around the head's origin, for maps of a size: (L, h, w)."""
-        seen = self.predict(position_mm)
-        return torch.nn.functional.interpolate(
-            seen[None], size=size, mode="bilinear", align_corners=False
+        """Visibility of lights for maps of a size.
+
+        A lamp nearby counts as far away in its direction from the origin of the head's frame: at
+        1 m a cheek, 8 cm off, sees it turned by 5 degrees.
+
+        Args:
+            position_mm: (L, 3) lights around the head's origin, none at it; differentiable.
+            size: (rows, columns) of the maps.
+
+        Returns:
+            (L, rows, columns), 0..1: the share of the light that no other part of the head blocks.
+            Below a texel's horizon it is what the neighbours say; the cosine is 0 there.
+        """
+        seen = torch.nn.functional.interpolate(
+            self.mixed(position_mm)[None], size=size, mode="bilinear", align_corners=False
         )[0]
+        return ((seen - 0.5) * STEEPNESS + 0.5).clamp(0, 1)
 
     def save(self, path: Path) -> Path:
-        """Write as safetensors, pictures in half precision; returns `path`."""
-        halves = {
-            k: (v.half() if k in ("pictures", "mean") else v).contiguous()
-            for k, v in self.tensors.items()
-        }
-        with atomic_path(path) as beside:
-            save_file(halves, str(beside), metadata={"format": json.dumps({"schema": SCHEMA})})
+        """Write as a compressed .npz; returns `path`."""
+        with atomic_path(path) as beside, beside.open("wb") as file:
+            np.savez_compressed(file, bits=self.bits, covered=self.covered)
         return path
 
 
-def load_occlusion(path: Path) -> LowRankOcclusion:
-    """Read what `LowRankOcclusion.save` wrote.
+def load_occlusion(path: Path) -> OcclusionTable:
+    """Read what `OcclusionTable.save` wrote.
 
     Raises:
         CheckpointError: missing, damaged, or another kind of file.
     """
     if not path.is_file():
-        raise CheckpointError(path, found="no such file", expected="an occlusion model")
+        raise CheckpointError(path, found="no such file", expected="a table of occlusion")
     try:
-        tensors = load_file(path)
+        with np.load(path, allow_pickle=False) as file:
+            bits, covered = file["bits"], file["covered"]
     except Exception as error:
-        raise CheckpointError(path, found=str(error), expected="a safetensors file") from None
-    names = {"mean", "pictures", "weights", "directions", "sharpness", "covered"}
-    if set(tensors) != names:
+        raise CheckpointError(path, found=str(error), expected="a table of occlusion") from None
+    wide = -(-int(np.count_nonzero(covered)) // 8)
+    if covered.dtype != bool or bits.dtype != np.uint8 or bits.shape[1:] != (wide,):
         raise CheckpointError(
-            path, found=", ".join(sorted(tensors)), expected=", ".join(sorted(names))
+            path, field="bits", found=str(bits.shape), expected=f"(directions, {wide}) uint8"
         )
-    return LowRankOcclusion({k: v if k == "covered" else v.float() for k, v in tensors.items()})
+    return OcclusionTable(bits, covered)
 
 
 def default_occlusion_path() -> Path:
-    """The model of our own template, committed as data."""
-    return Path(__file__).parents[1] / "data" / "occlusion.safetensors"
+    """The table of our own template, committed as data."""
+    return Path(__file__).parents[1] / "data" / "occlusion.npz"
+
+
+@functools.cache
+def default_occlusion() -> OcclusionTable:
+    """The table of our own template."""
+    return load_occlusion(default_occlusion_path())
+
+
+def bake_table(
+    mesh: Mesh, config: OcclusionConfig | None = None, progress: ProgressCallback = quiet
+) -> OcclusionTable:
+    """Bake the cast shadows of a mesh in its texture, in the head frame."""
+    chosen = config or OcclusionConfig()
+    seen, covered = bake_dome(mesh, chosen.rows, even_directions(chosen.directions), progress)
+    return OcclusionTable(np.packbits(seen > 0.5, axis=1), covered)
 
 
 def bake_dome(
     mesh: Mesh, rows: int, directions: np.ndarray, progress: ProgressCallback = quiet
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Bake cast shadows of distant lights in the texture.
+    """Cast shadows of distant lights.
 
     Args:
         mesh: with UV.
@@ -137,43 +165,3 @@ def bake_dome(
     distant = np.ones(len(directions), bool)
     seen = bake_visibility(mesh, raster, directions, distant, progress, cast_only=True)
     return seen[:, raster.covered], raster.covered
-
-
-def fit(visibility: np.ndarray, covered: np.ndarray, rank: int) -> LowRankOcclusion:
-    """Learn from (d, t) visibility under `even_directions(d)`."""
-    directions = even_directions(len(visibility))
-    mean = visibility.mean(axis=0)
-    rest = (visibility - mean).astype(np.float32)
-    # By the small side: as many directions as rows, more texels than that.
-    values, vectors = np.linalg.eigh(rest @ rest.T)
-    kept = vectors[:, ::-1][:, :rank] * np.sqrt(np.maximum(values[::-1][:rank], 1e-12))
-    pictures = np.linalg.lstsq(kept, rest, rcond=None)[0]
-    sharpness, weights = _weigh(directions, kept)
-    tensors = {
-        "mean": torch.from_numpy(mean.astype(np.float32)),
-        "pictures": torch.from_numpy(pictures.astype(np.float32)),
-        "weights": torch.from_numpy(weights.astype(np.float32)),
-        "directions": torch.from_numpy(directions.astype(np.float32)),
-        "sharpness": torch.tensor(sharpness, dtype=torch.float32),
-        "covered": torch.from_numpy(covered.astype(np.uint8)),
-    }
-    return LowRankOcclusion(tensors)
-
-
-def _weigh(directions: np.ndarray, scores: np.ndarray) -> tuple[float, np.ndarray]:
-    """Kernel regression of the scores; its width is what predicts a left-out direction best.
-
-    Left out one at a time, a direction's residual is weight / diagonal of the inverse
-    [Rasmussen2006].
-    """
-    best = (np.inf, 0.0, scores)
-    cosines = directions @ directions.T - 1
-    for sharpness in SHARPNESS:
-        for noise in NOISE:
-            kernel = np.exp(sharpness * cosines) + noise * np.eye(len(directions))
-            inverse = np.linalg.inv(kernel)
-            weights = inverse @ scores
-            left_out = float(np.square(weights / np.diag(inverse)[:, None]).sum())
-            if left_out < best[0]:
-                best = (left_out, sharpness, weights)
-    return best[1], best[2]

@@ -145,7 +145,7 @@ def train_network(
     rng = np.random.default_rng(seed)
     mask = torch.from_numpy(covered)
     seen, toward = torch.from_numpy(visibility), torch.from_numpy(directions).float()
-    network = OcclusionNetwork(*covered.shape, config)
+    network = OcclusionNetwork(covered.shape[0], covered.shape[1], config)
 
     def draw(count: int) -> tuple[Tensor, Tensor, Tensor]:
         index, share = random_sets(rng, len(visibility), count, config.lights)

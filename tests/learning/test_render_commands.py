@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from learning.__main__ import main
+from learning.map_checks import looks_encoded
+from learning.maps import load_head
+from learning.relight import about_y, turned_camera
+from lightstage.errors import LightstageError
+from lightstage.formats.environment import LightSet, write_lights
+from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.mesh import Mesh, read_obj
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.rig import Rig, default_rig, save_rig
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["lightstage-learning", *map(str, words)])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return int(stopped.value.code or 0)
+
+
+def rig_file(folder: Path) -> Path:
+    rig = default_rig().scaled(0.02)
+    return save_rig(Rig(rig.lights, rig.cameras), folder / "rig.json")
+
+
+def panorama(path: Path) -> Path:
+    """Blue all round, red from +x."""
+    picture = np.zeros((16, 32, 3), np.float32)
+    picture[..., 2] = 0.3
+    picture[6:10, 23:26] = [20, 0, 0]
+    return write_exr(path, picture)
+
+
+def test_render_takes_a_picture_of_light_turns_it_and_goes_round_the_head(
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    base = ["render", "--maps", people[0].root / "atlas", "--rig", rig_file(tmp_path)]
+    base += ["--environment", panorama(tmp_path / "room.exr"), "--lights", 12, "--json"]
+
+    def picture(name: str, *words: object) -> np.ndarray:
+        out = tmp_path / name
+        assert run(monkeypatch, *base, "--out", out, *words) == 0
+        return read_exr(out)
+
+    def redness(image: np.ndarray) -> float:
+        """Red light on the right half over red light on the left."""
+        half = image.shape[1] // 2
+        return float(image[:, half:, 0].sum() / image[:, :half, 0].sum())
+
+    black = ("--background", "black")
+    assert redness(picture("right.exr", *black)) > 1.5
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert facts["lights"] == 12
+    assert facts["notes"] == []
+    assert redness(picture("left.exr", "--rotate", 180, *black)) < 0.7
+    table = picture("table.exr", "--shadows", "table", "--mode", "ggx", *black)
+    assert np.isfinite(table).all()
+    assert run(monkeypatch, *base, "--out", tmp_path / "t.png", "--turntable", 3) == 0
+    names = sorted(p.name for p in tmp_path.glob("t*.png"))
+    assert names == ["t_000.png", "t_001.png", "t_002.png"]
+    assert cv2.imread(str(tmp_path / "t_001.png"), cv2.IMREAD_UNCHANGED).shape[2] == 4
+
+
+def test_occlusion_writes_a_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "table.npz"
+    assert run(monkeypatch, "occlusion", "--out", out, "--rows", 12, "--directions", 16) == 0
+    assert "16 directions at 12 x 8 texels" in capsys.readouterr().out
+    assert out.is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--shadows", "soft"), "expected baked, table, none"),
+        (("--lights", "0"), "expected 1 to 4096"),
+        (("--turntable", "0"), "expected 1 to 999 pictures"),
+    ],
+)
+def test_what_cannot_be_rendered_is_refused(
+    words: tuple[str, str],
+    said: str,
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    base = ["render", "--maps", people[0].root / "atlas", "--out", tmp_path / "never.png"]
+    base += ["--environment", panorama(tmp_path / "room.exr"), *words]
+    assert run(monkeypatch, *base) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "never.png").exists()
+
+
+def test_no_lights_at_all_leave_the_ambient_light(
+    people: list[ProcessedFolder], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    none = LightSet("none", np.zeros((0, 3)), np.zeros((0, 3)), np.full(3, 0.25))
+    words = ["bake", "--maps", people[0].root / "atlas", "--mesh", people[0].registered_mesh]
+    words += ["--environment", write_lights(none, tmp_path / "e.json")]
+    assert run(monkeypatch, *words, "--out", tmp_path / "lit.exr", "--rig", rig_file(tmp_path)) == 0
+    albedo = read_exr(people[0].atlas_path("diffuse_albedo"))
+    assert read_exr(tmp_path / "lit.exr").mean() == pytest.approx(0.25 * albedo.mean(), rel=0.02)
+
+
+def atlas_with(source: ProcessedFolder, folder: Path, name: str, values: np.ndarray) -> Path:
+    folder.mkdir()
+    for file in (source.root / "atlas").iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    write_exr(folder / f"{name}.exr", values, half=False)
+    return folder
+
+
+def test_bad_maps_are_refused_or_mended_and_said(
+    people: list[ProcessedFolder], tmp_path: Path
+) -> None:
+    person = people[0]
+    mesh = read_obj(person.registered_mesh)
+    albedo = read_exr(person.atlas_path("diffuse_albedo")).astype(np.float32)
+    negative = albedo.copy()
+    negative[3, 4, 1] = -0.2
+    with pytest.raises(LightstageError, match=r"texel \(3, 4, 1\): found 1 negative"):
+        load_head(atlas_with(person, tmp_path / "a", "diffuse_albedo", negative), mesh)
+    metres = Mesh(mesh.vertices / 1000, mesh.faces, mesh.uvs, mesh.face_uvs)
+    with pytest.raises(LightstageError, match="Is the mesh in metres"):
+        load_head(person.root / "atlas", metres)
+    normal = read_exr(person.atlas_path("diffuse_normal")).astype(np.float32)
+    head = load_head(atlas_with(person, tmp_path / "b", "diffuse_normal", 1.5 * normal), mesh)
+    (note,) = head.notes
+    assert "normals were not of length 1" in note
+    encoded = np.round(255 * albedo ** (1 / 2.2)) / 255
+    head = load_head(atlas_with(person, tmp_path / "c", "diffuse_albedo", encoded), mesh)
+    (note,) = head.notes
+    assert "8-bit sRGB" in note
+    assert not looks_encoded(np.full((4, 4, 3), 0.4), np.ones((4, 4), bool))
+
+
+def test_cameras_go_round_a_point_and_keep_looking_at_it() -> None:
+    camera = default_rig().cameras[0]
+    centre = camera.centre_mm + 900 * camera.cam_from_world[2, :3]
+    for angle in (0.0, 90.0, 200.0):
+        moved = turned_camera(camera, angle, centre)
+        expected = centre + about_y(angle) @ (camera.centre_mm - centre)
+        np.testing.assert_allclose(moved.centre_mm, expected, atol=1e-6)
+        pixels, depth = moved.project(centre[None])
+        before, far = camera.project(centre[None])
+        np.testing.assert_allclose(pixels, before, atol=1e-6)
+        np.testing.assert_allclose(depth, far, atol=1e-6)
