@@ -129,7 +129,7 @@ def written(root: Path, out: Path) -> Cost:
         return timed(lambda: write_maps(folder, CAMERA, mask, maps), 1, warm=False)
 
 
-def refined(root: Path, out: Path) -> Cost:
+def refined(root: Path, out: Path, config: RefineConfig) -> Cost:
     """The stage `refine` on the one view with the true mesh, what it writes included.
 
     It is long enough to be measured at once; compiled code comes from numba's cache.
@@ -140,7 +140,7 @@ def refined(root: Path, out: Path) -> Cost:
         target = Path(name) / "out"
         shutil.copytree(out, target)
         shutil.copy(truth.base_mesh, ProcessedFolder(target).base_mesh)
-        return timed(lambda: refine(opened, target, RefineConfig()), 1, warm=False)
+        return timed(lambda: refine(opened, target, config), 1, warm=False)
 
 
 def nine(root: Path, out: Path) -> Cost:
@@ -217,7 +217,9 @@ def main() -> None:
             for method in ("kampouris", "ratios"):
                 costs[f"plain arrays: method {method}"] = apart(coarse, root, out, method)
             costs["writing the maps (EXR)"] = apart(written, root, out)
-            costs["refine, true mesh, maps written"] = apart(refined, root, out)
+            costs["refine, true mesh, maps written"] = apart(refined, root, out, RefineConfig())
+        plainly = RefineConfig(light_step_mm=0.0)
+        costs["its plain twin: light gathered for every pixel"] = apart(refined, root, out, plainly)
             costs["nine views, coarse, maps written"] = apart(nine, root, out)
         memory = apart(bandwidth, root, out)
         moved = moved_bytes(out)
