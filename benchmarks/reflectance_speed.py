@@ -218,8 +218,10 @@ def main() -> None:
                 costs[f"plain arrays: method {method}"] = apart(coarse, root, out, method)
             costs["writing the maps (EXR)"] = apart(written, root, out)
             costs["refine, true mesh, maps written"] = apart(refined, root, out, RefineConfig())
-        plainly = RefineConfig(light_step_mm=0.0)
-        costs["its plain twin: light gathered for every pixel"] = apart(refined, root, out, plainly)
+            alone = RefineConfig(light_step_mm=0.0)
+            costs["its plain twin: light gathered for every pixel"] = apart(
+                refined, root, out, alone
+            )
             costs["nine views, coarse, maps written"] = apart(nine, root, out)
         memory = apart(bandwidth, root, out)
         moved = moved_bytes(out)
