@@ -113,7 +113,12 @@ def _process(
 @app.command("register-mesh")
 def register_mesh(
     mesh: Path = typer.Argument(..., help="Scan, .obj or .ply, in mm.", show_default=False),
-    landmarks: Path = typer.Option(..., "--landmarks", help="JSON with points_mm, 68 iBUG."),
+    landmarks: Path | None = typer.Option(
+        None, "--landmarks", help="JSON with points_mm, 68 iBUG."
+    ),
+    landmark_command: str | None = typer.Option(
+        None, "--landmark-command", help="Or a program that finds them in pictures of the mesh."
+    ),
     out: Path = typer.Option(..., "--out", help="Registered mesh, .obj, in the template's UV."),
     template: Path = TemplatePath,
     config: Path | None = ConfigPath,
@@ -124,10 +129,23 @@ def register_mesh(
     from lightstage.formats.mesh import read_mesh, write_obj
     from lightstage.formats.template import load_template
     from processing import pipeline
+    from processing.registration.providers import CommandLandmarks, landmarks_of_mesh
     from processing.registration.stage import register_mesh as register_scan
 
-    shape, scan, points_mm = load_template(template), read_mesh(mesh), read_points_mm(landmarks)
+    shape, scan = load_template(template), read_mesh(mesh)
     settings = pipeline.read_config(config).register
+    command = landmark_command or settings.landmark_command
+    if landmarks is not None:
+        points_mm = read_points_mm(landmarks)
+    elif command:
+        found = landmarks_of_mesh(scan, CommandLandmarks(command), settings.click_agree_mm)
+        points_mm = found.points_mm
+    else:
+        raise ProcessingError(
+            "register-mesh",
+            found="no landmarks",
+            expected="--landmarks L.json or --landmark-command PROGRAM",
+        )
     with progress_bar("register-mesh") as progress:
         vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
     write_obj(shape.mesh.with_vertices(vertices), out)

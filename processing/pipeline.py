@@ -129,8 +129,9 @@ def run(
     template, template_hash = None, ""
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
         template, template_hash = load_template(template_path), hash_folder(template_path)
-        # Registration needs them an hour later at full size: said now.
-        read_points_px(session.root / "landmarks.json")
+        if not config.register.landmark_command:
+            # Registration needs them an hour later at full size: said now.
+            read_points_px(session.root / "landmarks.json")
     job = Job(session, out, config, template, template_hash)
     records = read_records(out)
     keys = stage_keys(job, records if only else {})

@@ -10,16 +10,17 @@ import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import write_json
-from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.mesh import Mesh, read_ply, vertex_normals, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.formats.template import Template
+from processing.colour import srgb_from_linear
 from processing.errors import RegistrationError
 from processing.rays import MeshRays
 from processing.registration.landmarks import triangulate
 from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
+from processing.registration.providers import ClickedLandmarks, CommandLandmarks
 from processing.registration.rigid import Similarity, robust_umeyama
 from processing.registration.sky import sky_share
 from processing.registration.start import first_pose, require_surface
@@ -30,6 +31,9 @@ from processing.registration.target import Target
 class RegisterConfig:
     """Registration's settings."""
 
+    landmark_command: str = ""
+    """A program that finds the landmarks in the views' albedo, in place of landmarks.json; see
+    `providers`."""
     click_agree_mm: float = 2.5
     """How far a click's ray may pass from its landmark; farther ones are left out and named."""
     landmark_outlier_mm: float = 18.0
@@ -50,7 +54,7 @@ def register(
     """Register a session's base mesh; writes registered_mesh.obj and head_from_world.json.
 
     Args:
-        session: with landmarks.json in its folder.
+        session: with landmarks.json in its folder, unless a program finds them.
         out: processed folder with base_mesh.ply.
         template: what is laid onto the scan.
         config: settings.
@@ -65,20 +69,7 @@ def register(
     """
     folder = ProcessedFolder(out)
     scan = read_ply(folder.base_mesh)
-    path = session.root / "landmarks.json"
-    if not path.is_file():
-        raise RegistrationError(
-            path,
-            found="no such file",
-            expected="68 iBUG landmarks in two cameras or more",
-            hint="Click them in the photographs (FORMATS describes landmarks.json).",
-        )
-    points_px = read_points_px(path)
-    unknown = sorted(set(points_px) - {camera.id for camera in session.rig.cameras})
-    if unknown:
-        raise RegistrationError(
-            path, field="points_px", found=", ".join(unknown), expected="cameras of rig.json"
-        )
+    points_px = _landmarks(session, folder, config)
     found = triangulate(
         points_px,
         {camera.id: camera for camera in session.rig.cameras},
@@ -105,6 +96,38 @@ def register(
         "clicks_left_out": [str(outlier) for outlier in found.outliers],
         **facts,
     }
+
+
+def _landmarks(
+    session: Session, folder: ProcessedFolder, config: RegisterConfig
+) -> dict[str, np.ndarray]:
+    """Camera id to (68, 2) pixels, from the session's file or the program that finds them."""
+    if config.landmark_command:
+        pictures = {}
+        for camera in sorted(set(folder.view_ids()) & {c.id for c in session.rig.cameras}):
+            albedo = folder.read_view(camera, "diffuse_albedo")
+            lit = albedo[folder.read_mask(camera)]
+            white = max(float(np.quantile(lit, 0.99)), 1e-6) if len(lit) else 1.0
+            pictures[camera] = (255 * srgb_from_linear(np.clip(albedo / white, 0, 1))).astype(
+                np.uint8
+            )
+        return CommandLandmarks(config.landmark_command).find(pictures)
+    path = session.root / "landmarks.json"
+    if not path.is_file():
+        raise RegistrationError(
+            path,
+            found="no such file",
+            expected="68 iBUG landmarks in two cameras or more",
+            hint="Click them in the photographs (FORMATS describes landmarks.json), or name a "
+            "program as landmark_command.",
+        )
+    points_px = ClickedLandmarks(path).find({})
+    unknown = sorted(set(points_px) - {camera.id for camera in session.rig.cameras})
+    if unknown:
+        raise RegistrationError(
+            path, field="points_px", found=", ".join(unknown), expected="cameras of rig.json"
+        )
+    return points_px
 
 
 def register_mesh(

@@ -1,0 +1,139 @@
+"""Landmarks from programs of other environments, and of meshes that have none."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from lightstage.errors import FormatError, LightstageError
+from lightstage.formats.landmarks import write_points_px
+from lightstage.formats.mesh import Mesh
+from processing.errors import RegistrationError
+from processing.registration.providers import (
+    ClickedLandmarks,
+    CommandLandmarks,
+    landmarks_of_mesh,
+)
+from tests.processing.shapes import ellipsoid_template, refined
+
+PICTURES = {
+    "cam0": np.full((40, 30, 3), 90, np.uint8),
+    "cam1": np.full((20, 50, 3), 10, np.uint8),
+}
+
+
+def program(tmp_path, body):
+    """A detector: a Python program with FOLDER as its only argument."""
+    path = tmp_path / "detector.py"
+    path.write_text("import json, sys, pathlib\nfolder = pathlib.Path(sys.argv[1])\n" + body)
+    return CommandLandmarks(f"{sys.executable} {path}")
+
+
+def prints(value):
+    return f"print(json.dumps({value!r}))\n"
+
+
+def landmarks(**cameras):
+    return {"schema": "lightstage.landmarks/1", "scheme": "ibug68", "points_px": cameras}
+
+
+def test_clicks_come_from_their_file(tmp_path):
+    points = np.random.default_rng(0).uniform(0, 100, size=(68, 2)).round(3)
+    write_points_px({"cam0": points}, tmp_path / "l.json")
+    assert np.allclose(ClickedLandmarks(tmp_path / "l.json").find({})["cam0"], points)
+
+
+def test_a_program_sees_every_picture_and_prints_landmarks(tmp_path):
+    body = (
+        "import cv2\n"
+        "out = {}\n"
+        "for path in sorted(folder.glob('*.png')):\n"
+        "    picture = cv2.imread(str(path))\n"
+        "    h, w = picture.shape[:2]\n"
+        "    out[path.stem] = [[w, h]] * 34 + [None] * 33 + [[int(picture[0, 0, 0]), 0]]\n"
+        "print(json.dumps({'schema': 'lightstage.landmarks/1', 'scheme': 'ibug68', "
+        "'points_px': out}))\n"
+    )
+    found = program(tmp_path, body).find(PICTURES)
+    assert found["cam0"][0].tolist() == [30, 40]
+    assert found["cam1"][0].tolist() == [50, 20]
+    assert np.isnan(found["cam0"][40]).all()
+    assert found["cam0"][67, 0] == 90
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("sys.exit('no face model')\n", "no face model"),
+        ("print('hello')\n", "JSON"),
+        (prints({"schema": "lightstage.landmarks/1", "scheme": "x", "points_px": {}}), "scheme"),
+        (prints(landmarks(cam0=[[1, 2]] * 67)), "68"),
+        (prints(landmarks(cam7=[None] * 68)), "cam7"),
+    ],
+)
+def test_programs_that_fail_are_named(tmp_path, body, said):
+    with pytest.raises(LightstageError, match=said):
+        program(tmp_path, body).find(PICTURES)
+
+
+def test_a_program_that_is_not_there_or_never_ends_is_named(tmp_path):
+    with pytest.raises(RegistrationError, match="no-such-program"):
+        CommandLandmarks("no-such-program-at-all").find(PICTURES)
+    slow = program(tmp_path, "import time\ntime.sleep(60)\n")
+    with pytest.raises(RegistrationError, match="timed out"):
+        CommandLandmarks(slow.command, timeout_s=0.5).find(PICTURES)
+
+
+class Seer:
+    """Knows where the landmarks are and errs in one view."""
+
+    def __init__(self, marks, wrong=None):
+        self.marks, self.wrong, self.pictures = marks, wrong, {}
+
+    def find(self, pictures):
+        from processing.registration.providers import TURNS_DEG, _portrait
+
+        self.pictures = pictures
+        out = {}
+        for turn in TURNS_DEG:
+            camera = _portrait(MESH, turn)
+            out[camera.id] = camera.project(self.marks)[0]
+        if self.wrong is not None:
+            next(iter(out.values()))[self.wrong] += [60, 0]
+        return out
+
+
+TEMPLATE = ellipsoid_template()
+MESH = refined(TEMPLATE.mesh)
+
+
+def test_a_mesh_is_rendered_and_its_landmarks_are_triangulated():
+    marks = TEMPLATE.mesh.vertices[TEMPLATE.landmarks]
+    seer = Seer(marks, wrong=30)
+    found = landmarks_of_mesh(Mesh(MESH.vertices, MESH.faces), seer, 2.5)
+    assert np.linalg.norm(found.points_mm - marks, axis=1).max() < 0.01
+    assert [outlier.landmark_idx for outlier in found.outliers] == [30]
+    for picture in seer.pictures.values():
+        # A head in the middle of the picture, on black.
+        lit = picture[..., 0] > 30
+        assert 0.15 < lit.mean() < 0.8
+        assert lit[512, 512]
+        assert not lit[0, 0]
+
+
+def test_no_face_in_any_picture_is_said():
+    class Blind:
+        def find(self, pictures):
+            return dict.fromkeys(pictures, np.full((68, 2), np.nan))
+
+    with pytest.raises(RegistrationError, match="none in three pictures"):
+        landmarks_of_mesh(MESH, Blind(), 2.5)
+
+
+def test_a_missing_file_of_clicks_is_said(tmp_path):
+    with pytest.raises(FormatError):
+        ClickedLandmarks(tmp_path / "none.json").find({})
+    (tmp_path / "bad.json").write_text(json.dumps({"schema": "other/1"}))
+    with pytest.raises(FormatError):
+        ClickedLandmarks(tmp_path / "bad.json").find({})
