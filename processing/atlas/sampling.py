@@ -10,6 +10,10 @@ import numpy as np
 
 LEAST_COVER = 0.25
 """A texel whose bilinear neighbourhood holds less usable share than this is not read."""
+SHARPNESS = -0.7
+"""The cubic's free number. Averaged over places between pixels, -0.5 takes 27 % of the energy from
+waves three pixels long and 8 % from those of four and a half; -0.7 takes 22 and 1 %, and gives at
+most 2 % to longer ones."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,14 +77,11 @@ def _decimate(
 
 @numba.njit(cache=True, inline="always")
 def _cubic(t: float, k: int) -> float:
-    """Weight of tap k of four under Catmull and Rom's spline, t past the second."""
-    if k == 0:
-        return 0.5 * t * (-1.0 + t * (2.0 - t))
-    if k == 1:
-        return 1.0 + 0.5 * t * t * (3.0 * t - 5.0)
-    if k == 2:
-        return 0.5 * t * (1.0 + t * (4.0 - 3.0 * t))
-    return 0.5 * t * t * (t - 1.0)
+    """Weight of tap k of four under Keys's cubic convolution [Keys1981], t past the second."""
+    x = abs(t + 1 - k)
+    if x < 1:
+        return 1.0 + x * x * ((SHARPNESS + 2.0) * x - (SHARPNESS + 3.0))
+    return SHARPNESS * (x * (x * (x - 5.0) + 8.0) - 4.0)
 
 
 @numba.njit(cache=True, parallel=True)

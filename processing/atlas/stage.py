@@ -45,6 +45,8 @@ class AtlasConfig:
     """Columns are two thirds of it."""
     gutter_px: int = 16
     """How far the islands' colours reach beyond their borders."""
+    maps: tuple[str, ...] = BLENDED + OPTIONAL
+    """Which of the views' maps are merged; the others are not read."""
     largest_gap_mm: float = 1.5
     """Where the registered mesh is farther than this from the scan, views are not believed."""
     mirror_mm: float = 3.0
@@ -56,6 +58,14 @@ class AtlasConfig:
         if self.rows < 6 or self.rows % 3:
             raise ConfigError(
                 "atlas", field="rows", found=str(self.rows), expected="a multiple of 3, 6 at least"
+            )
+        unknown = sorted(set(self.maps) - {*BLENDED, *OPTIONAL})
+        if unknown:
+            raise ConfigError(
+                "atlas",
+                field="maps",
+                found=", ".join(unknown),
+                expected=f"some of {', '.join(BLENDED + OPTIONAL)}",
             )
 
 
@@ -100,12 +110,13 @@ def atlas(
     """
     folder = ProcessedFolder(out)
     mesh = _registered(folder, template)
-    cameras = _cameras(session, folder)
-    names = BLENDED + tuple(
+    cameras = _cameras(session, folder, config)
+    names = [
         name
-        for name in OPTIONAL
-        if all(folder.view_path(camera.id, name).is_file() for camera in cameras.values())
-    )
+        for name in config.maps
+        if name not in OPTIONAL
+        or all(folder.view_path(camera.id, name).is_file() for camera in cameras.values())
+    ]
     total = len(cameras) * (1 + len(names))
     shape = _geometry(mesh, config)
     texels = Texels(
@@ -184,7 +195,8 @@ def atlas(
         write(name, values)
         if name == "specular_normal":
             write("tangent_normal", _tangent(shape, values))
-    return {**facts, "maps": [*names, "tangent_normal"]}
+    written = ["tangent_normal"] if "specular_normal" in names else []
+    return {**facts, "maps": [*names, *written]}
 
 
 def _tangent(shape: _Geometry, world: np.ndarray) -> np.ndarray:
@@ -209,7 +221,7 @@ def _registered(folder: ProcessedFolder, template: Template) -> Mesh:
     return mesh
 
 
-def _cameras(session: Session, folder: ProcessedFolder) -> dict[int, Camera]:
+def _cameras(session: Session, folder: ProcessedFolder, config: AtlasConfig) -> dict[int, Camera]:
     """Rig index to camera, of all with a folder of maps; every missing map is named at once."""
     have = set(folder.view_ids())
     cameras = {i: c for i, c in enumerate(session.rig.cameras) if c.id in have}
@@ -217,7 +229,8 @@ def _cameras(session: Session, folder: ProcessedFolder) -> dict[int, Camera]:
         raise AtlasError(folder.root / "views", found="no views of this rig", expected="some")
     problems: list[LightstageError] = []
     for camera in cameras.values():
-        for name in (*BLENDED, "confidence"):
+        needed = {"confidence", "diffuse_normal", *config.maps} - set(OPTIONAL)
+        for name in sorted(needed):
             path = folder.view_path(camera.id, name)
             if not path.is_file():
                 problems.append(

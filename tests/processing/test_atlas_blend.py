@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lightstage.formats.mesh import vertex_normals
 from processing.atlas.blend import BlendConfig, Blender
-from processing.atlas.sampling import low_band
+from processing.atlas.sampling import SHARPNESS, low_band
 from processing.atlas.visibility import depth_buffer, silhouette_distance
 from processing.atlas.weights import Texels, ViewSamples, WeightConfig, view_samples
 from processing.rays import MeshRays, interpolate
@@ -98,9 +98,12 @@ def samples_of(pixel, weight, shape=(20, 20), usable=None):
 
 
 def spline(t):
-    """Catmull and Rom's weights as their matrix gives them."""
-    matrix = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -3, 1]]) / 2
-    return np.array([1, t, t**2, t**3]) @ matrix
+    """Keys's weights of four taps as their polynomials' matrix gives them."""
+    a = SHARPNESS
+    matrix = np.array(
+        [[0, a, -2 * a, a], [1, 0, -a - 3, a + 2], [0, -a, 2 * a + 3, -a - 2], [0, 0, a, -a]]
+    )
+    return matrix @ np.array([1, t, t**2, t**3])
 
 
 def sampled(image, usable, x, y):

@@ -159,6 +159,18 @@ def test_roughness_is_blended_where_every_view_has_it(tmp_path):
     assert np.abs(out.read_atlas("roughness") - 0.3).max() < 1e-3
 
 
+def test_maps_not_asked_for_are_neither_read_nor_written(tmp_path):
+    session, out, template = capture(tmp_path)
+    for cam in session.rig.cameras:
+        out.view_path(cam.id, "specular_albedo").unlink()
+    config = AtlasConfig(rows=48, maps=("diffuse_albedo",))
+    facts = atlas(session, out.root, template, config)
+    assert facts["maps"] == ["diffuse_albedo"]
+    assert not out.atlas_path("specular_normal").exists()
+    with pytest.raises(ConfigError, match="gloss"):
+        AtlasConfig(maps=("gloss",))
+
+
 def test_the_heaviest_view_is_the_one_that_faces_the_texel(textured):
     out, _, _ = textured
     position, view = out.read_atlas("position"), out.read_atlas("view")

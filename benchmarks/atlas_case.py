@@ -1,0 +1,104 @@
+"""Our template as a person with a known texture, in nine views: what an atlas is scored on."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.formats.mesh import vertex_normals, write_obj, write_ply
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import Session, SessionFile
+from lightstage.formats.template import Template, default_template_path, load_template
+from lightstage.rig import Rig, default_rig
+from processing.rays import MeshRays, interpolate
+
+BACKGROUND = 5.0
+"""What pixels beside the head read: ten times the head, so that any bleeding shows."""
+FINEST_MM = 1.6
+"""Period of the texture's finest waves."""
+
+Texture = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class AtlasCase:
+    """A processed folder without an atlas.
+
+    Attributes:
+        template: the person too.
+        session: cameras only.
+        out: views and meshes.
+    """
+
+    template: Template
+    session: Session
+    out: ProcessedFolder
+
+
+def skin(points_mm: np.ndarray) -> np.ndarray:
+    """(n, 3) albedo with waves of 60 mm down to pores of 1.6 mm."""
+    x, y, z = points_mm.T
+    slow = 0.5 + 0.15 * np.sin(x / 9) * np.cos(y / 11)
+    wave = 2 * np.pi / FINEST_MM
+    fine = 0.04 * np.sin(wave * x) * np.sin(wave * y) + 0.04 * np.sin(wave * z)
+    return np.stack([slow + fine, 0.8 * slow + fine, 0.6 * slow + 0.5 * fine], axis=1)
+
+
+def even(points_mm: np.ndarray) -> np.ndarray:
+    """(n, 3) one tone."""
+    return np.full((len(points_mm), 3), 0.4)
+
+
+def make_case(
+    root: Path, scale: float, texture: Texture, *, gain_sigma: float, noise: float, views: int = 9
+) -> AtlasCase:
+    """Render views of the textured template.
+
+    A pixel shows the point at its middle, so that truth at a texel is one number.
+
+    Args:
+        root: folder to make.
+        scale: of the default rig's cameras, 1 = 6016 x 4016.
+        texture: albedo of points.
+        gain_sigma: each view is brighter or darker by so much.
+        noise: of every pixel.
+        views: so many of the rig's cameras.
+    """
+    rng = np.random.default_rng(3)
+    template = load_template(default_template_path())
+    rig = default_rig().scaled(scale)
+    rig = Rig(rig.lights, rig.cameras[:views])
+    out = ProcessedFolder(root)
+    mesh, triangles = template.mesh, template.mesh.triangles()
+    normals = vertex_normals(mesh.vertices, triangles)
+    rays = MeshRays(mesh.vertices, triangles)
+    for camera in rig.cameras:
+        hits = rays.cast_camera(camera)
+        hit = hits.face >= 0
+        shape = (camera.height_px, camera.width_px)
+        albedo = texture(interpolate(mesh.vertices, triangles, hits))
+        albedo = albedo * (1 + gain_sigma * rng.normal())
+        albedo += noise * rng.normal(size=albedo.shape)
+        normal = interpolate(normals, triangles, hits)
+        flat = np.where(hit, 0.9, 0)[:, None]
+        maps = {
+            "diffuse_albedo": np.where(hit[:, None], albedo, BACKGROUND),
+            "diffuse_normal": normal,
+            "specular_normal": normal,
+            "specular_albedo": 0.03 * flat,
+            "ambient_occlusion": flat,
+            "roughness": flat / 3,
+            "confidence": flat,
+        }
+        for name, values in maps.items():
+            out.write_view(camera.id, name, values.reshape(*shape, -1))
+        out.write_mask(camera.id, hit.reshape(shape))
+    write_obj(mesh, out.registered_mesh)
+    write_ply(mesh, out.base_mesh)
+    file = SessionFile(
+        id="bench", created_utc="", subject="s", expression="neutral", sequence=[], frames=[]
+    )
+    return AtlasCase(template, Session(out.root, file, rig), out)
