@@ -33,6 +33,10 @@ class ReconstructConfig:
             replaced by that of the points.
         cell_mm: width of the finest cells of the fused surface.
         trim_mm: the surface is cut where no point lies within this distance.
+        colmap_to: folder to which pictures, poses and depth maps are written in COLMAP's formats;
+            empty for none.
+        colmap_from: such a folder whose depth maps are taken in place of our own matching; empty
+            for none.
     """
 
     max_residual_px: float = 2.0
@@ -56,3 +60,5 @@ class ReconstructConfig:
     bias_mm: float = 3.0
     cell_mm: float = 1.2
     trim_mm: float = 2.0
+    colmap_to: str = ""
+    colmap_from: str = ""

@@ -14,6 +14,7 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.errors import ReconstructionError
 from processing.frames.read import read_foreground, read_frames
+from processing.reconstruction.colmap_folder import read_colmap, write_colmap
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import consistent_points
 from processing.reconstruction.fusion import Holes, boundary_loops, fuse
@@ -30,8 +31,8 @@ from processing.reconstruction.small_views import (
     small_view,
     smaller_picture,
 )
-from processing.reconstruction.stereo import match_views
-from processing.reconstruction.views import View, common_basis, make_view
+from processing.reconstruction.stereo import match_views, pick_sources
+from processing.reconstruction.views import View, common_basis, make_view, pyramid
 
 __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
 
@@ -150,6 +151,7 @@ def reconstruct_views(
 
     Raises:
         ReconstructionError: fewer than two views show anything, or no points agree.
+        FormatError: a COLMAP folder that is named and is none.
     """
     showing = [view.camera.id for view in views if np.isfinite(view.textures).any()]
     if len(showing) < 2:
@@ -159,7 +161,15 @@ def reconstruct_views(
             expected="at least two that overlap",
             hint="Are the photographs black, or the cameras turned away?",
         )
-    level, depths, costs = match_views(views, config, progress)
+    names = [view.camera.id for view in views]
+    if config.colmap_from:
+        level = pyramid(views, config.finest_rows, config.coarsest_rows)[-1]
+        depths, costs = read_colmap(Path(config.colmap_from), names, level)
+    else:
+        level, depths, costs = match_views(views, config, progress)
+    if config.colmap_to:
+        sources = pick_sources([v.camera for v in views], [n in showing for n in names], config)
+        write_colmap(Path(config.colmap_to), names, level, depths, sources)
     matched = sum(int((depth > 0).sum()) for depth in depths)
     points = consistent_points(level, depths, costs, config)
     mesh = fuse(points, config)
