@@ -118,7 +118,7 @@ def lobe_norm(exponent: Tensor) -> Tensor:
 
 
 def ggx(half: Tensor, incidence: Tensor, toward_view: Tensor, exponent: Tensor) -> Tensor:
-    """Pi D G / (4 n.v) of GGX facets with Smith's height-correlated shadowing [Walter2007].
+    """Pi D G / (4 n.v) of GGX facets with Smith's shadowing of both directions [Walter2007].
 
     The roughness is the exponent's: alpha^2 = 2 / (s + 2). On the scale where a white diffuser
     shows n . l; finite at grazing angles.
@@ -128,11 +128,10 @@ def ggx(half: Tensor, incidence: Tensor, toward_view: Tensor, exponent: Tensor) 
     density = squared / spread.square()
 
     def lengthened(cosine: Tensor) -> Tensor:
-        return (squared + (1 - squared) * cosine.square()).sqrt()
+        return cosine + (squared + (1 - squared) * cosine.square()).sqrt()
 
-    across = toward_view * lengthened(incidence) + incidence * lengthened(toward_view)
-    lit = (half > 0) & (incidence > 0) & (toward_view > 0)
-    return torch.where(lit, density * incidence / (2 * across.clamp_min(1e-6)), 0.0)
+    facets = density * incidence / (lengthened(incidence) * lengthened(toward_view))
+    return torch.where((half > 0) & (incidence > 0) & (toward_view > 0), facets, 0.0)
 
 
 @functools.cache

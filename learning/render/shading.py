@@ -60,13 +60,15 @@ def _scattered(
     maps: SkinMaps, diffuse: Tensor, irradiance: Tensor, options: ShadeOptions
 ) -> Tensor:
     """Diffuse light after it has spread inside the skin."""
-    translucency, sigma = maps.translucency, options.subsurface_mm / maps.texel_mm
+    kind, sigma = wide_enough(diffuse), options.subsurface_mm / maps.texel_mm
+    translucency, area = maps.translucency.to(kind), maps.area.to(kind)
+    edges = None if maps.edges is None else maps.edges.to(kind)
     if options.mode == "paper":
-        return scatter_paper(diffuse, irradiance, translucency, maps.area, sigma)
+        return scatter_paper(diffuse, irradiance, translucency, area, sigma)
     if not translucency.requires_grad and not bool((translucency > 0).any()):
         return diffuse
     fused = options.engine == "auto"
-    return scatter(diffuse, irradiance, translucency, maps.area, sigma, maps.edges, fused)
+    return scatter(diffuse, irradiance, translucency, area, sigma, edges, fused)
 
 
 def direct(
