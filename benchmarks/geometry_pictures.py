@@ -35,7 +35,7 @@ def write_pictures(mesh: Mesh, truth: Mesh, path: Path) -> None:
             fov_deg=13.5,
             center=open3d.core.Tensor(middle.astype(np.float32)),
             eye=open3d.core.Tensor((middle + 1100 * toward).astype(np.float32)),
-            up=open3d.core.Tensor(np.array([0, 1, 0], np.float32)),
+            up=open3d.core.Tensor(np.array([0, -1, 0], np.float32)),  # its rows run upward
             width_px=COLUMNS,
             height_px=ROWS,
         )

@@ -10,6 +10,7 @@ import numpy as np
 
 from lightstage.formats.processed import ProcessedFolder
 from processing.decode.diagnosis_page import light_section
+from processing.reconstruction.pictures import mesh_section
 from processing.report import (
     Picture,
     Section,
@@ -56,6 +57,9 @@ def write_processed_report(out: Path, report: Mapping[str, Any]) -> Path:
     views = _views(folder)
     if views:
         sections.append(Section("Views", views))
+    mesh = mesh_section(out)
+    if mesh is not None:
+        sections.append(mesh)
     atlas = _atlas(folder)
     if atlas:
         sections.append(Section("Atlas", atlas))

@@ -22,12 +22,14 @@ class Points:
         normals: (n, 3) float32 unit, world, outward.
         views: (n,) int32 how many other views agree.
         seen_by: (n,) int32 index of the view whose depth map a point is from.
+        agreeing: of each view (h, w) int32 how many other views agree, -1 where nothing matched.
     """
 
     positions: np.ndarray
     normals: np.ndarray
     views: np.ndarray
     seen_by: np.ndarray
+    agreeing: tuple[np.ndarray, ...] = ()
 
 
 def depth_to_points(inverse_depth: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -211,6 +213,7 @@ def consistent_points(
     stack = (np.stack(points), np.stack(normals).astype(np.float32))
     trust, pixel_from_world = np.stack(weights).astype(np.float32), np.stack(projections)
     parts: list[tuple[np.ndarray, ...]] = []
+    counts = []
     for index in range(len(points)):
         merged = np.empty_like(points[index])
         agreeing = np.empty(merged.shape[:2], np.int32)
@@ -223,8 +226,10 @@ def consistent_points(
             merged, facing = _relief(
                 level, index, np.where(good[..., None], merged, np.nan), facing, config
             )
+        counts.append(agreeing)
         parts.append((merged[good], facing[good], agreeing[good], np.full(good.sum(), index)))
-    return Points(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    places, facing, views, seen_by = (np.concatenate(c) for c in zip(*parts, strict=True))
+    return Points(places, facing, views, seen_by, tuple(counts))
 
 
 def _relief(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from processing.reconstruction.colmap_folder import read_colmap, write_colmap
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import consistent_points
 from processing.reconstruction.fusion import Holes, boundary_loops, fuse
+from processing.reconstruction.pictures import coverage, write_pictures
 from processing.reconstruction.poses import (
     PoseReport,
     check_poses,
@@ -38,6 +39,22 @@ __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
 
 CHECKED_ROWS = 1600
 """Poses are checked in pictures of at most twice so many rows."""
+
+
+class Reconstructed(NamedTuple):
+    """What views gave.
+
+    Attributes:
+        mesh: mm, world.
+        holes: its boundary loops.
+        facts: JSON-ready.
+        shown: of each view (h, w, 3) uint8, its `coverage`.
+    """
+
+    mesh: Mesh
+    holes: Holes
+    facts: dict[str, Any]
+    shown: list[np.ndarray]
 
 
 def reconstruct(
@@ -61,7 +78,8 @@ def reconstruct(
     """
     poses = check_session_poses(session, out, config)
     views = read_views(session, out, config)
-    mesh, holes, facts = reconstruct_views(views, config, progress)
+    mesh, holes, facts, shown = reconstruct_views(views, config, progress)
+    write_pictures(out, [view.camera.id for view in views], shown, mesh)
     write_ply(mesh, ProcessedFolder(out).base_mesh)
     return {
         "vertices": len(mesh.vertices),
@@ -138,16 +156,13 @@ def read_views(
 
 def reconstruct_views(
     views: list[View], config: ReconstructConfig, progress: ProgressCallback = quiet
-) -> tuple[Mesh, Holes, dict[str, Any]]:
+) -> Reconstructed:
     """From views to a mesh: the pure part of the stage.
 
     Args:
         views: at least two that see the same surface from different places.
         config: settings.
         progress: called as views are matched.
-
-    Returns:
-        The mesh, its holes, and facts.
 
     Raises:
         ReconstructionError: fewer than two views show anything, or no points agree.
@@ -173,12 +188,17 @@ def reconstruct_views(
     matched = sum(int((depth > 0).sum()) for depth in depths)
     points = consistent_points(level, depths, costs, config)
     mesh = fuse(points, config)
-    facts = {
+    facts: dict[str, Any] = {
         "matched_pixels": matched,
         "points": len(points.positions),
         "agreeing_share": round(len(points.positions) / max(matched, 1), 4),
     }
-    return mesh, boundary_loops(mesh), facts
+    facts["coverage"] = {
+        name: round(float((count > 0).sum() / max(int(mask.sum()), 1)), 3)
+        for name, count, mask in zip(names, points.agreeing, level.masks, strict=True)
+    }
+    shown = [coverage(*both) for both in zip(points.agreeing, level.masks, strict=True)]
+    return Reconstructed(mesh, boundary_loops(mesh), facts, shown)
 
 
 def _warnings(session: Session, views: list[View], poses: PoseReport) -> list[str]:
