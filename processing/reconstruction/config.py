@@ -12,6 +12,8 @@ class ReconstructConfig:
     Attributes:
         max_residual_px: a camera whose matches miss the rig's geometry by more is refused, in
             pixels of its own pictures at 1000 rows (scaled with the pictures' height).
+        drift_px: a camera whose matches miss by more than this, and by less than the former, is
+            warned of: cameras are due to be measured again.
         min_matches: verified matches below which a camera's pose is called unchecked.
         finest_rows: pictures are halved until they have at most this many rows, and once at least
             unless they have 600 or fewer.
@@ -40,6 +42,7 @@ class ReconstructConfig:
     """
 
     max_residual_px: float = 2.0
+    drift_px: float = 0.6
     min_matches: int = 20
     finest_rows: int = 1600
     coarsest_rows: int = 170

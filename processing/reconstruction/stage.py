@@ -22,6 +22,7 @@ from processing.reconstruction.pictures import coverage, write_pictures
 from processing.reconstruction.poses import (
     PoseReport,
     check_poses,
+    drifted,
     in_pixels,
     raise_when_off,
     tone_mapped,
@@ -94,7 +95,7 @@ def reconstruct(
         },
         "pose_matches": dict(zip(poses.camera_ids, poses.matches, strict=True)),
         "pose_tracks": poses.tracks,
-        "warnings": _warnings(session, views, poses),
+        "warnings": _warnings(session, views, poses) + drifted(poses, config),
     }
 
 

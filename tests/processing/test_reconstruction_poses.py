@@ -6,13 +6,14 @@ import pytest
 from lightstage.rig import Camera
 from processing.errors import PoseError
 from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.matches import match_features
 from processing.reconstruction.poses import (
     PairMatches,
     PoseReport,
     against_rig,
     blame,
     check_poses,
-    match_features,
+    drifted,
     raise_when_off,
     tone_mapped,
 )
@@ -152,3 +153,13 @@ def test_the_message_names_residual_and_limit() -> None:
     )
     with pytest.raises(PoseError, match=r"cam1 \(8.5 px, with cam0 8.5 px\).*2.0 px"):
         raise_when_off(report, STAGE_MM)
+
+
+def test_a_camera_that_drifted_a_little_is_warned_of_and_nothing_is_moved() -> None:
+    nan = float("nan")
+    report = PoseReport(
+        ("a", "b", "c", "d"), (90,) * 4, (0.2, 1.4, 9.0, nan), 4.0, (2,), (), 50, 0.3, 60.0
+    )
+    said = drifted(report, CONFIG)
+    assert len(said) == 1
+    assert said[0].startswith("the matches of b miss the rig by 1.40 px (median, above 1.20)")
