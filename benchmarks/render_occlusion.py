@@ -1,7 +1,8 @@
 """Cast shadows without rays: how wrong each way is under three lights, and what it costs.
 
 On the template's mean shape and on people it was not made from, under light sets whose directions
-were not baked. `--steps` is the published network's training (300 take a minute).
+were not baked. `--steps` is the published network's training (300 take a minute), 0 for none;
+`--network` a file that its weights are kept in from run to run.
 """
 
 from __future__ import annotations
@@ -10,14 +11,16 @@ import argparse
 import dataclasses
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
+from safetensors.torch import load_file, save_file
 
 from benchmarks.record import record
 from learning.render.light_dome import even_directions, harmonics
 from learning.render.occlusion_model import OcclusionTable, bake_dome, default_occlusion
-from learning.render.occlusion_network import NetworkConfig, train_network
+from learning.render.occlusion_network import NetworkConfig, OcclusionNetwork, train_network
 from lightstage.formats.template import default_template_path, load_template
 
 PEOPLE, SETS, LIGHTS = 4, 60, 3
@@ -99,9 +102,18 @@ def by_pictures(trial: Trial, seen: np.ndarray, rank: int) -> Callable[[], np.nd
     return lambda: mixed(trial, np.clip(mean + near.astype(np.float32) @ pictures, 0, 1))
 
 
-def by_network(trial: Trial, seen: np.ndarray, covered: np.ndarray, steps: int) -> Callable:
+def by_network(
+    trial: Trial, seen: np.ndarray, covered: np.ndarray, steps: int, kept: Path | None
+) -> Callable[[], np.ndarray]:
     config = NetworkConfig(lights=LIGHTS, steps=steps, regressed=1000)
-    network = train_network(seen, even_directions(len(seen)), covered, config)
+    if kept is not None and kept.exists():
+        network = OcclusionNetwork(covered.shape[0], covered.shape[1], config)
+        network.load_state_dict(load_file(kept))
+        network.eval()
+    else:
+        network = train_network(seen, even_directions(len(seen)), covered, config)
+        if kept is not None:
+            save_file(network.state_dict(), kept)
     toward = torch.from_numpy(trial.toward[trial.sets]).float()
     share = torch.from_numpy(trial.share).float()
 
@@ -115,7 +127,9 @@ def by_network(trial: Trial, seen: np.ndarray, covered: np.ndarray, steps: int) 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=300)
-    steps = parser.parse_args().steps
+    parser.add_argument("--network", type=Path)
+    chosen = parser.parse_args()
+    steps = chosen.steps
     table = default_occlusion()
     rows = table.covered.shape[0]
     trial = make_trial(rows)
@@ -131,7 +145,7 @@ def main() -> None:
         ("64 principal pictures", 64 * texels * 4, by_pictures(trial, seen, 64)),
     ]
     if steps:
-        network = by_network(trial, seen, covered, steps)
+        network = by_network(trial, seen, covered, steps, chosen.network)
         ways.append((f"published network, {steps} steps", 2.5e6, network))
     lines = []
     for name, size, way in ways:
