@@ -70,12 +70,17 @@ class RefineConfig:
     """A pixel whose brightest pattern stays below this tells nothing (1 = white under `full`)."""
     dark_power: float = 0.1
     """Where a pixel's squared irradiance is so much (2 in the open) it is trusted by half."""
-    doubtful_misfit: float = 40.0
-    """Where the residual's variance is so many times what is expected, by half again."""
+    doubtful_misfit: float = 20.0
+    """Where the residual's variance is so many times what is usual on the face, by half again."""
     doubtful_turn_deg: float = 2.0
     """Where noise turns the normal by so much, by half again."""
     coarse_confidence: float = 0.3
     """Share of their confidence that coarse maps keep where the mesh has a hole."""
+    doubtful_apart_deg: float = 5.0
+    """Where the diffuse normal is so far from that of all readings, by half again."""
+    apart_deg: float = 2.0
+    """What light wandering inside the skin turns its diffuse normals by: where noise beyond what
+    is expected turns those of chroma by as much, the normals of all readings count half."""
     steady_below: float = 0.4
     """Normals of less confidence are drawn to the mesh's."""
     edge_px: float = 3.0

@@ -95,7 +95,7 @@ def solve_view(
     picture = pictured(scene, camera, foreground, sites, config)
     count = int(picture.first[-1])
     maps, done = empty_maps(count), np.zeros(count, bool)
-    limits = limits_of(config)
+    limits = limits_of(config, scene.doubt)
     if sites is not None and light is not None:
         photos = photos_of(frames, scene.lights.colour, config)
         spread = spread_of(config.noise, knows.around)
@@ -147,7 +147,7 @@ def grid_knows(scene: Scene, grid: View, found: Solved, config: RefineConfig) ->
     nothing = np.zeros((len(specular), 3), np.float32)
     given = given_of(scene, grid, found, roughness, specular, nothing, inside)
     alone = empty_maps(len(given))
-    finish(given, np.arange(len(given)), limits_of(config), alone)
+    finish(given, np.arange(len(given)), limits_of(config, scene.doubt), alone)
     # A pixel that is hardly trusted takes its neighbours' albedo.
     # Where none is trusted far around, they have one another still.
     weight = np.maximum(alone.confidence[:, None] ** 2, LEAST_WEIGHT)
@@ -264,6 +264,7 @@ def given_of(
             solved.normal, solved.matte, albedo, solved.power, solved.misfit, solved.certainty,
             colourful, sight.normals, facing(sight.normals, sight.views), inside, prior,
             roughness, specular, view.usable, sight.occlusion, sight.views,
+            solved.matte_turn2,
         ]
     ).astype(np.float32, copy=False)  # fmt: skip
     assert given.shape[1] == GIVEN

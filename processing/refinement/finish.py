@@ -13,17 +13,18 @@ from processing.refinement.config import RefineConfig
 
 NORMAL, MATTE, ALBEDO, POWER, MISFIT, CERTAINTY, SATURATION = 0, 3, 6, 9, 12, 13, 14
 MESH, FACING, INSIDE, PRIOR, ROUGHNESS, SPECULAR, USABLE, OPEN = 15, 18, 19, 20, 23, 24, 25, 26
-VIEW, GIVEN = 27, 30
+VIEW, MATTE_TURN2, GIVEN = 27, 30, 31
 """Places of what `finish_pixel` is given: both normals, albedo and its power in R G B, what
 `joint.Solved` says of misfit and certainty, saturation, the mesh's normal, how much it faces the
 camera (`facing`), the distance to the nearest edge in pixels, the neighbours' albedo, gloss, 1
-where the readings can be used, ambient occlusion, and the direction to the camera."""
+where the readings can be used, ambient occlusion, the direction to the camera, and the mean
+squared turn that noise gives the matte normal."""
 LEAST_WEIGHT = 1e-6
 """Of a pixel in its neighbours' albedo."""
 
 
 class Limits(NamedTuple):
-    """What `RefineConfig` says of trust."""
+    """What `RefineConfig` says of trust, against readings as noisy as expected."""
 
     edge_px: float
     grey_saturation: float
@@ -32,6 +33,8 @@ class Limits(NamedTuple):
     doubtful_turn2: float
     prior_power: float
     steady_below: float
+    apart2: float
+    doubtful_apart2: float
 
 
 class Maps(NamedTuple):
@@ -50,16 +53,24 @@ class Maps(NamedTuple):
         return PixelMaps(*self[:6])
 
 
-def limits_of(config: RefineConfig) -> Limits:
-    """The part of a configuration that compiled code takes."""
+def limits_of(config: RefineConfig, doubt: float = 1.0) -> Limits:
+    """The part of a configuration that compiled code takes.
+
+    Args:
+        config: see there.
+        doubt: by what factor the scene's readings err more than expected, in variance.
+    """
     return Limits(
         config.edge_px,
         config.grey_saturation,
         config.dark_power,
-        config.doubtful_misfit,
-        float(np.radians(config.doubtful_turn_deg)) ** 2,
+        config.doubtful_misfit * doubt,
+        float(np.radians(config.doubtful_turn_deg)) ** 2 / doubt,
         config.albedo_prior_power,
         config.steady_below,
+        # Of noise as expected chroma's normals stay free of what is modelled of the gloss.
+        float(np.radians(config.apart_deg)) ** 2 / max(doubt - 1, 1e-6),
+        float(np.radians(config.doubtful_apart_deg)) ** 2,
     )
 
 
@@ -88,12 +99,22 @@ def finish_pixel(given: np.ndarray, at: int, limits: Limits, maps: Maps) -> None
     if not (given[USABLE] > 0 and given[FACING] > 0 and agreement > 0 and toward > 0):
         return
     power = (given[POWER] + given[POWER + 1] + given[POWER + 2]) / 3
-    trust = given[FACING] * min(max(given[INSIDE] / limits.edge_px, 0.0), 1.0)
+    # All that is found errs more where the skin is seen aslant, the diffuse normal least.
+    trust = math.sqrt(given[FACING]) * min(max(given[INSIDE] / limits.edge_px, 0.0), 1.0)
     trust *= min(2 * agreement, 1.0)
     trust *= min(max(given[SATURATION] / limits.grey_saturation - 1, 0.0), 1.0)
     trust *= power / (power + limits.dark_power)
     trust /= 1 + given[MISFIT] / limits.doubtful_misfit
     trust /= 1 + 1 / (max(given[CERTAINTY], 1e-12) * limits.doubtful_turn2)
+    # Chroma alone is noisier than all readings, whose normal knows the gloss only as modelled:
+    # the two should agree, and what they are apart beyond noise the model lacks.
+    found = given[MATTE] ** 2 + given[MATTE + 1] ** 2 + given[MATTE + 2] ** 2 > 0
+    found = found and given[MATTE_TURN2] >= 0
+    chroma = limits.apart2 / (limits.apart2 + given[MATTE_TURN2]) if found else 0.0
+    apart2 = 0.0
+    for x in range(3):
+        apart2 += (chroma * (given[MATTE + x] - given[NORMAL + x])) ** 2
+    trust /= 1 + apart2 / limits.doubtful_apart2
     if not math.isfinite(trust):
         return
     maps.confidence[at] = trust
@@ -105,10 +126,13 @@ def finish_pixel(given: np.ndarray, at: int, limits: Limits, maps: Maps) -> None
         lit = given[ALBEDO + c] * own + limits.prior_power * given[prior + c]
         maps.albedo[at, c] = max(lit / (own + limits.prior_power), 0.0)
     share = min(trust / limits.steady_below, 1.0)
-    for first, out in ((MATTE, maps.matte), (NORMAL, maps.normal)):
-        x = share * given[first] + (1 - share) * given[MESH]
-        y = share * given[first + 1] + (1 - share) * given[MESH + 1]
-        z = share * given[first + 2] + (1 - share) * given[MESH + 2]
+    for own, out in ((chroma, maps.matte), (0.0, maps.normal)):
+        x = own * given[MATTE] + (1 - own) * given[NORMAL]
+        y = own * given[MATTE + 1] + (1 - own) * given[NORMAL + 1]
+        z = own * given[MATTE + 2] + (1 - own) * given[NORMAL + 2]
+        x = share * x + (1 - share) * given[MESH]
+        y = share * y + (1 - share) * given[MESH + 1]
+        z = share * z + (1 - share) * given[MESH + 2]
         length = math.sqrt(x * x + y * y + z * z)
         if length > 1e-6:
             out[at, 0], out[at, 1], out[at, 2] = x / length, y / length, z / length

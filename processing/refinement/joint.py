@@ -89,6 +89,7 @@ class Solved:
         misfit: (n,) float32 mean squared residual over its expected variance.
         irradiance: (n, P) float32 what enters straight from the lights, for the normals found.
         certainty: (n,) float32 least information on a turn of the normal, one over rad^2.
+        matte_turn2: (n,) float32 mean squared turn of `matte`, rad^2, by the readings' own noise.
     """
 
     normal: np.ndarray
@@ -98,6 +99,7 @@ class Solved:
     misfit: np.ndarray
     irradiance: np.ndarray
     certainty: np.ndarray
+    matte_turn2: np.ndarray
 
 
 def solve_jointly(
@@ -136,6 +138,7 @@ def solve_jointly(
         misfit=np.zeros(count, np.float32),
         irradiance=np.zeros(rgb.shape[:2], np.float32),
         certainty=np.zeros(count, np.float32),
+        matte_turn2=np.zeros(count, np.float32),
     )
     solve_kernel(
         *_arguments(rgb, lights, place, normals, roughness, specular, interface, scattered, noise),
@@ -148,6 +151,7 @@ def solve_jointly(
         out.misfit,
         out.irradiance,
         out.certainty,
+        out.matte_turn2,
     )
     return out
 

@@ -12,6 +12,8 @@ from processing.refinement.joint_light import Lamps, gather
 
 LONGEST_TURN = 0.15
 """A step of Gauss-Newton turns the normal by at most this tangent: the lobe is some 20 deg wide."""
+MOST_TURN2 = 1e6
+"""A larger mean squared turn, rad^2, is told as this: such a normal is noise alone."""
 
 
 class Pixels(NamedTuple):
@@ -260,6 +262,7 @@ def solve_kernel(
     misfits: np.ndarray,
     irradiances: np.ndarray,
     certainties: np.ndarray,
+    matte_turns: np.ndarray,
 ) -> None:
     """Fill in what `joint.solve_jointly` returns; arguments as there."""
     rgb, points, views, roughness = pixels.rgb, pixels.points, pixels.views, pixels.roughness
@@ -308,8 +311,9 @@ def solve_kernel(
                 turned[c] = n[c] - turned[c]
         if not good:
             continue
-        if not _matte_normal(light, rgb[i], rho, s, colour, matte):
-            matte[:] = 0
+        matte_turn2 = _matte_normal(light, rgb[i], rho, s, colour, sensor2, model2, matte)
+        if matte_turn2 < 0:
+            matte[:] = matte_turn2 = 0.0
         # The last step is short: what it changes is taken as linear.
         for k in range(patterns):
             for x in range(3):
@@ -329,6 +333,7 @@ def solve_kernel(
             irradiances[i, k] = light[k, 0]
         misfits[i] = total / (3 * patterns - 5)
         certainties[i] = certainty
+        matte_turns[i] = matte_turn2
 
 
 @njit(cache=True, error_model="numpy")
@@ -338,11 +343,15 @@ def _matte_normal(
     rho: np.ndarray,
     s: float,
     colour: bool,
+    sensor2: float,
+    model2: float,
     out: np.ndarray,
-) -> bool:
+) -> float:
     """Normal from chroma: signal_k = g_k . b along the pixel's own hue, across white.
 
-    Without `colour`, from the sum of all channels less the mirror reflection.
+    Without `colour`, from the sum of all channels less the mirror reflection. Returns the mean
+    squared turn, rad^2, that the readings' noise gives it (all patterns' signals taken as equally
+    noisy), or -1 where there is no normal.
 
     Source: [Mallick2005].
     """
@@ -353,25 +362,37 @@ def _matte_normal(
             hue[c] += rgb[k, c] - grey
     length = math.sqrt(hue[0] * hue[0] + hue[1] * hue[1] + hue[2] * hue[2])
     if not length > 0:
-        return False
-    a, b = np.zeros((3, 3)), np.zeros((3, 1))
+        return -1.0
+    a, b = np.zeros((3, 3)), np.zeros((3, 4))
+    variance = 0.0
     for k in range(len(rgb)):
         signal = 0.0
         for c in range(3):
-            signal += hue[c] / length * (rgb[k, c] - rho[c] * light[k, 9 + c] - s * light[k, 4])
+            along = hue[c] / length
+            signal += along * (rgb[k, c] - rho[c] * light[k, 9 + c] - s * light[k, 4])
+            variance += along * along / _weight(rgb[k, c], sensor2, model2) / len(rgb)
         for x in range(3):
             b[x, 0] += light[k, 1 + x] * signal
             for y in range(x + 1):
                 a[x, y] += light[k, 1 + x] * light[k, 1 + y]
     third = (a[0, 0] + a[1, 1] + a[2, 2]) / 3
+    # Beside the normal, the inverse: its covariance but for the signal's variance.
+    b[0, 1] = b[1, 2] = b[2, 3] = 1
     if not _solve_in_place(a, b) or a[0, 0] * a[1, 1] * a[2, 2] < 1e-2 * third**1.5:
-        return False
+        return -1.0
     length = math.sqrt(b[0, 0] ** 2 + b[1, 0] ** 2 + b[2, 0] ** 2)
     if not (length > 0 and math.isfinite(length)):
-        return False
+        return -1.0
+    spread = 0.0
     for x in range(3):
         out[x] = b[x, 0] / length
-    return True
+    # What is along the normal changes its length alone.
+    for x in range(3):
+        spread += b[x, 1 + x]
+        for y in range(3):
+            spread -= out[x] * b[x, 1 + y] * out[y]
+    turn2 = variance * max(spread, 0.0) / length / length
+    return turn2 if turn2 < MOST_TURN2 else MOST_TURN2
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

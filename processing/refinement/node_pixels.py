@@ -172,6 +172,7 @@ def _give(ws: np.ndarray, place: int, results: int, j: int, given: np.ndarray) -
         given[finish.PRIOR + c] = ws[others + (4 + c) * LANES]
         given[finish.VIEW + c] = ws[others + (9 + c) * LANES]
     given[finish.ROUGHNESS] = ws[others + 7 * LANES]
+    given[finish.MATTE_TURN2] = ws[(results + 14) * LANES + j]
     given[finish.OPEN] = ws[others + 8 * LANES]
     given[finish.SPECULAR] = ws[(place + GLOSS) * LANES + j]
 

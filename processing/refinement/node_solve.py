@@ -14,14 +14,14 @@ import numpy as np
 from numba import njit
 
 from processing.lanes import LANES, above, at_least, at_most, every, load, root, store
-from processing.refinement.joint_kernels import LONGEST_TURN
+from processing.refinement.joint_kernels import LONGEST_TURN, MOST_TURN2
 from processing.refinement.node_light import OF_PATTERN
 
 OF_STATE = 12
 """Numbers of a pixel for each pattern: E B and their slopes, light in R G B, F and its slopes."""
 RESULTS = 16
 """Place of each result: normal's t and u, matte's three along T U N, albedo, power, misfit,
-certainty, and 1 where the result holds."""
+certainty, 1 where the result holds, and matte's squared turn."""
 SMALLEST = np.float32(1e-6)
 """Share of a diagonal that must be left of it, or the equations are taken as singular."""
 LONGEST = np.float32(LONGEST_TURN)
@@ -199,9 +199,14 @@ def _left_over(
 
 @njit(cache=True, error_model="numpy")
 def _matte(
-    ws: np.ndarray, rgb: int, node: int, state: int, patterns: int, t: Any, u: Any, rho: Any
-) -> tuple[Any, Any, Any]:
-    """Normal from chroma along T, U and N, zero where there is none: as in `joint_kernels`."""
+    ws: np.ndarray, rgb: int, node: int, state: int, patterns: int, t: Any, u: Any, rho: Any,
+    sensor2: float, model2: float,
+) -> tuple[Any, Any, Any, Any]:  # fmt: skip
+    """Normal from chroma along T, U and N, zero where there is none, and the mean squared turn
+    that noise gives it: as in `joint_kernels`.
+    """
+    sensors, models = every(np.float32(sensor2)), every(np.float32(model2))
+    quarter, variance = every(np.float32(0.25)), every(np.float32(0))
     zero, one, third = every(np.float32(0)), every(np.float32(1)), every(np.float32(1 / 3))
     q0, q1, q2 = rho
     x, y, z = zero, zero, zero
@@ -218,9 +223,14 @@ def _matte(
     y0, y1, y2 = zero, zero, zero
     for k in range(patterns):
         i, o, a = rgb + 3 * k, state + k * OF_STATE, node + k * OF_PATTERN + 12
-        signal = x * (_at(ws, i) - q0 * _at(ws, a))
-        signal = signal + y * (_at(ws, i + 1) - q1 * _at(ws, a + 1))
-        signal = signal + z * (_at(ws, i + 2) - q2 * _at(ws, a + 2))
+        r, g, b = _at(ws, i), _at(ws, i + 1), _at(ws, i + 2)
+        signal = x * (r - q0 * _at(ws, a))
+        signal = signal + y * (g - q1 * _at(ws, a + 1))
+        signal = signal + z * (b - q2 * _at(ws, a + 2))
+        r, g, b = at_least(r, zero), at_least(g, zero), at_least(b, zero)
+        variance = variance + x * x * (sensors * (quarter + r) + models * r * r)
+        variance = variance + y * y * (sensors * (quarter + g) + models * g * g)
+        variance = variance + z * z * (sensors * (quarter + b) + models * b * b)
         gt, gu = _at(ws, o + 10), _at(ws, o + 11)
         gn = _at(ws, o + 9) - t * gt - u * gu
         a00, a01, a02 = a00 + gt * gt, a01 + gt * gu, a02 + gt * gn
@@ -240,8 +250,16 @@ def _matte(
     bt = (y0 - a01 * bu - a02 * bn) * p
     length2 = bt * bt + bu * bu + bn * bn
     found = found * above(length2, zero)
-    per = found / root(at_least(length2, every(FEW)))
-    return bt * per, bu * per, bn * per
+    per = one / root(at_least(length2, every(FEW)))
+    bt, bu, bn = bt * per * found, bu * per * found, bn * per * found
+    # The inverse of Cholesky's triangle: its squares' sum is the covariance's trace.
+    m10, m21 = a01 * p * q, a12 * q * r
+    m20 = (a01 * a12 * q - a02) * p * r
+    o0, o1, o2 = p * bt, q * bu - m10 * bt, m20 * bt - m21 * bu + r * bn
+    spread = p * p + q * q + r * r + m10 * m10 + m21 * m21 + m20 * m20
+    spread = at_least(spread - o0 * o0 - o1 * o1 - o2 * o2, zero)
+    turn2 = variance * every(np.float32(1 / patterns)) * spread * per * per
+    return bt, bu, bn, at_most(turn2, every(np.float32(MOST_TURN2))) * found
 
 
 @njit(cache=True, error_model="numpy")
@@ -283,7 +301,9 @@ def solve_eight(
         farthest = at_least(farthest, t * t + u * u)
     q0, q1, q2, p0, p1, p2 = evaluate(ws, rgb, node, state, patterns, t, u, s, shares)
     misfit = _left_over(ws, rgb, state, patterns, s, (q0, q1, q2), shade2)
-    bt, bu, bn = _matte(ws, rgb, node, state, patterns, t, u, (q0, q1, q2))
+    bt, bu, bn, matte_turn2 = _matte(
+        ws, rgb, node, state, patterns, t, u, (q0, q1, q2), sensor2, model2
+    )
     sound = sound * above(every(np.float32(widest2)), farthest)
     _put(ws, results, t)
     _put(ws, results + 1, u)
@@ -299,3 +319,4 @@ def solve_eight(
     _put(ws, results + 11, misfit * every(np.float32(1 / (3 * patterns - 5))))
     _put(ws, results + 12, least)
     _put(ws, results + 13, sound)
+    _put(ws, results + 14, matte_turn2)

@@ -251,6 +251,29 @@ def step(
     }
 
 
+def matte(
+    lights: PatternLights, pixel: Pixel, interface: Interface, noise: Noise
+) -> tuple[np.ndarray, float]:
+    """(3,) unit normal from chroma about the start, and the mean squared turn noise gives it."""
+    light = Light(lights, pixel, interface, pixel.start)
+    # E is linear in the normal for a fixed horizon: its values along the axes are its slope.
+    slopes = np.stack([light.slopes(axis)[0] for axis in np.eye(3)], axis=1)
+    e, b = light.parts(light.base, pixel.roughness)
+    diffuse = np.maximum(pixel.kept * e[:, None] + pixel.rest, 0) + light.bounced()
+    rho = albedo_of(diffuse, pixel.rgb, pixel.specular * b)
+    hue = (pixel.rgb - pixel.rgb.mean(axis=1, keepdims=True)).sum(axis=0)
+    hue /= np.linalg.norm(hue)
+    signal = (pixel.rgb - rho * light.bounced() - pixel.specular * b[:, None]) @ hue
+    found = np.linalg.lstsq(slopes, signal, rcond=None)[0]
+    length = np.linalg.norm(found)
+    bright = np.maximum(pixel.rgb, 0)
+    variance = (noise.sensor**2 * (0.25 + bright) + noise.model**2 * bright**2) @ hue**2
+    covariance = np.linalg.inv(slopes.T @ slopes) * variance.mean()
+    across = np.eye(3) - np.outer(found, found) / length**2
+    turn2 = np.trace(across @ covariance @ across) / length**2
+    return np.asarray(found / length), float(turn2)
+
+
 def evidence(lights: PatternLights, pixel: Pixel, interface: Interface, noise: Noise) -> np.ndarray:
     """(5,) of `joint.gloss_evidence`, by projection onto what turns and albedos cannot explain."""
     model = linear(Light(lights, pixel, interface, pixel.start), noise)

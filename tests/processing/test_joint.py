@@ -204,6 +204,31 @@ def test_a_step_is_that_of_plain_float64(
         np.testing.assert_allclose(found.certainty[i], known["certainty"], rtol=1e-3)
 
 
+@given(seed=SEEDS, lit=st.booleans(), interface=st.sampled_from(FAMILIES))
+@settings(max_examples=12, deadline=None)
+def test_chromas_normal_and_its_noise_are_those_of_plain_float64(
+    seed: int, lit: bool, interface: Interface
+) -> None:
+    s, noise = skin(seed, lit=lit, interface=interface), Noise()
+    # Of one step, chroma's light is that of the start.
+    found = solved(s, noise, rounds=1)
+    for i, pixel in enumerate(pixels(s)):
+        normal, turn2 = joint_twin.matte(LIGHTS, pixel, s.interface, noise)
+        np.testing.assert_allclose(found.matte[i], normal, atol=2e-4)
+        np.testing.assert_allclose(found.matte_turn2[i], turn2, rtol=2e-3)
+
+
+def test_chromas_normal_errs_by_as_much_as_is_told() -> None:
+    s = skin(4, 4000, noise=0, off_deg=0.3, lit=False)
+    noise = Noise(sensor=0.01, model=0, shade=0)
+    rng = np.random.default_rng(0)
+    rgb = s.rgb + noise.sensor * np.sqrt(0.25 + s.rgb) * rng.normal(size=s.rgb.shape)
+    clean = solved(s, noise, rounds=2)
+    found = solved(dataclasses.replace(s, rgb=rgb.astype(np.float32)), noise, rounds=2)
+    turned = np.radians(angle_deg(found.matte, clean.matte))
+    assert 0.8 < np.mean(turned**2) / np.mean(found.matte_turn2) < 1.25
+
+
 @given(
     seed=SEEDS,
     lit=st.booleans(),
@@ -277,6 +302,7 @@ def check_sane(found: Solved, gloss: np.ndarray) -> None:
     assert (found.power >= 0).all()
     assert (found.misfit >= 0).all()
     assert (found.certainty >= 0).all()
+    assert (found.matte_turn2 >= 0).all()
     assert np.isfinite(gloss).all()
     assert (gloss[:, [0, 2]] >= 0).all()
 

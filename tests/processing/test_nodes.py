@@ -106,6 +106,25 @@ def test_eight_pixels_are_solved_as_each_alone(seed: int, lit: bool, shade: floa
     albedo = alone.lit / alone.power
     np.testing.assert_allclose(found[holds, 5:8], albedo[holds], atol=0.01)
     np.testing.assert_allclose(found[holds, 8:11], alone.power[holds], rtol=0.03)
+    # Steeper slopes tell more.
+    told = found[holds, 14] / alone.matte_turn2[holds]
+    assert told.min() > 0.65
+    assert told.max() < 1.1
+
+
+def test_noise_turns_eight_chroma_normals_by_as_much_as_is_told() -> None:
+    s, noise = skin(5, LANES, noise=0, off_deg=0.3), Noise(sensor=0.005, model=0, shade=0)
+    table, rng = nodes_at(s)[0], np.random.default_rng(0)
+    sigma = noise.sensor * np.sqrt(0.25 + s.rgb)
+    each = [s.rgb + sigma * rng.normal(size=s.rgb.shape) for _ in range(300)]
+    found = np.stack(
+        [eight(dataclasses.replace(s, rgb=numbers(rgb)), table, noise) for rgb in each]
+    )
+    assert (found[..., 13] > 0).all()
+    # The parts along T, U and N, two of which are nearly across the normal.
+    matte = found[..., 2:5]
+    spread = matte.var(axis=0).sum(axis=1)
+    np.testing.assert_allclose(spread, found[..., 14].mean(axis=0), rtol=0.3)
 
 
 @given(power=st.integers(-6, 6), seed=SEEDS)
@@ -133,7 +152,7 @@ def test_what_holds_of_bad_readings_is_finite(readings: list[float], specular: f
     found = eight(bad, nodes_at(bad)[0], Noise())
     good = eight(dataclasses.replace(bad, rgb=s.rgb), nodes_at(bad)[0], Noise())
     if found[3, 13] > 0:
-        assert np.isfinite(found[3, :13]).all()
+        assert np.isfinite(found[3]).all()
     others = np.arange(LANES) != 3
     np.testing.assert_array_equal(found[others], good[others])
 
@@ -152,24 +171,29 @@ def test_directions_across_are_unit_across_and_turn_smoothly() -> None:
 
 def plain_finish(g: np.ndarray, limits: finish.Limits) -> dict[str, np.ndarray | float]:
     """One pixel's maps in plain float64."""
+    matte, own = g[finish.MATTE : finish.MATTE + 3], g[0:3]
+    chroma = limits.apart2 / (limits.apart2 + g[finish.MATTE_TURN2]) if matte.any() else 0
     agreement = float(g[0:3] @ g[15:18])
-    zero = {"confidence": 0.0, "albedo": np.zeros(3), "normal": np.zeros(3)}
+    zero = {"confidence": 0.0, "albedo": np.zeros(3), "normal": np.zeros(3), "matte": np.zeros(3)}
     if g[25] <= 0 or g[18] <= 0 or agreement <= 0 or g[0:3] @ g[27:30] <= 0:
         return zero
     power = g[9:12].mean()
-    trust = g[18] * np.clip(g[19] / limits.edge_px, 0, 1) * np.clip(2 * agreement, 0, 1)
+    trust = np.sqrt(g[18]) * np.clip(g[19] / limits.edge_px, 0, 1) * np.clip(2 * agreement, 0, 1)
     trust *= np.clip(g[14] / limits.grey_saturation - 1, 0, 1) * power / (power + limits.dark_power)
     trust /= 1 + g[12] / limits.doubtful_misfit
     trust /= 1 + 1 / (max(g[13], 1e-12) * limits.doubtful_turn2)
+    trust /= 1 + chroma**2 * ((matte - own) ** 2).sum() / limits.doubtful_apart2
     weight = max(trust**2, 1e-6)
     prior = g[20:23] if g[20:23].any() else g[6:9]
     lit = g[6:9] * g[9:12] * weight + limits.prior_power * prior
     share = min(trust / limits.steady_below, 1)
-    normal = share * g[0:3] + (1 - share) * g[15:18]
+    normal = share * own + (1 - share) * g[15:18]
+    blend = share * (chroma * matte + (1 - chroma) * own) + (1 - share) * g[15:18]
     return {
         "confidence": trust,
         "albedo": np.maximum(lit / (g[9:12] * weight + limits.prior_power), 0),
         "normal": normal / np.linalg.norm(normal),
+        "matte": blend / np.linalg.norm(blend),
     }
 
 
@@ -183,11 +207,13 @@ def test_trust_and_what_stands_in_are_those_of_plain_float64(seed: int) -> None:
         given_[:, first : first + 3] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     given_[:, finish.CERTAINTY] = 10 ** rng.uniform(1, 5, 20)
     given_[:, finish.INSIDE] *= 8
+    given_[:, finish.MATTE_TURN2] = 10 ** rng.uniform(-6, 0, 20)
+    given_[::7, finish.MATTE : finish.MATTE + 3] = 0
     given_[::5, finish.USABLE] = 0
     given_[::4, finish.PRIOR : finish.PRIOR + 3] = 0
     given_[::3, finish.FACING] = 0
     given_ = numbers(given_).astype(float)
-    limits, maps = finish.limits_of(RefineConfig()), finish.empty_maps(20)
+    limits, maps = finish.limits_of(RefineConfig(), doubt=3.0), finish.empty_maps(20)
     finish.finish(numbers(given_), np.arange(20), limits, maps)
     for i, row in enumerate(given_):
         known = plain_finish(row, limits)
