@@ -29,6 +29,7 @@ from benchmarks.record import record
 from benchmarks.reflectance_24mp import CAMERA, WHO, large_session
 from benchmarks.reflectance_naive import all_developed, printed_formula
 from benchmarks.reflectance_people import person, session
+from benchmarks.reflectance_refine_parts import refine_parts
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from processing.decode.stage import DecodeConfig, decode
@@ -143,6 +144,19 @@ def refined(root: Path, out: Path, config: RefineConfig) -> Cost:
         return timed(lambda: refine(opened, target, config), 1, warm=False)
 
 
+def parts(root: Path, out: Path) -> dict[str, Cost]:
+    """What each part of `refine` takes, with the true mesh."""
+    opened = load_session(root)
+    truth = ProcessedFolder(session(person(WHO)).with_name("session.truth"))
+    with tempfile.TemporaryDirectory() as name:
+        target = Path(name) / "out"
+        shutil.copytree(out, target)
+        shutil.copy(truth.base_mesh, ProcessedFolder(target).base_mesh)
+        seconds = refine_parts(opened, target, RefineConfig())
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return {f"of refine: {part}": Cost(*both, peak) for part, both in seconds.items()}
+
+
 def nine(root: Path, out: Path) -> Cost:
     """Nine views to maps on the disk, as many at once as fit: each reads one camera's frames."""
     opened = load_session(root)
@@ -218,6 +232,7 @@ def main() -> None:
                 costs[f"plain arrays: method {method}"] = apart(coarse, root, out, method)
             costs["writing the maps (EXR)"] = apart(written, root, out)
             costs["refine, true mesh, maps written"] = apart(refined, root, out, RefineConfig())
+            costs.update(apart(parts, root, out))
             alone = RefineConfig(light_step_mm=0.0)
             costs["its plain twin: light gathered for every pixel"] = apart(
                 refined, root, out, alone

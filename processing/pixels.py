@@ -41,10 +41,18 @@ MAP_NAMES = {
 """Fields of `PixelMaps`, and the maps that they are written to."""
 
 
+def pasted(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(h, w, ..) float16 picture of n pixels' (n, ..) values, zero outside the (h, w) mask.
+
+    What half floats cannot hold becomes infinite, and is refused when it is written.
+    """
+    image = np.zeros((*mask.shape, *values.shape[1:]), np.float16)
+    with np.errstate(over="ignore"):
+        image[mask] = values.astype(np.float16)
+    return image
+
+
 def write_maps(folder: ProcessedFolder, camera_id: str, mask: np.ndarray, maps: PixelMaps) -> None:
     """Write one view's maps, zero outside the (h, w) mask."""
     for field, name in MAP_NAMES.items():
-        values = getattr(maps, field)
-        image = np.zeros((*mask.shape, *values.shape[1:]), np.float32)
-        image[mask] = values
-        folder.write_view(camera_id, name, image)
+        folder.write_view(camera_id, name, pasted(mask, getattr(maps, field)))

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import open3d
+from numba import njit, prange
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.rig import Camera
@@ -118,16 +119,54 @@ class MeshRays:
         targets = np.asarray(targets_mm, np.float32)
         out = np.zeros((len(start), len(targets)), bool)
         step = max(1, CHUNK_RAYS // max(1, len(targets)))
+        upward = np.asarray(normals, np.float32)
         for first in range(0, len(start), step):
             part = slice(first, first + step)
-            to_target = targets[None] - start[part, None]
-            facing = np.einsum("nmk,nk->nm", to_target, normals[part].astype(np.float32)) > 0
-            rows, columns = np.nonzero(facing)
-            rays = np.concatenate([start[part][rows], to_target[rows, columns]], axis=1)
+            # What faces each other is marked, and then what is in each other's way unmarked.
+            _mark_facing(start[part], upward[part], targets, out[part])
+            until = np.cumsum(np.count_nonzero(out[part], axis=1))
+            rays = np.empty((int(until[-1]), 6), np.float32)
+            _fill_rays(start[part], targets, out[part], until, rays)
             blocked = self._scene.test_occlusions(open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
-            out[first + rows, columns] = ~blocked.numpy()
+            _unmark(blocked.numpy(), until, out[part])
             progress(min(first + step, len(start)), len(start))
         return out
+
+
+@njit(parallel=True, cache=True)
+def _mark_facing(
+    start: np.ndarray, normals: np.ndarray, targets: np.ndarray, out: np.ndarray
+) -> None:
+    for i in prange(len(start)):
+        for j in range(len(targets)):
+            height = np.float32(0)
+            for k in range(3):
+                height += (targets[j, k] - start[i, k]) * normals[i, k]
+            out[i, j] = height > 0
+
+
+@njit(parallel=True, cache=True)
+def _fill_rays(
+    start: np.ndarray, targets: np.ndarray, marked: np.ndarray, until: np.ndarray, rays: np.ndarray
+) -> None:
+    for i in prange(len(start)):
+        n = until[i - 1] if i else 0
+        for j in range(len(targets)):
+            if marked[i, j]:
+                for k in range(3):
+                    rays[n, k] = start[i, k]
+                    rays[n, 3 + k] = targets[j, k] - start[i, k]
+                n += 1
+
+
+@njit(parallel=True, cache=True)
+def _unmark(blocked: np.ndarray, until: np.ndarray, out: np.ndarray) -> None:
+    for i in prange(len(out)):
+        n = until[i - 1] if i else 0
+        for j in range(out.shape[1]):
+            if out[i, j]:
+                out[i, j] = not blocked[n]
+                n += 1
 
 
 def interpolate(values: np.ndarray, triangles: np.ndarray, hits: Hits) -> np.ndarray:

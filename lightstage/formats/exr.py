@@ -12,6 +12,8 @@ from lightstage.formats.files import atomic_path
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 
+LARGEST_HALF = 65504.0
+
 
 def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
     """Write a picture atomically.
@@ -32,14 +34,25 @@ def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
         pixels = pixels[:, :, 0]
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)) or pixels.size == 0:
         raise FormatError(path, found=f"shape {pixels.shape}", expected="(h, w), (h, w, 1 or 3)")
-    if half and np.nanmax(np.abs(pixels), initial=0.0) > 65504.0:
+    given = pixels
+    with np.errstate(over="ignore"):
+        pixels = np.ascontiguousarray(given, dtype=np.float16 if half else np.float32)
+    if half and _peaks(pixels) and np.nanmax(np.abs(given), initial=0.0) > LARGEST_HALF:
         raise FormatError(path, found="values above 65504", expected="values that half can hold")
-    pixels = np.ascontiguousarray(pixels, dtype=np.float16 if half else np.float32)
     channels = {"Y": pixels} if pixels.ndim == 2 else {"RGB": pixels}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic_path(path) as beside, OpenEXR.File(header, channels) as file:
         file.write(str(beside))
     return path
+
+
+def _peaks(half: np.ndarray) -> bool:
+    """Whether float16 values hold an infinity or the largest number, by their bits: that is fast.
+
+    Only then may what was given be larger than half floats can tell.
+    """
+    bits = half.view(np.uint16) & np.uint16(0x7FFF)
+    return bool((bits - np.uint16(0x7BFF) <= 1).any())
 
 
 def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:

@@ -60,7 +60,7 @@ def unexplained(scene: Scene, views: list[View], facets: Facets, config: RefineC
     for more than the lobe's shape, in all channels alike. 0 where no pixel can be asked.
     """
     scene = dataclasses.replace(scene, facets=facets)
-    bands = [slice(None, None, -(-len(v.rgb) // config.family_pixels)) for v in views]
+    bands = [np.arange(0, len(v.rgb), -(-len(v.rgb) // config.family_pixels)) for v in views]
     trust = [steady(view, config)[band] for view, band in zip(views, bands, strict=True)]
     normals = [
         np.where(view.usable[band, None], view.sight.normals[band], 0)
@@ -88,7 +88,9 @@ def unexplained(scene: Scene, views: list[View], facets: Facets, config: RefineC
             sums += sum_at_vertices(evidence, shadows.corners, shadows.weights, len(sums))
         every = np.concatenate(misfits)
         left = float(np.median(every)) if len(every) else 0.0
-        scene.gloss = better_gloss(
+        if done == ROUNDS - 1:
+            break
+        gloss = better_gloss(
             scene.gloss,
             sums,
             scene.surface,
@@ -97,4 +99,5 @@ def unexplained(scene: Scene, views: list[View], facets: Facets, config: RefineC
             prior=config.gloss_prior,
             spread=config.gloss_spread,
         )
+        scene = dataclasses.replace(scene, gloss=gloss)
     return left

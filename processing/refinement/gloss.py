@@ -11,6 +11,7 @@ import dataclasses
 
 import cv2
 import numpy as np
+from numba import njit, prange
 from scipy import sparse
 
 from processing.lighting.lobe import SKIN_F0
@@ -107,9 +108,24 @@ def better_gloss(
 
 def smooth(values: np.ndarray, average: sparse.csr_array, rounds: int) -> np.ndarray:
     """(V, k) values after so many rounds of averaging over neighbours."""
+    values = np.ascontiguousarray(values, np.float64)
     for _ in range(rounds):
-        values = average @ values
-    return np.asarray(values)
+        averaged = np.empty_like(values)
+        _multiply(average.indptr, average.indices, average.data, values, averaged)
+        values = averaged
+    return values
+
+
+@njit(parallel=True, cache=True)
+def _multiply(
+    indptr: np.ndarray, indices: np.ndarray, data: np.ndarray, values: np.ndarray, out: np.ndarray
+) -> None:
+    """Sparse times dense on all cores: scipy's own takes one."""
+    for i in prange(len(out)):
+        out[i] = 0
+        for at in range(indptr[i], indptr[i + 1]):
+            for k in range(values.shape[1]):
+                out[i, k] += data[at] * values[indices[at], k]
 
 
 def local_specular(

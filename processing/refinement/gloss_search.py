@@ -19,23 +19,26 @@ from processing.refinement.joint import (
     solve_jointly,
 )
 from processing.refinement.scattering import scattered, unscattered
-from processing.refinement.scene import Scene, View, gloss_of, place_of, steady
+from processing.refinement.scene import ALL, Scene, View, gloss_of, place_of, steady
 from processing.surface import LitSurface, at_vertices_to
+
+TRIED_PIXELS = 20_000
+"""About so many pixels of one view choose between ways of light, or up to twice as many."""
 
 
 def find_gloss(
     scene: Scene, grids: list[View], config: RefineConfig, progress: ProgressCallback = quiet
-) -> list[Solved]:
+) -> tuple[Scene, list[Solved]]:
     """Find gloss, the lobes' family, bounced light and scattering from grids of the views.
 
     Args:
-        scene: changed in place.
+        scene: before anything was found.
         grids: the views.
         config: see there.
         progress: of rounds.
 
     Returns:
-        Each grid's pixels as solved.
+        The scene with what was found, and each grid's pixels as solved.
     """
     surface = scene.surface
     between, entered = None, np.zeros(0)
@@ -51,23 +54,25 @@ def find_gloss(
             albedo = vertex_albedo(surface, grids, solved)
             bounced = bounced_light(surface, between, entered, albedo)
             if done == 0:
-                scene.bounces = best_bounces(scene, bounced, grids[0], solved[0], config)
-            scene.bounced = np.float32(scene.bounces) * bounced
+                share = best_bounces(scene, bounced, grids[0], solved[0], config)
+                scene = dataclasses.replace(scene, bounces=share)
+            scene = dataclasses.replace(scene, bounced=np.float32(scene.bounces) * bounced)
         if done == 0 and config.family_pixels:
-            scene.facets = best_facets(scene, grids, config)
+            scene = dataclasses.replace(scene, facets=best_facets(scene, grids, config))
             if scene.facets != BECKMANN:
                 solved = [
                     solve_grid(scene, g, b, config) for g, b in zip(grids, solved, strict=True)
                 ]
         if done == 0:
-            scene.scattering = best_scattering(scene, grids[0], solved[0], config)
-        scene.doubt = doubt(grids, solved, config)
+            amount = best_scattering(scene, grids[0], solved[0], config)
+            scene = dataclasses.replace(scene, scattering=amount)
+        scene = dataclasses.replace(scene, doubt=doubt(grids, solved, config))
         sums = np.zeros((len(surface.vertices), 5))
         for grid, found in zip(grids, solved, strict=True):
             evidence = grid_evidence(scene, grid, found, config)
             corners, weights = grid.sight.shadows.corners, grid.sight.shadows.weights
             sums += sum_at_vertices(evidence, corners, weights, len(surface.vertices))
-        scene.gloss = better_gloss(
+        gloss = better_gloss(
             scene.gloss,
             sums,
             surface,
@@ -77,8 +82,9 @@ def find_gloss(
             spread=config.gloss_spread / np.sqrt(scene.doubt),
             wrong=mistaken(scene, solved, config),
         )
+        scene = dataclasses.replace(scene, gloss=gloss)
         progress(done + 1, config.gloss_rounds)
-    return solved
+    return scene, solved
 
 
 def mistaken(scene: Scene, solved: list[Solved], config: RefineConfig) -> np.ndarray:
@@ -109,18 +115,31 @@ def doubt(grids: list[View], solved: list[Solved], config: RefineConfig) -> floa
 
 def solve_grid(scene: Scene, view: View, before: Solved | None, config: RefineConfig) -> Solved:
     """One step with what the scene knows so far, from the step before or the mesh's normals."""
-    sight = view.sight
     if before is None:
-        start = np.where(view.usable[:, None], sight.normals, 0)
+        start = np.where(view.usable[:, None], view.sight.normals, 0)
         around = unscattered(len(start), len(scene.lights.patterns))
     else:
         start, around = before.normal, around_of(scene, view, before)
+    return solve_some(scene, view, ALL, start, around, config)
+
+
+def solve_some(
+    scene: Scene,
+    view: View,
+    some: slice | np.ndarray,
+    start: np.ndarray,
+    around: Scattered,
+    config: RefineConfig,
+) -> Solved:
+    """One step for some of a view's pixels, from their own normals and light that wanders."""
+    roughness, specular = gloss_of(scene, view.sight)
     return solve_jointly(
-        view.rgb,
+        view.rgb[some],
         scene.lights,
-        place_of(scene, view),
+        place_of(scene, view, some),
         start,
-        *gloss_of(scene, sight),
+        roughness[some],
+        specular[some],
         scene.interface,
         around,
         config.noise,
@@ -165,11 +184,14 @@ def best_bounces(
     if not good.any():
         return 0.0
     good &= share >= np.median(share[good])
+    some = asked(good)
+    around = around_of(scene, view, solved)
+    around = dataclasses.replace(around, rest=around.rest[some])
     misfits = []
     for light in (0.0, 1.0):
         tried = dataclasses.replace(scene, bounced=np.float32(light) * bounced)
-        again = solve_grid(tried, view, solved, config)
-        misfits.append(float(np.median(again.misfit[good])))
+        again = solve_some(tried, view, some, solved.normal[some], around, config)
+        misfits.append(float(np.median(again.misfit)))
     return float(misfits[1] < misfits[0])
 
 
@@ -180,12 +202,26 @@ def best_scattering(scene: Scene, view: View, solved: Solved, config: RefineConf
     the readings unexplained.
     """
     misfits: list[float] = []
-    for amount in config.scattering if len(config.scattering) > 1 else ():
+    amounts = config.scattering if len(config.scattering) > 1 else ()
+    some = asked(steady(view, config) > 0.5)
+    whole = around_of(dataclasses.replace(scene, scattering=1.0), view, solved)
+    for amount in amounts:
         tried = dataclasses.replace(scene, scattering=amount)
-        again = solve_grid(tried, view, solve_grid(tried, view, solved, config), config)
-        good = (again.misfit > 0) & (steady(view, config) > 0.5)
+        # What wanders is proportional to the amount: it is blurred once.
+        kept, rest = 1 - amount + amount * whole.kept, np.float32(amount) * whole.rest[some]
+        around, normals = Scattered(kept, rest), solved.normal[some]
+        for _ in range(2):
+            again = solve_some(tried, view, some, normals, around, config)
+            normals = again.normal
+        good = again.misfit > 0
         misfits.append(float(np.median(again.misfit[good])) if good.any() else 0.0)
     return config.scattering[int(np.argmin(misfits)) if misfits else 0]
+
+
+def asked(good: np.ndarray) -> np.ndarray:
+    """Numbers of some of a grid's good pixels, spread evenly: enough for a median."""
+    numbers = np.flatnonzero(good)
+    return numbers[:: max(1, len(numbers) // TRIED_PIXELS)]
 
 
 def vertex_albedo(surface: LitSurface, grids: list[View], solved: list[Solved]) -> np.ndarray:

@@ -55,7 +55,7 @@ class View:
     mirrored: np.ndarray
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(frozen=True)
 class Scene:
     """What all views share, and what has been found of it so far.
 
@@ -154,16 +154,18 @@ def read_sight(
     rgb = np.empty((count, len(frames.patterns), 3), np.float32)
     saturation, usable = np.empty(count, np.float32), np.empty(count, bool)
     valid = frames.valid
-    done = 0
-    rows = max(1, BAND_PIXELS * step**2 // frames.shape[1])
-    for first in range(0, len(chosen), rows):
+    until = np.cumsum(np.count_nonzero(chosen, axis=1))
+    done = top = 0
+    while done < count:
+        # At least one row; rows with no pixel cost nothing.
+        bottom = max(int(np.searchsorted(until, done + BAND_PIXELS, "right")), top + 1)
         some = np.zeros_like(chosen)
-        some[first : first + rows] = chosen[first : first + rows]
+        some[top:bottom] = chosen[top:bottom]
         pixels = frames.pixels(some)
         band = slice(done, done + len(pixels))
         clean, _, colourful, good = read_pixels(pixels, valid[some], white, config.dark_level)
         rgb[band], saturation[band], usable[band] = clean, colourful, good
-        done += len(pixels)
+        done, top = done + len(pixels), bottom
     rgb /= white.astype(np.float32)
     usable &= faces_camera(sight)
     evened(rgb, scene.lights, camera, sight.normals)
@@ -178,13 +180,13 @@ def faces_camera(sight: Sight) -> np.ndarray:
     return np.asarray(np.einsum("nk,nk->n", sight.normals, sight.views) > 0)
 
 
-def place_of(scene: Scene, view: View, band: slice = ALL) -> Place:
-    """Where a view's pixels lie."""
+def place_of(scene: Scene, view: View, some: slice | np.ndarray = ALL) -> Place:
+    """Where a view's pixels, or some of them by their numbers, lie."""
     sight = view.sight
     return Place(
-        sight.points_mm[band],
-        sight.views[band],
-        Shadows(sight.shadows.corners[band], sight.shadows.weights[band], sight.shadows.visible),
+        sight.points_mm[some],
+        sight.views[some],
+        Shadows(sight.shadows.corners[some], sight.shadows.weights[some], sight.shadows.visible),
         scene.bounced,
         view.mirrored,
     )

@@ -13,12 +13,12 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import fix_normals, pattern_lights
-from processing.pixels import MAP_NAMES, PixelMaps, write_maps
 from processing.refinement.config import RefineConfig
 from processing.refinement.every_pixel import solve_view
 from processing.refinement.gloss_search import find_gloss
 from processing.refinement.scene import prepare_scene, read_view
 from processing.refinement.unrefined import keep_coarse
+from processing.refinement.written import write_refined
 
 
 def refine(
@@ -52,7 +52,7 @@ def refine(
         for camera, lit in seen_by
     ]
     progress(2, steps)
-    found = find_gloss(scene, grids, config, lambda done, _: progress(2 + done, steps))
+    scene, found = find_gloss(scene, grids, config, lambda done, _: progress(2 + done, steps))
     confidence: dict[str, float] = {}
     between: dict[str, float] = {}
     pixels = 0
@@ -60,16 +60,13 @@ def refine(
         solved = solve_view(
             scene, read_frames(out, camera.id), camera, lit, grids[done], found[done], config
         )
-        mask, maps = solved.mask, solved.maps.pixel_maps()
-        occlusion = np.ones(mask.shape, np.float32)
-        occlusion[mask] = solved.maps.occlusion
+        maps, occlusion = solved.maps.pixel_maps(), solved.maps.occlusion
         between[camera.id] = round(solved.between_nodes, 4)
-        mask, maps = with_coarse(folder, camera.id, mask, maps, config.coarse_confidence)
-        write_maps(folder, camera.id, mask, maps)
-        folder.write_view(camera.id, "ambient_occlusion", np.where(mask, occlusion, 0))
-        folder.write_mask(camera.id, mask)
-        confidence[camera.id] = round(float(maps.confidence.mean()), 4)
-        pixels += len(maps.confidence)
+        count, mean = write_refined(
+            folder, camera.id, solved.mask, maps, occlusion, config.coarse_confidence
+        )
+        confidence[camera.id] = round(mean, 4)
+        pixels += count
         progress(3 + config.gloss_rounds + done, steps)
     seen = np.unique(np.concatenate([grid.sight.shadows.corners.ravel() for grid in grids]))
     return {
@@ -91,31 +88,3 @@ def refine(
         "calmed by scattering",
         "warnings": [],
     }
-
-
-def with_coarse(
-    folder: ProcessedFolder, camera_id: str, mask: np.ndarray, maps: PixelMaps, share: float
-) -> tuple[np.ndarray, PixelMaps]:
-    """A view's maps with those of `separate` where the mesh has a hole, if there are any.
-
-    Args:
-        folder: holds the coarse maps.
-        camera_id: the view.
-        mask: (h, w) bool with n true pixels.
-        maps: of these.
-        share: of their confidence that coarse maps keep.
-
-    Returns:
-        The (h, w) mask of all, and their maps.
-    """
-    if not all(folder.view_path(camera_id, name).is_file() for name in MAP_NAMES.values()):
-        return mask, maps
-    every = mask | folder.read_mask(camera_id)
-    values = {}
-    for field, name in MAP_NAMES.items():
-        whole = folder.read_view(camera_id, name)
-        if field == "confidence":
-            whole = whole * np.float32(share)
-        whole[mask] = getattr(maps, field)
-        values[field] = whole[every]
-    return every, PixelMaps(**values)

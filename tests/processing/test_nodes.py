@@ -281,7 +281,7 @@ def ball_maps() -> tuple[lit_ball.Sight, SolvedView, SolvedView]:
     mesh = test_reflectance.ball_mesh(ball)
     scene = prepare_scene(mesh, test_joint.LIGHTS, [(camera, truth.mask)], config)
     grid = read_view(frames, camera, truth.mask, scene, config, config.gloss_pixels)
-    found = find_gloss(scene, [grid], config)
+    scene, found = find_gloss(scene, [grid], config)
     nodes, alone = (
         solve_view(scene, frames, camera, truth.mask, grid, found[0], each)
         for each in (config, dataclasses.replace(config, light_step_mm=0.0))

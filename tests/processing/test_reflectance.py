@@ -194,7 +194,7 @@ def refined(ball: Ball, noise: float = 0.0) -> tuple[np.ndarray, ...]:
     )
     scene = prepare_scene(ball_mesh(ball), LIGHTS, [(CAMERA, truth.mask)], config)
     view = read_view(frames, CAMERA, truth.mask, scene, config)
-    found = find_gloss(scene, [view], config)
+    scene, found = find_gloss(scene, [view], config)
     maps = solve_view(scene, frames, CAMERA, truth.mask, view, found[0], config).maps.pixel_maps()
     normals = np.zeros((*truth.mask.shape, 3))
     normals[truth.mask] = truth.normals
