@@ -128,13 +128,17 @@ def test_noise_turns_eight_chroma_normals_by_as_much_as_is_told() -> None:
 
 
 @given(power=st.integers(-6, 6), seed=SEEDS)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_eight_normals_do_not_depend_on_the_scale_of_readings(power: int, seed: int) -> None:
     s, noise = skin(seed, LANES), Noise(sensor=0)
     scale = 10.0**power
     scaled = dataclasses.replace(s, rgb=numbers(s.rgb * scale), specular=s.specular * scale)
     known, found = (eight(x, nodes_at(x)[0], noise) for x in (s, scaled))
     both = (known[:, 13] > 0) & (found[:, 13] > 0)
+    # Without a sensor's own noise a reading a thousandth of the others counts a million times as
+    # much as they do, which single precision cannot hold. No sensor is like that.
+    readings = s.rgb[:LANES].reshape(LANES, -1)
+    both &= readings.min(axis=1) > 2e-3 * readings.max(axis=1)
     np.testing.assert_allclose(found[both, :2], known[both, :2], atol=1e-4)
     np.testing.assert_allclose(found[both, 5:8] / scale, known[both, 5:8], rtol=1e-3, atol=1e-5)
 
