@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from learning.render import eager
 from learning.render.environments import Environment
 from learning.render.shading import shade
 from learning.render.skin import ShadeOptions, SkinMaps
@@ -113,3 +114,19 @@ def test_half_precision_maps_are_shaded_in_single() -> None:
     found = shade(halved, lights)
     assert found.dtype == torch.float32
     torch.testing.assert_close(found, whole, atol=3e-3, rtol=1e-2)
+
+
+def test_the_compiled_engine_is_the_eager_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Traced and differentiated as for code, but run by torch's operations: making code takes long.
+    traced = torch.compile(eager._sums_of_tensors, backend="aot_eager")
+    monkeypatch.setattr(eager, "compiled", lambda: traced)
+    rng = np.random.default_rng(6)
+    skin, lights = scene(rng)
+    seen, found = field(rng, 2, 0, 1), []
+    for engine in ("compiled", "eager"):
+        normal = skin.specular_normal.clone().requires_grad_()
+        maps = dataclasses.replace(skin, specular_normal=normal)
+        picture = shade(maps, lights, ShadeOptions(engine=engine), seen)
+        found.append([picture, *torch.autograd.grad(picture.square().sum(), [normal])])
+    for a, b in zip(*found, strict=True):
+        torch.testing.assert_close(a, b)
