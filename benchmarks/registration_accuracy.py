@@ -31,11 +31,12 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def faults(case: Case, vertices: np.ndarray) -> int:
-    """Triangles that are folded over or cross others, and did not in the truth."""
-    triangles = case.template.mesh.triangles()
+    """Triangles that are folded over or cross others as neither the template's nor truth's do."""
+    triangles, rest = case.template.mesh.triangles(), case.template.mesh.vertices
     folded = folded_triangles(case.truth, vertices, triangles)
+    folded &= folded_triangles(rest, vertices, triangles)
     crossing = crossing_triangles(vertices, triangles)
-    crossing &= ~crossing_triangles(case.template.mesh.vertices, triangles)
+    crossing &= ~crossing_triangles(rest, triangles) & ~crossing_triangles(case.truth, triangles)
     return int((folded | crossing).sum())
 
 

@@ -140,6 +140,25 @@ def _interpolate(
             out[k, c] = b0 * values[i, c] + b1 * values[j, c] + b2 * values[m, c]
 
 
+def overlap_share(uvs: np.ndarray, triangle_uvs: np.ndarray, raster: Raster) -> float:
+    """Share of the triangles' area in UV that other triangles cover too or that is off the tile.
+
+    Args:
+        uvs: (k, 2).
+        triangle_uvs: (t, 3) indices into them.
+        raster: of these triangles.
+
+    Returns:
+        0..1, right to about a texel along the islands' outline.
+    """
+    rows, columns = raster.face.shape
+    flat = uvs[triangle_uvs] * [columns, rows]
+    e1, e2 = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area = 0.5 * float(np.nansum(np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])))
+    covered = int((raster.face >= 0).sum())
+    return max(0.0, 1.0 - covered / area) if area > 0 else 0.0
+
+
 def texel_size_mm(
     vertices: np.ndarray,
     triangles: np.ndarray,

@@ -17,7 +17,7 @@ from lightstage.formats.template import Template
 from lightstage.rig import Camera
 from processing.atlas.blend import BlendConfig, Blender
 from processing.atlas.fill import BY_DIFFUSION, MeshFill, gutter_sources, mirrored_vertices
-from processing.atlas.raster import Raster, rasterise, texel_size_mm
+from processing.atlas.raster import Raster, overlap_share, rasterise, texel_size_mm
 from processing.atlas.tangents import tangent_frames, to_tangent_space
 from processing.atlas.weights import Texels, ViewSamples, view_samples
 from processing.errors import AtlasError
@@ -33,6 +33,7 @@ BLENDED = (
 NORMALS = ("diffuse_normal", "specular_normal")
 OPTIONAL = ("roughness",)
 """Blended where every view has it."""
+MOST_OVERLAP = 0.01
 FILL_WEIGHT = 0.02
 """The guess for unseen texels counts like a view of this weight, which feathers its rim."""
 
@@ -278,7 +279,15 @@ def _facts(
         mesh.vertices, shape.triangles, mesh.uvs, mesh.triangle_uvs(), config.rows, columns
     )
     seen = best > 0
+    overlap = overlap_share(mesh.uvs, mesh.triangle_uvs(), shape.raster)
+    warnings = []
+    if overlap > MOST_OVERLAP:
+        warnings.append(
+            f"{overlap:.0%} of the template's UV overlaps: there one place's colours show at both"
+        )
     return {
+        "warnings": warnings,
+        "uv_overlap_share": overlap,
         "rows": config.rows,
         "columns": columns,
         "views": len(views),

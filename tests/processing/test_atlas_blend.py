@@ -1,5 +1,6 @@
 import dataclasses
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -171,6 +172,10 @@ def test_texels_without_a_view_stay_zero_and_tiny_weights_stay_finite():
     assert found == pytest.approx([4, 4, 0], abs=1e-3)
 
 
+def texels_of(mesh, normals):
+    return Texels(mesh.vertices.astype(np.float32), normals, np.ones(len(normals), np.float32))
+
+
 def measured_normals(cam, mesh):
     hits = MeshRays(mesh.vertices, mesh.triangles()).cast_camera(cam)
     normals = vertex_normals(mesh.vertices, mesh.triangles())
@@ -192,7 +197,7 @@ def test_a_view_whose_normals_are_wrong_is_not_believed():
             cam,
             mesh.vertices,
             triangles,
-            Texels(mesh.vertices.astype(np.float32), normals, np.ones(len(normals), np.float32)),
+            texels_of(mesh, normals),
             np.ones(shape, np.float32),
             np.ones(shape, bool),
             measured_normals(cam, mesh) @ tilt.T,
@@ -263,3 +268,83 @@ def test_no_trust_or_no_confidence_means_no_sample():
             WeightConfig(),
         )
         assert len(found.slot) == 0
+
+
+def test_threads_do_not_change_the_result():
+    rng = np.random.default_rng(0)
+    mesh = bumpy_ellipsoid()
+    normals = vertex_normals(mesh.vertices, mesh.triangles()).astype(np.float32)
+    cam = camera("a", 20)
+    shape = (cam.height_px, cam.width_px)
+    image = rng.normal(size=(*shape, 3)).astype(np.float32)
+    measured = measured_normals(cam, mesh)
+    kept = numba.get_num_threads()
+    found = []
+    try:
+        for threads in (1, min(2, kept)):
+            numba.set_num_threads(threads)
+            samples = view_samples(
+                cam,
+                mesh.vertices,
+                mesh.triangles(),
+                Texels(
+                    mesh.vertices.astype(np.float32), normals, np.ones(len(normals), np.float32)
+                ),
+                np.ones(shape, np.float32),
+                np.ones(shape, bool),
+                measured,
+                1.0,
+                WeightConfig(),
+            )
+            blender = Blender(len(normals), 3, BlendConfig())
+            blender.add(samples, image)
+            found.append((samples.weight, blender.result()))
+    finally:
+        numba.set_num_threads(kept)
+    assert len(found[0][0]) > 300
+    for one, two in zip(*found, strict=True):
+        assert np.array_equal(one, two)
+
+
+def test_projection_through_distortion_is_the_cameras_own():
+    mesh = bumpy_ellipsoid()
+    normals = vertex_normals(mesh.vertices, mesh.triangles()).astype(np.float32)
+    cam = camera("b", -30, 10, dist=True)
+    shape = (cam.height_px, cam.width_px)
+    places = mesh.vertices.astype(np.float32)
+    samples = view_samples(
+        cam,
+        mesh.vertices,
+        mesh.triangles(),
+        Texels(places, normals, np.ones(len(normals), np.float32)),
+        np.ones(shape, np.float32),
+        np.ones(shape, bool),
+        measured_normals(cam, mesh),
+        1.0,
+        WeightConfig(),
+    )
+    assert len(samples.slot) > 300
+    truth, _ = cam.project(places[samples.slot])
+    assert np.abs(samples.pixel - truth).max() < 1e-3
+
+
+def test_a_view_from_farther_away_counts_less():
+    mesh = bumpy_ellipsoid()
+    normals = vertex_normals(mesh.vertices, mesh.triangles()).astype(np.float32)
+    cam = camera("a", 0)
+    shape = (cam.height_px, cam.width_px)
+    heaviest = []
+    for finest in (1e9, 0.4):  # its own pixels are 0.7 to 0.8 mm wide
+        found = view_samples(
+            cam,
+            mesh.vertices,
+            mesh.triangles(),
+            texels_of(mesh, normals),
+            np.ones(shape, np.float32),
+            np.ones(shape, bool),
+            measured_normals(cam, mesh),
+            finest,
+            WeightConfig(),
+        )
+        heaviest.append(found.weight.max())
+    assert 0.2 < heaviest[1] / heaviest[0] < 0.4

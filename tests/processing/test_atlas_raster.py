@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from processing.atlas.fill import MeshFill, gutter_sources, mirrored_vertices
-from processing.atlas.raster import rasterise, texel_size_mm
+from processing.atlas.raster import overlap_share, rasterise, texel_size_mm
 from tests.processing.shapes import ellipsoid
 
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
@@ -197,3 +197,36 @@ def test_the_other_side_is_a_better_guess_than_the_surroundings():
 def test_vertices_without_another_side_say_so():
     rest = np.array([[10.0, 0, 0], [-10.0, 0.5, 0], [40.0, 5, 5]])
     assert mirrored_vertices(rest, 1.0).tolist() == [1, 0, -1]
+
+
+def test_overlap_and_what_is_off_the_tile_are_measured():
+    mesh = ellipsoid()
+    assert mesh.uvs is not None
+    for u_of, expected in (
+        (lambda u: u, 0.0),
+        (lambda u: np.abs(u - 0.5), 0.5),  # both halves on one
+        (lambda u: u + 0.25, 0.25),  # a quarter off the tile
+    ):
+        uvs = mesh.uvs.copy()
+        uvs[:, 0] = u_of(uvs[:, 0])
+        raster = rasterise(uvs, mesh.triangle_uvs(), 192, 128)
+        found = overlap_share(uvs, mesh.triangle_uvs(), raster)
+        assert found == pytest.approx(expected, abs=0.02)
+
+
+def test_triangles_smaller_than_a_texel_lose_none():
+    """A grid far finer than the atlas: every texel in it shows the one triangle at its centre."""
+    n = 200
+    grid = np.stack(np.meshgrid(np.linspace(0.1, 0.9, n), np.linspace(0.1, 0.9, n)), -1)
+    uvs = grid.reshape(-1, 2)
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    lower = np.stack([corner, corner + 1, corner + n], axis=1)
+    upper = np.stack([corner + 1, corner + n + 1, corner + n], axis=1)
+    triangles = np.concatenate([lower, upper])
+    raster = rasterise(uvs, triangles, 48, 32)
+    inside = raster.face[5:43, 4:28]
+    assert (inside >= 0).all()
+    place = raster.at(np.c_[uvs, 0 * uvs[:, :1]], triangles)
+    rows, columns = np.divmod(raster.texels(), 32)
+    assert np.abs(place[:, 0] - (columns + 0.5) / 32).max() < 1e-6
+    assert np.abs(place[:, 1] - (1 - (rows + 0.5) / 48)).max() < 1e-6
