@@ -29,7 +29,8 @@ class CamerasConfig:
         model: of the lenses, COLMAP's name: SIMPLE_RADIAL (one focal length and k1; enough for long
             lenses, whose principal point other terms blur), RADIAL (and k2), OPENCV (two focal
             lengths, k1, k2, p1, p2).
-        max_residual_px: a camera whose corners are off by more (median) is refused.
+        max_residual_px: a camera whose corners are off by more (median) is refused, and so is one of
+            whose boards more than a quarter are (median each): the others may hide that it moved.
         outlier_px: corners farther off than this after a first adjustment are left out.
         min_sights: boards that a camera must have seen.
         moved_mm: a camera found farther than this from where rig.json has it is warned of.
@@ -112,7 +113,7 @@ def measure_cameras(
     held = _held_out(clean, corners, found, config)
     world = _onto(found.cameras, rig_cameras)
     facts, warnings = _told(sights, clean, found, held, rig_cameras, world)
-    _refuse(facts, config, warnings)
+    _refuse(_contradicting(clean, corners, found, config), config, warnings)
     measured = {
         name: dataclasses.replace(camera, cam_from_world=_four(camera.cam_from_world)[:3] @ world)
         for name, camera in found.cameras.items()
@@ -265,12 +266,38 @@ def _told(
     return {"cameras": cameras, "boards": len(found.boards)}, warnings
 
 
-def _refuse(facts: dict[str, Any], config: CamerasConfig, warnings: list[str]) -> None:
+def _contradicting(
+    sights: Sequence[Sight], corners: np.ndarray, found: Adjusted, config: CamerasConfig
+) -> dict[str, float]:
+    """Cameras that the others contradict and by how many pixels, the worst first.
+
+    A camera that moved pulls its neighbours' boards with it: after each that is found the others
+    are adjusted without it, so that they are not blamed.
+    """
+    out: dict[str, float] = {}
+    while True:
+        off = {}
+        for name in found.cameras:
+            own = [m for s, m in zip(sights, found.residual_px, strict=True) if s.camera == name]
+            if own:
+                # Boards it saw before it moved, fitted well, must not hide those after.
+                boards = float(np.percentile([np.median(m) for m in own], 75))
+                off[name] = max(float(np.median(np.concatenate(own))), boards)
+        worst = max(off, key=lambda name: off[name])
+        if off[worst] <= config.max_residual_px:
+            return out
+        out[worst] = off[worst]
+        if len(off) < 3:
+            return out
+        sights = [s for s in sights if s.camera != worst]
+        cameras = {name: camera for name, camera in found.cameras.items() if name != worst}
+        found = adjust(sights, corners, cameras, found.boards, model=config.model)
+
+
+def _refuse(off: Mapping[str, float], config: CamerasConfig, warnings: list[str]) -> None:
     bad = []
-    for name, told in facts["cameras"].items():
-        if told["residual_px"] <= config.max_residual_px:
-            continue
-        said = f"{name} ({told['residual_px']:.2f} px)"
+    for name, miss_px in off.items():
+        said = f"{name} ({miss_px:.2f} px)"
         if name in config.allow:
             warnings.append(f"{said} was allowed")
         else:
@@ -279,7 +306,7 @@ def _refuse(facts: dict[str, Any], config: CamerasConfig, warnings: list[str]) -
         raise PoseError(
             "cameras",
             field=", ".join(bad),
-            found="corners of boards that far off (median)",
+            found="corners that far off (median, or a quarter of its boards)",
             expected=f"at most {config.max_residual_px:g} px",
             hint="Did it move between the boards, or lose focus? Take the shots again, or name it "
             "with --allow-camera.",
