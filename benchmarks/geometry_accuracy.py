@@ -144,7 +144,7 @@ def tables(results: dict[str, dict[str, Row]]) -> None:
             else:
                 (turned if part == "normals" else sets).append((who, method, *mm, share, deg))
     note = (
-        "Nine views of 1004 x 1504, pixel noise .001, cameras measured from drawn boards. `direct` "
+        "Nine views of 1004 x 1504, pixel noise .001, cameras measured from boards. `direct` "
         "light has cast shadows, `reference` bounces and scattering as well."
     )
     both = ("mesh to truth: median / p95, mm", "true skin to mesh: median / p95, mm")
