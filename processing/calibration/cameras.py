@@ -29,8 +29,8 @@ class CamerasConfig:
         model: of the lenses, COLMAP's name: SIMPLE_RADIAL (one focal length and k1; enough for long
             lenses, whose principal point other terms blur), RADIAL (and k2), OPENCV (two focal
             lengths, k1, k2, p1, p2).
-        max_residual_px: a camera whose corners are off by more (median) is refused, and so is one of
-            whose boards more than a quarter are (median each): the others may hide that it moved.
+        max_residual_px: a camera whose corners are off by more (median) is refused, and so is one
+            of whose boards more than a quarter are (median each): others may hide that it moved.
         outlier_px: corners farther off than this after a first adjustment are left out.
         min_sights: boards that a camera must have seen.
         moved_mm: a camera found farther than this from where rig.json has it is warned of.
