@@ -54,7 +54,7 @@ class ReconstructConfig:
     patch_stride_px: int = 1
     min_cosine: float = 0.2
     contrast_floor: float = 0.003
-    smoothness: float = 0.03
+    smoothness: float = 0.01
     iterations: tuple[int, ...] = (3, 2, 1)
     max_cost: float = 0.7
     agree_mm: float = 0.4

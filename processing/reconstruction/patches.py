@@ -2,9 +2,10 @@
 
 A pixel x = (u, v, 1) of the reference view at inverse depth w (1/mm, along the optical axis) lies
 in another view at the homogeneous pixel M x + m w, with M = K_s R K_r^-1 and m = K_s t. On a plane
-the inverse depth is affine in the pixel, w (1 + a du + b dv), so a patch needs (w, a, b) and no
-matrix of its own. Pictures are (h, w, TEXTURES) float32, textures of the same surface under
-different lights, NaN where a pixel may not be used.
+the inverse depth is affine in the pixel, w (1 + a du + b dv). Normals tell how a patch is bent,
+too: from its centre to a sample the slopes' mean of both counts, so the inverse depth of a patch is
+w (1 + bend) with a bend of each sample that no depth changes. Pictures are (h, w, TEXTURES)
+float32, textures of the same surface under different lights, NaN where a pixel may not be used.
 """
 
 from __future__ import annotations
@@ -75,11 +76,13 @@ class Patch(NamedTuple):
         offsets: (k, 2) float32 du, dv.
         values: (k, TEXTURES) relative to the centre, which keeps sums of squares from cancelling.
         seen: (s,) bool, the sources that the plane faces.
+        bends: (k,) float32, relative change of inverse depth from the centre.
     """
 
     offsets: np.ndarray
     values: np.ndarray
     seen: np.ndarray
+    bends: np.ndarray
 
 
 @njit(cache=True)
@@ -90,6 +93,7 @@ def new_patch(stereo: Stereo) -> Patch:
         np.zeros((count, 2), np.float32),
         np.zeros((count, TEXTURES), np.float32),
         np.zeros(stereo.sources.shape[0], np.bool_),
+        np.zeros(count, np.float32),
     )
 
 
@@ -102,6 +106,7 @@ def gather_patch(stereo: Stereo, row: int, column: int, patch: Patch) -> tuple[i
     """
     picture = stereo.pictures[stereo.reference]
     height, width = picture.shape[0], picture.shape[1]
+    a, b = stereo.slopes[row, column, 0], stereo.slopes[row, column, 1]
     energy, count = ZERO, 0
     for channel in range(TEXTURES):
         energy += picture[row, column, channel] * picture[row, column, channel]
@@ -110,6 +115,10 @@ def gather_patch(stereo: Stereo, row: int, column: int, patch: Patch) -> tuple[i
         if 0 <= x < width and 0 <= y < height and not math.isnan(picture[y, x, 0]):
             patch.offsets[count, 0] = np.float32(stereo.offsets[k, 0])
             patch.offsets[count, 1] = np.float32(stereo.offsets[k, 1])
+            patch.bends[count] = HALF * (
+                (a + stereo.slopes[y, x, 0]) * patch.offsets[count, 0]
+                + (b + stereo.slopes[y, x, 1]) * patch.offsets[count, 1]
+            )
             for channel in range(TEXTURES):
                 patch.values[count, channel] = (
                     picture[y, x, channel] - picture[row, column, channel]
@@ -148,14 +157,13 @@ def source_cost(
     """
     picture = stereo.pictures[stereo.sources[index]]
     m, t = stereo.matrices[index], stereo.shifts[index]
-    w, a, b = plane
+    w = plane[0]
     u, v = np.float32(column) + HALF, np.float32(row) + HALF
-    x0 = m[0, 0] * u + m[0, 1] * v + m[0, 2] + t[0] * w
-    y0 = m[1, 0] * u + m[1, 1] * v + m[1, 2] + t[1] * w
-    z0 = m[2, 0] * u + m[2, 1] * v + m[2, 2] + t[2] * w
-    xu, xv = m[0, 0] + t[0] * w * a, m[0, 1] + t[0] * w * b
-    yu, yv = m[1, 0] + t[1] * w * a, m[1, 1] + t[1] * w * b
-    zu, zv = m[2, 0] + t[2] * w * a, m[2, 1] + t[2] * w * b
+    tx, ty, tz = t[0] * w, t[1] * w, t[2] * w
+    x0 = m[0, 0] * u + m[0, 1] * v + m[0, 2] + tx
+    y0 = m[1, 0] * u + m[1, 1] * v + m[1, 2] + ty
+    z0 = m[2, 0] * u + m[2, 1] * v + m[2, 2] + tz
+    xu, xv, yu, yv, zu, zv = m[0, 0], m[0, 1], m[1, 0], m[1, 1], m[2, 0], m[2, 1]
     height, width = picture.shape[0], picture.shape[1]
     right, bottom = np.float32(width - 1), np.float32(height - 1)
     # One flat index without a sign spares numba's checks for negative indices; the four textures
@@ -168,10 +176,11 @@ def source_cost(
     r_0 = r_1 = r_2 = r_3 = s_0 = s_1 = s_2 = s_3 = rr = ss = rs = ZERO
     for k in range(count):
         du, dv = patch.offsets[k, 0], patch.offsets[k, 1]
-        z = z0 + zu * du + zv * dv
+        bend = patch.bends[k]
+        z = z0 + zu * du + zv * dv + tz * bend
         scale = ONE / z if z > ZERO else ZERO
-        x = (x0 + xu * du + xv * dv) * scale - HALF
-        y = (y0 + yu * du + yv * dv) * scale - HALF
+        x = (x0 + xu * du + xv * dv + tx * bend) * scale - HALF
+        y = (y0 + yu * du + yv * dv + ty * bend) * scale - HALF
         if not (x >= ZERO and y >= ZERO and x < right and y < bottom):
             continue
         left, top = int(x), int(y)

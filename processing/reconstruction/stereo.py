@@ -1,7 +1,7 @@
 """Depth of every view, coarse to fine, on the planes that photometric normals give.
 
-Slanted windows and propagation of planes as in [Bleyer2011]; here the slant is known and only the
-depth is sought.
+Slanted windows and propagation of planes as in [Bleyer2011]; here the slant is known, and how the
+window is bent, and only the depth is sought.
 """
 
 from __future__ import annotations

@@ -40,16 +40,12 @@ def kernel_cost(stereo: Stereo, row: int, column: int, w: float) -> float:
 
 
 def plain_cost(level: Level, stereo: Stereo, row: int, column: int, w: float) -> float:
-    """The same in float64, patch by patch: a homography of the plane, no shortcuts."""
+    """The same in float64, sample by sample: each a point in space, no shortcuts."""
     k_r, k_s = (np.array([[f, 0, cx], [0, g, cy], [0, 0, 1]]) for f, g, cx, cy in level.lenses[:2])
     pose_r, pose_s = level.poses[0], level.poses[1]
     rotation = pose_s[:, :3] @ pose_r[:, :3].T
     shift = pose_s[:, 3] - rotation @ pose_r[:, 3]
-    # The plane n . X = 1 of the pixel's depth and slopes.
-    a, b = stereo.slopes[row, column].astype(float)
-    u, v = column + 0.5, row + 0.5
-    n = k_r.T @ (w * np.array([a, b, 1 - a * u - b * v]))
-    homography = k_s @ (rotation + np.outer(shift, n)) @ np.linalg.inv(k_r)
+    slopes = stereo.slopes.astype(float)
     here, there = level.pictures[0].astype(float), level.pictures[1].astype(float)
     height, width = here.shape[:2]
     r, s, wanted = [], [], 0
@@ -58,7 +54,10 @@ def plain_cost(level: Level, stereo: Stereo, row: int, column: int, w: float) ->
         if not (0 <= x < width and 0 <= y < height) or np.isnan(here[y, x, 0]):
             continue
         wanted += 1
-        p = homography @ [x + 0.5, y + 0.5, 1]
+        # From pixel to pixel inverse depth changes by the mean of both slopes.
+        bend = 0.5 * (slopes[row, column] + slopes[y, x]) @ [du, dv]
+        point = np.linalg.inv(k_r) @ [x + 0.5, y + 0.5, 1] / (w * (1 + bend))
+        p = k_s @ (rotation @ point + shift)
         if p[2] <= 0:
             continue
         px, py = p[0] / p[2] - 0.5, p[1] / p[2] - 0.5
