@@ -41,8 +41,8 @@ NAMES = {
     f"{SPECULAR_WHITE} shows as white, skin is near 0.028.",
     "diffuse_normal": "Diffuse normals: which way the skin faces, from its shading; red, green and "
     "blue are right, up and toward the camera.",
-    "specular_normal": "Specular normals: the direction that mirrors. This version writes the "
-    "diffuse normals here, by which the simulated skin shades as well.",
+    "specular_normal": "Specular normals: the surface with its finest relief, from all "
+    "readings; the simulated skin shades by one normal, so that both kinds should look alike.",
     "ambient_occlusion": "Ambient occlusion: white where the surface sees the whole stage, darker "
     "in folds.",
 }
