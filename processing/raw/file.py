@@ -91,6 +91,8 @@ def unpack_raw(path: Path) -> RawFile:
         raw.open_file(str(path))
         raw.unpack()
         return _opened(path, raw)
+    # rawpy's `raw_pattern` raises NotImplementedError for a mosaic of colours that it does not
+    # know: to the caller one more file that cannot be read.
     except (rawpy.LibRawError, OSError, NotImplementedError) as error:
         raw.close()
         raise _unreadable(path, error) from None

@@ -80,7 +80,14 @@ def write_pictures(
     shown: Sequence[np.ndarray],
     mesh: Mesh,
 ) -> None:
-    """Write OUT/work/geometry/: each view's `coverage`, and the mesh."""
+    """Write each view's `coverage` and the mesh into a processed folder, where the report looks.
+
+    Args:
+        out: the processed folder.
+        names: of the views' cameras.
+        shown: of each view (h, w, 3) uint8, its `coverage`.
+        mesh: mm, world.
+    """
     _write(_folder(out) / "mesh.png", three_sides(mesh))
     for name, image in zip(names, shown, strict=True):
         _write(_folder(out) / f"coverage-{name}.png", image)
