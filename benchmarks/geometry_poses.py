@@ -22,8 +22,9 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.record import record
 from benchmarks.reflectance_people import NOISE, SCALE, folder
+from lightstage.formats.board import BoardConfig
 from lightstage.rig import Camera, Rig, default_rig
-from processing.calibration.boards import BoardConfig, Sight, find_board
+from processing.calibration.boards import Sight, find_board
 from processing.calibration.cameras import CamerasConfig, MeasuredCameras, measure_cameras
 from sim.light.lamps import lamps_of
 from sim.targets.boards import BoardConfig as PrintedBoard
@@ -38,15 +39,21 @@ CORNER_PX = 0.03
 BOARD = BoardConfig()
 
 
-def as_written(rig: Rig, seed: int = SEED) -> Rig:
-    """The rig as its rig.json has it before cameras are measured."""
+def as_written(rig: Rig, seed: int = SEED, shift_mm: float = 3.0, turn_deg: float = 0.3) -> Rig:
+    """The rig as its rig.json has it before cameras are measured: nominal lenses, elsewhere.
+
+    Args:
+        rig: the true one.
+        seed: of what is off.
+        shift_mm, turn_deg: standard deviations of cameras' places and turns on each axis.
+    """
     rng = np.random.default_rng(seed)
 
     def off(camera: Camera) -> Camera:
-        turn = Rotation.from_rotvec(np.radians(rng.normal(0, 0.3, 3))).as_matrix()
+        turn = Rotation.from_rotvec(np.radians(rng.normal(0, turn_deg, 3))).as_matrix()
         pose = camera.cam_from_world.copy()
         pose[:, :3] = turn @ pose[:, :3]
-        pose[:, 3] = -pose[:, :3] @ (camera.centre_mm + rng.normal(0, 3.0, 3))
+        pose[:, 3] = -pose[:, :3] @ (camera.centre_mm + rng.normal(0, shift_mm, 3))
         focal = 1 + rng.normal(0, 0.005)
         return dataclasses.replace(
             camera,

@@ -5,46 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 
-import cv2
-
 from lightstage.errors import ConfigError
+from lightstage.formats.board import BoardConfig
 
 KIND_NAMES = ("charuco", "mirror", "grey", "chart", "dark", "flat")
-
-
-@dataclasses.dataclass(frozen=True)
-class BoardConfig:
-    """The ChArUco board that the lab has printed.
-
-    Attributes:
-        columns: squares across.
-        rows: squares down.
-        square_mm: side of a square, measured on the print.
-        marker_mm: side of a marker.
-        dictionary: OpenCV's name of the markers' dictionary.
-        legacy: printed with OpenCV before 4.6, an even number of rows.
-    """
-
-    columns: int = 8
-    rows: int = 11
-    square_mm: float = 20.0
-    marker_mm: float = 12.0
-    dictionary: str = "DICT_4X4_50"
-    legacy: bool = False
-
-    def detector(self) -> cv2.aruco.CharucoDetector:
-        """OpenCV's detector of this board."""
-        number = getattr(cv2.aruco, self.dictionary)
-        dictionary = cv2.aruco.getPredefinedDictionary(number)
-        size = (self.columns, self.rows)
-        board = cv2.aruco.CharucoBoard(size, self.square_mm, self.marker_mm, dictionary)
-        board.setLegacyPattern(self.legacy)
-        return cv2.aruco.CharucoDetector(board)
-
-    @property
-    def corners(self) -> int:
-        """Inner corners, all that can be found."""
-        return (self.columns - 1) * (self.rows - 1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,22 +103,7 @@ class CalibrationConfig:
         """ConfigError for a kind, board or number that makes no sense."""
         for name in self.wanted:
             require_kind(name, "calibration, wanted")
-        board = self.board
-        known = str(board.dictionary).startswith("DICT_") and hasattr(cv2.aruco, board.dictionary)
-        if not known:
-            raise ConfigError(
-                "calibration, board",
-                field="dictionary",
-                found=repr(board.dictionary),
-                expected="OpenCV's name of one, such as DICT_4X4_50",
-            )
-        if not (board.columns >= 3 and board.rows >= 3 and 0 < board.marker_mm < board.square_mm):
-            raise ConfigError(
-                "calibration, board",
-                found=f"{board.columns} x {board.rows} squares of {board.square_mm} mm, "
-                f"markers of {board.marker_mm} mm",
-                expected="at least 3 x 3 squares, and markers smaller than squares",
-            )
+        self.board.check("calibration, board")
         for field in dataclasses.fields(self.days):
             value = getattr(self.days, field.name)
             if not (math.isfinite(value) and value > 0):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import ConfigError
+from lightstage.formats.board import BoardConfig
 from processing.calibration.folder import Pose
 from processing.calibration.picture import read_mosaic
 
@@ -17,55 +17,6 @@ FEWEST = 8
 """Fewer corners than this say too little about a pose."""
 LARGEST_PX = 1600
 """Markers are looked for in a picture whose longer side is at most this; corners in the whole."""
-
-
-@dataclasses.dataclass(frozen=True)
-class BoardConfig:
-    """The ChArUco board as printed and measured.
-
-    Attributes:
-        columns: squares across.
-        rows: squares down.
-        square_mm: side of a square, measured on the print: all distances hang on it.
-        marker_mm: side of a marker.
-        dictionary: OpenCV's name of the markers' dictionary.
-        legacy: printed with OpenCV before 4.6, an even number of rows.
-    """
-
-    columns: int = 8
-    rows: int = 11
-    square_mm: float = 20.0
-    marker_mm: float = 12.0
-    dictionary: str = "DICT_4X4_50"
-    legacy: bool = False
-
-    def board(self) -> cv2.aruco.CharucoBoard:
-        """OpenCV's board.
-
-        Raises:
-            ConfigError: OpenCV knows no such dictionary, or can make no such board.
-        """
-        number = getattr(cv2.aruco, self.dictionary, None)
-        if not isinstance(number, int) or not self.dictionary.startswith("DICT_"):
-            raise ConfigError(
-                "board", field="dictionary", found=self.dictionary, expected="such as DICT_4X4_50"
-            )
-        size = (self.columns, self.rows)
-        if not (min(size) >= 2 and self.square_mm > self.marker_mm > 0):
-            raise ConfigError(
-                "board",
-                found=f"{self.columns} x {self.rows} squares of {self.square_mm:g} mm, markers of "
-                f"{self.marker_mm:g} mm",
-                expected="at least 2 x 2 squares, larger than their markers",
-            )
-        dictionary = cv2.aruco.getPredefinedDictionary(number)
-        board = cv2.aruco.CharucoBoard(size, self.square_mm, self.marker_mm, dictionary)
-        board.setLegacyPattern(self.legacy)
-        return board
-
-    def corners_mm(self) -> np.ndarray:
-        """((columns - 1)(rows - 1), 3) inner corners, by OpenCV's corner id; z = 0."""
-        return np.asarray(self.board().getChessboardCorners(), float)
 
 
 @dataclasses.dataclass(frozen=True)

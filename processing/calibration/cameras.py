@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lightstage.formats.board import BoardConfig
 from lightstage.rig import Camera, Rig
-from processing.calibration.boards import BoardConfig, Sight
+from processing.calibration.boards import Sight
 from processing.calibration.cameras_fit import Adjusted, adjust
 from processing.calibration.cameras_start import first_poses
 from processing.errors import PoseError

@@ -26,17 +26,17 @@ def calibrate_cameras_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Lens and pose of every camera, from photographs of a ChArUco board."""
-    from lightstage.formats.config import make_config, read_toml
-    from processing.calibration.cameras_output import CamerasFile, make_cameras
+    from lightstage.formats.config import read_toml
+    from processing.calibration.cameras_output import camera_settings, make_cameras
     from processing.calibration.folder import read_source
 
     values = {} if config is None else read_toml(config)
-    settings = make_config(CamerasFile, values, "defaults" if config is None else config)
+    source = read_source(lab)
+    settings = camera_settings(source, values, "defaults" if config is None else config)
     allowed = (*settings.cameras.allow, *allow_camera)
     settings = dataclasses.replace(
         settings, cameras=dataclasses.replace(settings.cameras, allow=allowed)
     )
-    source = read_source(lab)
     with progress_bar("boards") as progress:
         found = make_cameras(source, settings, out, progress)
     for warning in found.warnings:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.board import BoardConfig
+from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_folder, write_json
 from lightstage.rig import save_rig
-from processing.calibration.boards import BoardConfig, see_boards
+from processing.calibration.boards import see_boards
 from processing.calibration.cameras import CamerasConfig, MeasuredCameras, measure_cameras
-from processing.calibration.folder import Source
+from processing.calibration.folder import SHOTS_NAME, Source
 from processing.errors import ProcessingError
 from processing.records import versions
 
@@ -24,6 +28,26 @@ class CamerasFile:
 
     board: BoardConfig = dataclasses.field(default_factory=BoardConfig)
     cameras: CamerasConfig = dataclasses.field(default_factory=CamerasConfig)
+
+
+def camera_settings(source: Source, values: Mapping[str, Any], where: str | Path) -> CamerasFile:
+    """Settings as a file names them; what it does not say of the board, the shots themselves tell.
+
+    Args:
+        source: the lab's shots.
+        values: tables of a TOML file.
+        where: the file's name, for errors.
+
+    Raises:
+        ConfigError: an unknown key or a value of another type, in either.
+    """
+    told = source.facts.get("charuco", {}).get("target", {})
+    shots = source.root / str(source.facts.get("charuco", {}).get("folder", ""))
+    board = make_config(BoardConfig, told, f"{shots / SHOTS_NAME}, target")
+    named = values.get("board", {})
+    if isinstance(named, Mapping):
+        values = {**values, "board": {**dataclasses.asdict(board), **named}}
+    return make_config(CamerasFile, values, where)
 
 
 def make_cameras(

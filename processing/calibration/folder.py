@@ -62,7 +62,8 @@ class Source:
     Attributes:
         root: the lab's folder, or the session's.
         poses: kind to its poses, in the order they were taken; kinds that are missing are absent.
-        facts: kind to what its shots are (folder, id, created_utc, expires_utc, sha256).
+        facts: kind to what its shots are (folder, id, created_utc, expires_utc, sha256; target, the
+            board's measures, where the shots tell).
         warnings: what to tell.
     """
 
@@ -132,6 +133,7 @@ def read_source(root: Path, now: datetime.datetime | None = None) -> Source:
             "created_utc": value["created_utc"],
             "expires_utc": value.get("expires_utc"),
             "sha256": sha256_file(folder / SHOTS_NAME),
+            **({"target": value["target"]} if value.get("target") else {}),
         }
         if "expires_utc" in value and _time(value, "expires_utc", folder / SHOTS_NAME) < now:
             warnings.append(f"{folder.name} expired {value['expires_utc']}")

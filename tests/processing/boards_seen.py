@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lightstage.rig import Camera, Rig
-from processing.calibration.boards import BoardConfig, Sight
+from lightstage.formats.board import BoardConfig
+from lightstage.rig import Rig
+from processing.calibration.boards import Sight
 from sim.targets.boards import BoardConfig as PrintedBoard
 from sim.targets.boards import board_poses
 
@@ -32,29 +31,6 @@ def sights_of(rig: Rig, count: int, seed: int, noise_px: float = 0.03) -> list[S
             if inside.sum() >= 8:
                 out.append(Sight(shot, camera.id, np.flatnonzero(inside), pixels[inside]))
     return out
-
-
-def as_written(rig: Rig, seed: int, shift_mm: float = 3.0, turn_deg: float = 0.3) -> Rig:
-    """The rig as a rig.json would have it: cameras a little elsewhere, nominal lenses."""
-    rng = np.random.default_rng(seed)
-
-    def off(camera: Camera) -> Camera:
-        turn = Rotation.from_rotvec(np.radians(rng.normal(0, turn_deg, 3))).as_matrix()
-        pose = camera.cam_from_world.copy()
-        pose[:, :3] = turn @ pose[:, :3]
-        pose[:, 3] = -pose[:, :3] @ (camera.centre_mm + rng.normal(0, shift_mm, 3))
-        focal = 1 + rng.normal(0, 0.005)
-        return dataclasses.replace(
-            camera,
-            fx_px=camera.fx_px * focal,
-            fy_px=camera.fy_px * focal,
-            cx_px=camera.width_px / 2,
-            cy_px=camera.height_px / 2,
-            dist=(0.0,) * 5,
-            cam_from_world=pose,
-        )
-
-    return dataclasses.replace(rig, cameras=tuple(off(camera) for camera in rig.cameras))
 
 
 def pose_errors(found: Rig, true: Rig) -> tuple[np.ndarray, np.ndarray]:

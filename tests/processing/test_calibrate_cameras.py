@@ -9,14 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from benchmarks.geometry_poses import as_written
 from lightstage.errors import ConfigError
+from lightstage.formats.board import BoardConfig
 from lightstage.formats.files import read_json
 from lightstage.rig import Rig, default_rig, load_rig
 from processing.__main__ import app
-from processing.calibration.boards import BoardConfig, find_board
+from processing.calibration.boards import find_board
 from processing.calibration.cameras import CamerasConfig, MeasuredCameras, measure_cameras
 from processing.calibration.cameras_fit import adjust, residuals
-from processing.calibration.cameras_output import CamerasFile, make_cameras
+from processing.calibration.cameras_output import CamerasFile, camera_settings, make_cameras
 from processing.calibration.folder import Source
 from processing.errors import PoseError, ProcessingError
 from sim.camera.flaws import CaptureFlaws
@@ -25,7 +27,7 @@ from sim.targets import photographs
 from sim.targets.boards import BoardConfig as PrintedBoard
 from sim.targets.boards import board_poses, facing
 from sim.targets.plane import photograph_plane
-from tests.processing.boards_seen import BOARD, as_written, pose_errors, sights_of
+from tests.processing.boards_seen import BOARD, pose_errors, sights_of
 
 CONFIG = CamerasConfig()
 
@@ -188,7 +190,7 @@ def test_corners_of_a_photographed_board_are_found_to_a_fiftieth_of_a_pixel() ->
 def test_boards_that_opencv_cannot_make_are_refused() -> None:
     with pytest.raises(ConfigError, match="DICT_4X4_50"):
         dataclasses.replace(BOARD, dictionary="CharucoBoard").board()
-    with pytest.raises(ConfigError, match="larger than their markers"):
+    with pytest.raises(ConfigError, match="markers smaller than squares"):
         BoardConfig(square_mm=10.0, marker_mm=12.0).board()
 
 
@@ -213,6 +215,26 @@ def test_the_command_writes_a_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert degrees.max() < 0.5
     assert shift.max() < 3
     assert read_json(tmp_path / "out" / "cameras.json", "lightstage.cameras/1")["facts"]
+
+
+def test_the_board_is_that_of_the_shots_where_the_settings_do_not_say_otherwise(
+    tmp_path: Path,
+) -> None:
+    target = dataclasses.asdict(dataclasses.replace(BOARD, square_mm=25.0, columns=9))
+    source = Source(tmp_path, {}, {"charuco": {"folder": "charuco-1", "target": target}}, [])
+    assert camera_settings(source, {}, "defaults").board == BoardConfig(columns=9, square_mm=25.0)
+    named = {"board": {"square_mm": 24.9}, "cameras": {"min_sights": 4}}
+    found = camera_settings(source, named, "cameras.toml")
+    assert found.board == BoardConfig(columns=9, square_mm=24.9)
+    assert found.cameras.min_sights == 4
+    for values in ({"board": {"squares": 3}}, {"board": 3}):
+        with pytest.raises(ConfigError, match=r"cameras\.toml"):
+            camera_settings(source, values, "cameras.toml")
+    source.facts["charuco"]["target"] = {"columns": "many"}
+    with pytest.raises(ConfigError, match=r"charuco-1/calibration\.json, target"):
+        camera_settings(source, {}, "defaults")
+    # Targets in one session tell nothing of the board.
+    assert camera_settings(Source(tmp_path, {}, {}, []), {}, "defaults") == CamerasFile()
 
 
 def test_shots_without_a_board_are_refused(tmp_path: Path) -> None:
