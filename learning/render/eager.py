@@ -14,10 +14,7 @@ import torch
 from torch import Tensor
 
 from learning.render.environments import Environment
-
-NEAREST_MM = 1.0
-NARROWEST = 1e-4
-"""Least |l + v|^2: where a light is opposite to the camera no half vector exists."""
+from learning.render.texel_blocks import NARROWEST, NEAREST_MM, SHORTEST
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +38,7 @@ class TexelFields:
     visibility: Tensor | None
 
 
-def unit(vectors: Tensor, floor: float = 1e-6) -> Tensor:
+def unit(vectors: Tensor, floor: float = SHORTEST) -> Tensor:
     """Vectors along dimension 1 at length 1; those shorter than `floor` fade to zero.
 
     The gradient is finite everywhere, at zero too.

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
-from learning.render.kernel_forward import black, normalise_lobe, seen_of
+from learning.render.kernel_forward import black, normalise_lobe
 from learning.render.kernel_gradients import (
     GE,
     GL,
@@ -25,149 +27,180 @@ from learning.render.kernel_gradients import (
 )
 from learning.render.lanes_math import ANY_ORDER
 from learning.render.texel_blocks import (
-    BLOCKS_A_TASK,
     NORM,
     SLOPE,
     TEXELS,
-    gather,
-    next_texels,
+    Lights,
+    Skins,
+    next_block,
+    task_range,
+    tasks_of,
     toward_light,
 )
 
 LIGHT_SUMS = 7
 
 
-@numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
-def backward(
-    position: np.ndarray,
-    diffuse_normal: np.ndarray,
-    specular_normal: np.ndarray,
-    shininess: np.ndarray,
-    occlusion: np.ndarray,
-    valid: np.ndarray,
-    seen: np.ndarray,
-    lights: np.ndarray,
-    ambient: np.ndarray,
-    camera: np.ndarray,
-    paper: bool,
-    lobes: np.ndarray,
-    of_irradiance: np.ndarray,
-    of_lobes: np.ndarray,
-    want_normals: bool,
-    want_places: bool,
-    want_colours: bool,
-    of_position: np.ndarray,
-    of_diffuse_normal: np.ndarray,
-    of_specular_normal: np.ndarray,
-    of_shininess: np.ndarray,
-    of_occlusion: np.ndarray,
-    of_seen: np.ndarray,
-    light_sums: np.ndarray,
-    camera_sums: np.ndarray,
-    ambient_sums: np.ndarray,
-) -> None:
-    """Gradients of `kernel_forward.forward`.
+class Shaded(NamedTuple):
+    """The two sums of `kernel_forward.forward`, or what they are worth: (B, 3, n) each."""
 
-    Args:
-        position: as forward, and all that follow up to `paper`.
-        lobes: (B, 3, n), what forward filled.
-        of_irradiance: (B, 3, n), what the irradiance is worth.
-        of_lobes: (B, 3, n).
-        want_normals: whether normals and exponent are asked for.
-        want_places: whether position, camera or the lights' places are.
-        want_colours: whether the lights' rgb are.
-        of_position: (B, 3, n), or (B, 3, 0) where not asked for; so are the next ones.
-        of_diffuse_normal: (B, 3, n).
-        of_specular_normal: (B, 3, n).
-        of_shininess: (B, 1, n).
-        of_occlusion: (B, 1, n).
-        of_seen: (B, L, n).
+    irradiance: np.ndarray
+    lobes: np.ndarray
+
+
+class Asked(NamedTuple):
+    """Which gradients are asked for: of the normals or the exponent; of the position, the camera
+    or the lights' places; of the lights' rgb.
+    """
+
+    normals: bool
+    places: bool
+    colours: bool
+
+
+class Gradients(NamedTuple):
+    """What the inputs are worth; all start as zeros.
+
+    Attributes:
+        position: (B, 3, n), or (B, 3, 0) where not asked for; so are the next ones.
+        diffuse_normal: (B, 3, n).
+        specular_normal: (B, 3, n).
+        shininess: (B, 1, n).
+        occlusion: (B, 1, n).
+        seen: (B, L, n).
         light_sums: (B, tasks, L, 7): x, y, z, |P|^2, r, g, b of a task's texels.
         camera_sums: (B, tasks, 3).
         ambient_sums: (B, tasks, 3).
     """
-    batch, _, texels = position.shape
-    span = TEXELS * BLOCKS_A_TASK
-    tasks = (texels + span - 1) // span
-    one, zero = position.dtype.type(1.0), position.dtype.type(0.0)
-    for task in numba.prange(batch * tasks):
-        entry, first = task // tasks, (task % tasks) * span
-        last = min(texels, first + span)
-        sums = light_sums[entry, task % tasks]
-        buf = np.zeros(GRADIENT_ROWS * TEXELS, position.dtype)
-        visible = np.full(TEXELS, one)
+
+    position: np.ndarray
+    diffuse_normal: np.ndarray
+    specular_normal: np.ndarray
+    shininess: np.ndarray
+    occlusion: np.ndarray
+    seen: np.ndarray
+    light_sums: np.ndarray
+    camera_sums: np.ndarray
+    ambient_sums: np.ndarray
+
+
+@numba.njit(fastmath=ANY_ORDER, error_model="numpy")
+def start_worths(
+    buf: np.ndarray,
+    texel: np.ndarray,
+    count: int,
+    entry: int,
+    paper: bool,
+    lobes: np.ndarray,
+    worth: Shaded,
+) -> bool:
+    """Start a block: what its sums are worth, the lobe's before it was normalised.
+
+    Returns:
+        Whether the lobe is worth anything.
+    """
+    gloss = False
+    zero = buf.dtype.type(0.0)
+    buf[GE * TEXELS :] = zero
+    for k in range(3):
+        for t in range(count):
+            buf[(GE + k) * TEXELS + t] = worth.irradiance[entry, k, texel[t]]
+            of_lobe = worth.lobes[entry, k, texel[t]]
+            gloss |= of_lobe != zero
+            buf[(GL + k) * TEXELS + t] = of_lobe
+    if gloss and not paper:
+        normalise_lobe(buf)
+        for k in range(3):
+            for t in range(count):
+                of_lobe = buf[(GL + k) * TEXELS + t]
+                share = of_lobe * lobes[entry, k, texel[t]]
+                buf[GS * TEXELS + t] += share * buf[SLOPE * TEXELS + t]
+                buf[(GL + k) * TEXELS + t] = of_lobe * buf[NORM * TEXELS + t]
+    return gloss
+
+
+@numba.njit(fastmath=ANY_ORDER, error_model="numpy")
+def write_worths(buf: np.ndarray, texel: np.ndarray, count: int, entry: int, of: Gradients) -> None:
+    """Write what the maps are worth that are asked for."""
+    for k in range(3):
+        for t in range(count):
+            n = texel[t]
+            if of.position.shape[2]:
+                of.position[entry, k, n] = buf[(GP + k) * TEXELS + t] - buf[(GV + k) * TEXELS + t]
+            if of.diffuse_normal.shape[2]:
+                of.diffuse_normal[entry, k, n] = buf[(GND + k) * TEXELS + t]
+            if of.specular_normal.shape[2]:
+                of.specular_normal[entry, k, n] = buf[(GNS + k) * TEXELS + t]
+    if of.shininess.shape[2]:
+        for t in range(count):
+            of.shininess[entry, 0, texel[t]] = buf[GS * TEXELS + t]
+
+
+@numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
+def backward(
+    skins: Skins,
+    lights: Lights,
+    paper: bool,
+    lobes: np.ndarray,
+    worth: Shaded,
+    asked: Asked,
+    of: Gradients,
+) -> None:
+    """Gradients of `kernel_forward.forward`.
+
+    Args:
+        skins: as forward.
+        lights: as forward.
+        paper: as forward.
+        lobes: (B, 3, n), what forward filled.
+        worth: of what forward filled.
+        asked: what is computed.
+        of: is filled.
+    """
+    batch, _, texels = skins.position.shape
+    zero = lobes.dtype.type(0.0)
+    # Numba drops writes through a tuple's attribute inside a parallel loop, but not through names.
+    of_seen, of_occlusion = of.seen, of.occlusion
+    light_sums, camera_sums, ambient_sums = of.light_sums, of.camera_sums, of.ambient_sums
+    for task in numba.prange(batch * tasks_of(texels)):
+        entry, number, first, last = task_range(task, texels)
+        sums = light_sums[entry, number]
+        buf = np.zeros(GRADIENT_ROWS * TEXELS, lobes.dtype)
         texel = np.zeros(TEXELS, np.int64)
         while first < last:
-            count, first = next_texels(valid[entry], first, last, texel)
+            count, first = next_block(buf, texel, entry, first, last, skins, lights)
             if count == 0:
                 break
-            gather(
-                buf,
-                texel,
-                count,
-                position[entry],
-                diffuse_normal[entry],
-                specular_normal[entry],
-                shininess[entry],
-                occlusion[entry],
-                camera[entry],
-            )
-            gloss = False
-            buf[GE * TEXELS :] = zero
-            for k in range(3):
-                for t in range(count):
-                    buf[(GE + k) * TEXELS + t] = of_irradiance[entry, k, texel[t]]
-                    worth = of_lobes[entry, k, texel[t]]
-                    gloss |= worth != zero
-                    buf[(GL + k) * TEXELS + t] = worth
-            if gloss and not paper:
-                normalise_lobe(buf)
-                for k in range(3):
-                    for t in range(count):
-                        worth = buf[(GL + k) * TEXELS + t]
-                        share = worth * lobes[entry, k, texel[t]]
-                        buf[GS * TEXELS + t] += share * buf[SLOPE * TEXELS + t]
-                        buf[(GL + k) * TEXELS + t] = worth * buf[NORM * TEXELS + t]
-            for j in range(lights.shape[1]):
-                light = lights[entry, j]
-                if black(light) and not want_colours:
+            gloss = start_worths(buf, texel, count, entry, paper, lobes, worth)
+            for j in range(lights.packed.shape[1]):
+                light = lights.packed[entry, j]
+                if black(light) and not asked.colours:
                     continue
-                if seen.shape[1]:
-                    seen_of(seen[entry], j, texel, visible)
-                by_diffuse, by_specular = toward_light(buf, light, visible)
+                by_diffuse, by_specular = toward_light(buf, texel, entry, j, lights)
                 if not (by_diffuse or (gloss and by_specular) or paper):
                     continue
                 diffuse_worth(buf, light, paper)
                 if gloss and (by_specular or paper):
                     specular_worth(buf, light, paper)
-                if want_normals:
+                if asked.normals:
                     normal_worth(buf, light)
-                if want_places:
+                if asked.places:
                     place_worth(buf, light, paper, sums[j])
-                if want_colours:
+                if asked.colours:
                     colour_worth(buf, sums[j])
                 if of_seen.shape[2]:
                     for t in range(count):
                         of_seen[entry, j, texel[t]] = buf[GSEEN * TEXELS + t]
             finish_block(buf)
+            write_worths(buf, texel, count, entry, of)
             for k in range(3):
                 from_camera, everywhere = zero, zero
                 for t in range(count):
                     n = texel[t]
-                    from_view = buf[(GV + k) * TEXELS + t]
-                    from_camera += from_view
-                    everywhere += of_irradiance[entry, k, n] * occlusion[entry, 0, n]
-                    if of_position.shape[2]:
-                        of_position[entry, k, n] = buf[(GP + k) * TEXELS + t] - from_view
-                    if of_diffuse_normal.shape[2]:
-                        of_diffuse_normal[entry, k, n] = buf[(GND + k) * TEXELS + t]
-                    if of_specular_normal.shape[2]:
-                        of_specular_normal[entry, k, n] = buf[(GNS + k) * TEXELS + t]
+                    from_camera += buf[(GV + k) * TEXELS + t]
+                    everywhere += worth.irradiance[entry, k, n] * skins.occlusion[entry, 0, n]
                     if of_occlusion.shape[2]:
-                        worth = of_irradiance[entry, k, n] * ambient[entry, k]
-                        of_occlusion[entry, 0, n] += worth
-                camera_sums[entry, task % tasks, k] += from_camera
-                ambient_sums[entry, task % tasks, k] += everywhere
-            if of_shininess.shape[2]:
-                for t in range(count):
-                    of_shininess[entry, 0, texel[t]] = buf[GS * TEXELS + t]
+                        here = worth.irradiance[entry, k, n] * lights.ambient[entry, k]
+                        of_occlusion[entry, 0, n] += here
+                camera_sums[entry, number, k] += from_camera
+                ambient_sums[entry, number, k] += everywhere

@@ -8,9 +8,9 @@ import numpy as np
 from learning.render import texel_blocks as rows
 from learning.render.lanes_math import ANY_ORDER, exp, log
 from learning.render.texel_blocks import (
-    BLOCKS_A_TASK,
     INV,
     LOBE,
+    NARROWEST,
     NORM,
     NSV,
     OCC,
@@ -21,17 +21,18 @@ from learning.render.texel_blocks import (
     A,
     B,
     E,
+    Lights,
     S,
+    Skins,
     V,
-    gather,
-    next_texels,
+    next_block,
+    task_range,
+    tasks_of,
     toward_light,
 )
 
 P = rows.P
 LIGHT_COLUMNS = 9
-NARROWEST = 1e-4
-"""Least |l + v|^2: where a light is opposite to the camera no half vector exists."""
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
@@ -138,26 +139,11 @@ def black(light: np.ndarray) -> bool:
     return light[6] == 0.0 and light[7] == 0.0 and light[8] == 0.0
 
 
-@numba.njit
-def seen_of(seen: np.ndarray, light: int, texel: np.ndarray, out: np.ndarray) -> None:
-    """A light's visibility at a block's texels, from (L, texels)."""
-    for t in range(TEXELS):
-        out[t] = seen[light, texel[t]]
-
-
 @numba.njit(parallel=True, cache=True, fastmath=ANY_ORDER, error_model="numpy")
 def forward(
-    position: np.ndarray,
-    diffuse_normal: np.ndarray,
-    specular_normal: np.ndarray,
-    shininess: np.ndarray,
-    occlusion: np.ndarray,
+    skins: Skins,
+    lights: Lights,
     glossy: np.ndarray,
-    valid: np.ndarray,
-    seen: np.ndarray,
-    lights: np.ndarray,
-    ambient: np.ndarray,
-    camera: np.ndarray,
     paper: bool,
     irradiance: np.ndarray,
     lobes: np.ndarray,
@@ -165,64 +151,38 @@ def forward(
     """Sum over lights of Lambert's cosine and the Blinn-Phong lobe, for a batch of textures.
 
     Args:
-        position: (B, 3, n) mm.
-        diffuse_normal: (B, 3, n) of any length.
-        specular_normal: (B, 3, n).
-        shininess: (B, 1, n).
-        occlusion: (B, 1, n) of the ambient light.
+        skins: the textures.
+        lights: one set each.
         glossy: (B, n) bool, where the lobe is asked for.
-        valid: (B, n) bool, where a surface is.
-        seen: (B, L, n), or (B, 0, n) where every light is seen.
-        lights: (B, L, 9) of `pack_lights`.
-        ambient: (B, 3).
-        camera: (B, 3) mm.
         paper: as printed: no clamp, no fall-off, no normalisation, and no ambient light, by which
             the caller multiplies.
         irradiance: (B, 3, n) is filled; 0 where there is no surface.
         lobes: (B, 3, n) is filled; 0 where not glossy.
     """
-    batch, _, texels = position.shape
-    span = TEXELS * BLOCKS_A_TASK
-    tasks = (texels + span - 1) // span
-    one = position.dtype.type(1.0)
-    for task in numba.prange(batch * tasks):
-        entry, first = task // tasks, (task % tasks) * span
-        last = min(texels, first + span)
-        buf = np.zeros(ROWS * TEXELS, position.dtype)
-        visible = np.full(TEXELS, one)
+    batch, _, texels = skins.position.shape
+    for task in numba.prange(batch * tasks_of(texels)):
+        entry, _, first, last = task_range(task, texels)
+        buf = np.zeros(ROWS * TEXELS, irradiance.dtype)
         texel = np.zeros(TEXELS, np.int64)
         irradiance[entry, :, first:last] = 0
         lobes[entry, :, first:last] = 0
         while first < last:
-            count, first = next_texels(valid[entry], first, last, texel)
+            count, first = next_block(buf, texel, entry, first, last, skins, lights)
             if count == 0:
                 break
-            gather(
-                buf,
-                texel,
-                count,
-                position[entry],
-                diffuse_normal[entry],
-                specular_normal[entry],
-                shininess[entry],
-                occlusion[entry],
-                camera[entry],
-            )
             gloss = False
             for t in range(count):
                 gloss |= glossy[entry, texel[t]]
-            for j in range(lights.shape[1]):
-                light = lights[entry, j]
+            for j in range(lights.packed.shape[1]):
+                light = lights.packed[entry, j]
                 if black(light):
                     continue
-                if seen.shape[1]:
-                    seen_of(seen[entry], j, texel, visible)
-                by_diffuse, by_specular = toward_light(buf, light, visible)
+                by_diffuse, by_specular = toward_light(buf, texel, entry, j, lights)
                 if by_diffuse or paper:
                     diffuse_light(buf, light, paper)
                 if gloss and (by_specular or paper):
                     specular_light(buf, light, paper)
-            finish_sums(buf, ambient[entry], paper)
+            finish_sums(buf, lights.ambient[entry], paper)
             for k in range(3):
                 for t in range(count):
                     irradiance[entry, k, texel[t]] = buf[(E + k) * TEXELS + t]

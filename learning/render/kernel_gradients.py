@@ -12,9 +12,8 @@ import numba
 import numpy as np
 
 from learning.render import texel_blocks as rows
-from learning.render.kernel_forward import NARROWEST
 from learning.render.lanes_math import ANY_ORDER, exp, log
-from learning.render.texel_blocks import INV, LEN, ND, NS, NSV, SEEN, TEXELS, A, B, S, V
+from learning.render.texel_blocks import INV, LEN, NARROWEST, ND, NS, NSV, SEEN, TEXELS, A, B, S, V
 
 P = rows.P
 GE, GL = rows.ROWS, rows.ROWS + 3  # worth of the sums E and LOBE

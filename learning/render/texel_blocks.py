@@ -7,6 +7,8 @@ places: the compiler sees that they do not overlap and turns loops over a block 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -28,6 +30,61 @@ ROWS = 32
 
 SHORTEST = 1e-6
 """Normals shorter than this have no direction: they fade to zero."""
+NEAREST_MM = 1.0
+"""Within 1 mm of a lamp the inverse square has no meaning for a point light."""
+NARROWEST = 1e-4
+"""Least |l + v|^2: where a light is opposite to the camera no half vector exists."""
+
+
+class Skins(NamedTuple):
+    """B skins of n texels as compiled code takes them.
+
+    Attributes:
+        position: (B, 3, n) mm.
+        diffuse_normal: (B, 3, n) of any length.
+        specular_normal: (B, 3, n).
+        shininess: (B, 1, n).
+        occlusion: (B, 1, n) of the ambient light.
+        valid: (B, n) bool, where a surface is.
+    """
+
+    position: np.ndarray
+    diffuse_normal: np.ndarray
+    specular_normal: np.ndarray
+    shininess: np.ndarray
+    occlusion: np.ndarray
+    valid: np.ndarray
+
+
+class Lights(NamedTuple):
+    """Their B sets of L lights.
+
+    Attributes:
+        packed: (B, L, 9) of `kernel_forward.pack_lights`.
+        seen: (B, L, n), or (B, 0, n) where every light is seen.
+        ambient: (B, 3).
+        camera: (B, 3) mm.
+    """
+
+    packed: np.ndarray
+    seen: np.ndarray
+    ambient: np.ndarray
+    camera: np.ndarray
+
+
+@numba.njit
+def tasks_of(texels: int) -> int:
+    """How many tasks a texture is cut into."""
+    span = TEXELS * BLOCKS_A_TASK
+    return (texels + span - 1) // span
+
+
+@numba.njit
+def task_range(task: int, texels: int) -> tuple[int, int, int, int]:
+    """Batch entry of a task, its number there, its first texel and the one after its last."""
+    span, tasks = TEXELS * BLOCKS_A_TASK, tasks_of(texels)
+    entry, number = task // tasks, task % tasks
+    return entry, number, number * span, min(texels, (number + 1) * span)
 
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
@@ -51,18 +108,13 @@ def unit_rows(buf: np.ndarray, first: int, length: int) -> None:
 
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
 def gather(
-    buf: np.ndarray,
-    texel: np.ndarray,
-    count: int,
-    position: np.ndarray,
-    diffuse_normal: np.ndarray,
-    specular_normal: np.ndarray,
-    shininess: np.ndarray,
-    occlusion: np.ndarray,
-    camera: np.ndarray,
+    buf: np.ndarray, texel: np.ndarray, count: int, entry: int, skins: Skins, camera: np.ndarray
 ) -> None:
-    """Fill a block from maps of one batch entry, (channels, texels) each; the rest is zero."""
+    """Fill a block with `count` of the texels listed, of one batch entry; the rest is zero."""
     zero = buf.dtype.type(0.0)
+    position = skins.position[entry]
+    diffuse_normal, specular_normal = skins.diffuse_normal[entry], skins.specular_normal[entry]
+    shininess, occlusion = skins.shininess[entry], skins.occlusion[entry]
     for k in range(3):
         for t in range(TEXELS):
             n = texel[t]
@@ -107,22 +159,46 @@ def next_texels(valid: np.ndarray, first: int, last: int, texel: np.ndarray) -> 
     return count, first
 
 
+@numba.njit
+def next_block(
+    buf: np.ndarray,
+    texel: np.ndarray,
+    entry: int,
+    first: int,
+    last: int,
+    skins: Skins,
+    lights: Lights,
+) -> tuple[int, int]:
+    """List and gather the next block's texels; as `next_texels`."""
+    count, first = next_texels(skins.valid[entry], first, last, texel)
+    if count:
+        gather(buf, texel, count, entry, skins, lights.camera[entry])
+    return count, first
+
+
 @numba.njit(fastmath=ANY_ORDER, error_model="numpy")
-def toward_light(buf: np.ndarray, light: np.ndarray, seen: np.ndarray) -> tuple[int, int]:
+def toward_light(
+    buf: np.ndarray, texel: np.ndarray, entry: int, index: int, lights: Lights
+) -> tuple[int, int]:
     """Cosines and distance of a block's texels to one light; its visibility.
 
     Args:
         buf: the block.
-        light: x, y, z, 1 near or 0 distant, |P|^2, the least squared distance.
-        seen: (TEXELS,) visibility.
+        texel: which texels it holds.
+        entry: of the batch.
+        index: of the light.
+        lights: all.
 
     Returns:
         How many texels the light may reach: by the diffuse normal, by the specular one. A NaN
         counts, so that it is passed on.
     """
     one, zero = buf.dtype.type(1.0), buf.dtype.type(0.0)
+    light, seen = lights.packed[entry, index], lights.seen[entry]
     lx, ly, lz, near, least = light[0], light[1], light[2], light[3], light[5]
     by_diffuse, by_specular = 0, 0
+    for t in range(TEXELS):
+        buf[SEEN * TEXELS + t] = seen[index, texel[t]] if len(seen) else one
     for t in range(TEXELS):
         x = lx - near * buf[P * TEXELS + t]
         y = ly - near * buf[(P + 1) * TEXELS + t]
@@ -136,7 +212,6 @@ def toward_light(buf: np.ndarray, light: np.ndarray, seen: np.ndarray) -> tuple[
         buf[A * TEXELS + t] = a
         buf[B * TEXELS + t] = b
         buf[INV * TEXELS + t] = inverse
-        buf[SEEN * TEXELS + t] = seen[t]
         by_diffuse += 0 if a <= zero else 1
         by_specular += 0 if b <= zero else 1
     return by_diffuse, by_specular
