@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -306,15 +307,35 @@ def as_seen(
         lobe *= lights.mirror_share
 
 
-def compiled(lights: PatternLights, shadows: Shadows) -> tuple[np.ndarray, ...]:
-    """What compiled loops take of lights and shadows, in single precision."""
-    single = (lights.position_mm, lights.radius_mm, lights.weight, lights.levels)
-    return (
+class SeenLights(NamedTuple):
+    """Lights and who sees them as compiled loops take them, in single precision.
+
+    Attributes: as of `Shadows` and `PatternLights`.
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    visible: np.ndarray
+    position: np.ndarray
+    radius: np.ndarray
+    weight: np.ndarray
+    levels: np.ndarray
+    group_end: np.ndarray
+    exponent: np.float32
+
+
+def compiled(lights: PatternLights, shadows: Shadows) -> SeenLights:
+    """What compiled loops take of lights and shadows."""
+    return SeenLights(
         shadows.corners,
         shadows.weights,
         shadows.visible,
-        *(values.astype(np.float32) for values in single),
-        lights.group_end,
+        position=lights.position_mm.astype(np.float32),
+        radius=lights.radius_mm.astype(np.float32),
+        weight=lights.weight.astype(np.float32),
+        levels=lights.levels.astype(np.float32),
+        group_end=lights.group_end,
+        exponent=np.float32(lights.exponent),
     )
 
 
@@ -367,10 +388,9 @@ def irradiance_vectors(
     _irradiance_vectors(
         np.ascontiguousarray(points_mm, np.float32),
         np.ascontiguousarray(normals, np.float32),
-        *compiled(lights, shadows),
+        compiled(lights, shadows),
         interface.table,
         np.float32(roughness),
-        np.float32(lights.exponent),
         out,
     )
     return _as_seen(lights, normals, out)
@@ -380,19 +400,14 @@ def irradiance_vectors(
 def _irradiance_vectors(
     points: np.ndarray,
     normals: np.ndarray,
-    corners: np.ndarray,
-    weights: np.ndarray,
-    visible: np.ndarray,
-    position: np.ndarray,
-    radius: np.ndarray,
-    weight: np.ndarray,
-    levels: np.ndarray,
-    group_end: np.ndarray,
+    lights: SeenLights,
     through: np.ndarray,
     roughness: float,
-    exponent: float,
     out: np.ndarray,
 ) -> None:
+    corners, weights, visible = lights.corners, lights.weights, lights.visible
+    position, radius, weight = lights.position, lights.radius, lights.weight
+    levels, group_end, exponent = lights.levels, lights.group_end, lights.exponent
     row, part = row_of(roughness, len(through))
     for i in prange(len(points)):
         first = 0

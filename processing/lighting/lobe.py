@@ -18,6 +18,7 @@ from processing.lighting.fresnel import fresnel
 from processing.lighting.interface import BARE, Interface, let_through, row_of
 from processing.lighting.lights import (
     PatternLights,
+    SeenLights,
     Shadows,
     as_seen,
     compiled,
@@ -71,12 +72,11 @@ def transport(
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(views, np.float32),
         np.ascontiguousarray(np.broadcast_to(np.asarray(roughness, np.float32), count)),
-        *compiled(lights, shadows),
+        compiled(lights, shadows),
         fresnel_table().astype(np.float32),
         interface.table,
         interface.mean,
         interface.facets.shape,
-        np.float32(lights.exponent),
         out,
     )
     as_seen(lights, normals, out[0], out[1])
@@ -89,21 +89,16 @@ def _transport(
     normals: np.ndarray,
     views: np.ndarray,
     roughnesses: np.ndarray,
-    corners: np.ndarray,
-    weights: np.ndarray,
-    visible: np.ndarray,
-    position: np.ndarray,
-    radius: np.ndarray,
-    weight: np.ndarray,
-    levels: np.ndarray,
-    group_end: np.ndarray,
+    lights: SeenLights,
     table: np.ndarray,
     through: np.ndarray,
     mean: np.ndarray,
     shape: np.ndarray,
-    exponent: float,
     out: np.ndarray,
 ) -> None:
+    corners, weights, visible = lights.corners, lights.weights, lights.visible
+    position, radius, weight = lights.position, lights.radius, lights.weight
+    levels, group_end, exponent = lights.levels, lights.group_end, lights.exponent
     steps = len(table) - 1
     tails, stretch = shape[0] > 0, shape[1]
     for i in prange(len(points)):

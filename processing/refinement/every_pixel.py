@@ -24,7 +24,8 @@ from processing.refinement.finish import (
 )
 from processing.refinement.gloss import local_specular
 from processing.refinement.gloss_search import around_of, grid_evidence, mistaken
-from processing.refinement.joint import Solved, solve_jointly, spread_of
+from processing.refinement.joint import Given, solve_jointly, spread_of
+from processing.refinement.joint_kernels import Solved
 from processing.refinement.node_pixels import Photos, Picture, pixel_kernel
 from processing.refinement.nodes import (
     GridKnows,
@@ -145,7 +146,7 @@ def grid_knows(scene: Scene, grid: View, found: Solved, config: RefineConfig) ->
     )
     inside = edge_distance(sight.mask, sight.depth_mm, config)[sight.mask] * sight.step
     nothing = np.zeros((len(specular), 3), np.float32)
-    given = given_of(scene, grid, found, roughness, specular, nothing, inside)
+    given = finish_given(scene, grid, found, roughness, specular, nothing, inside)
     alone = empty_maps(len(given))
     finish(given, np.arange(len(given)), limits_of(config, scene.doubt), alone)
     # A pixel that is hardly trusted takes its neighbours' albedo.
@@ -228,7 +229,7 @@ def solve_exactly(
     begin = np.where(length > 0.5, columns[:, :3] / np.maximum(length, 0.5), sight.normals)
     begin = np.where(view.usable[:, None], begin, 0)
     rest = columns[:, 8:].reshape(-1, *knows.around.rest.shape[1:])
-    solved = solve_jointly(
+    pixels = Given(
         view.rgb,
         scene.lights,
         place_of(scene, view),
@@ -238,12 +239,12 @@ def solve_exactly(
         scene.interface,
         dataclasses.replace(knows.around, rest=rest),
         config.noise,
-        rounds=config.rounds,
     )
-    return given_of(scene, view, solved, roughness, specular, columns[:, 5:8], inside)
+    solved = solve_jointly(pixels, config.rounds)
+    return finish_given(scene, view, solved, roughness, specular, columns[:, 5:8], inside)
 
 
-def given_of(
+def finish_given(
     scene: Scene,
     view: View,
     solved: Solved,

@@ -11,7 +11,7 @@ from processing.refinement.config import RefineConfig
 from processing.refinement.gloss import better_gloss, sum_at_vertices
 from processing.refinement.joint import gloss_evidence, solve_jointly
 from processing.refinement.scattering import unscattered
-from processing.refinement.scene import Scene, View, gloss_of, place_of, steady
+from processing.refinement.scene import Scene, View, given_of, steady
 
 ROUNDS = 3
 """Steps by which each family's gloss and normals are fitted: the first one's order may be wrong."""
@@ -71,19 +71,15 @@ def unexplained(scene: Scene, views: list[View], facets: Facets, config: RefineC
         sums = np.zeros((len(scene.surface.vertices), 5))
         misfits = []
         for k, (view, band) in enumerate(zip(views, bands, strict=True)):
-            place = place_of(scene, view, band)
-            roughness, specular = (values[band] for values in gloss_of(scene, view.sight))
             around = unscattered(*view.rgb[band].shape[:2])
-            given = (roughness, specular, scene.interface, around, config.gloss_noise)
-            solved = solve_jointly(
-                view.rgb[band], scene.lights, place, normals[k], *given, rounds=1
-            )
+            given = given_of(scene, view, band, normals[k], around, config.gloss_noise)
+            solved = solve_jointly(given, rounds=1)
             normals[k] = solved.normal
             misfits.append(solved.misfit[(solved.misfit > 0) & (trust[k] > 0.5)])
             if done == ROUNDS - 1:
                 continue
-            evidence = gloss_evidence(view.rgb[band], scene.lights, place, normals[k], *given)
-            shadows = place.shadows
+            evidence = gloss_evidence(dataclasses.replace(given, normals=normals[k]))
+            shadows = given.place.shadows
             evidence *= trust[k][:, None]
             sums += sum_at_vertices(evidence, shadows.corners, shadows.weights, len(sums))
         every = np.concatenate(misfits)

@@ -12,14 +12,10 @@ from processing.refinement.bounces import bounced_light, other_skin, vertex_irra
 from processing.refinement.config import RefineConfig
 from processing.refinement.family import best_facets
 from processing.refinement.gloss import better_gloss, sum_at_vertices
-from processing.refinement.joint import (
-    Scattered,
-    Solved,
-    gloss_evidence,
-    solve_jointly,
-)
+from processing.refinement.joint import Scattered, gloss_evidence, solve_jointly
+from processing.refinement.joint_kernels import Solved
 from processing.refinement.scattering import scattered, unscattered
-from processing.refinement.scene import ALL, Scene, View, gloss_of, place_of, steady
+from processing.refinement.scene import ALL, Scene, View, given_of, steady
 from processing.surface import LitSurface, at_vertices_to
 
 TRIED_PIXELS = 20_000
@@ -132,19 +128,7 @@ def solve_some(
     config: RefineConfig,
 ) -> Solved:
     """One step for some of a view's pixels, from their own normals and light that wanders."""
-    roughness, specular = gloss_of(scene, view.sight)
-    return solve_jointly(
-        view.rgb[some],
-        scene.lights,
-        place_of(scene, view, some),
-        start,
-        roughness[some],
-        specular[some],
-        scene.interface,
-        around,
-        config.noise,
-        rounds=1,
-    )
+    return solve_jointly(given_of(scene, view, some, start, around, config.noise), rounds=1)
 
 
 def around_of(scene: Scene, view: View, solved: Solved) -> Scattered:
@@ -157,17 +141,8 @@ def around_of(scene: Scene, view: View, solved: Solved) -> Scattered:
 
 def grid_evidence(scene: Scene, view: View, solved: Solved, config: RefineConfig) -> np.ndarray:
     """(n, 5) what the pixels say of the gloss; those at steep angles and edges say nothing."""
-    sight = view.sight
-    evidence = gloss_evidence(
-        view.rgb,
-        scene.lights,
-        place_of(scene, view),
-        solved.normal,
-        *gloss_of(scene, sight),
-        scene.interface,
-        around_of(scene, view, solved),
-        config.gloss_noise,
-    )
+    around = around_of(scene, view, solved)
+    evidence = gloss_evidence(given_of(scene, view, ALL, solved.normal, around, config.gloss_noise))
     return np.asarray(evidence * steady(view, config)[:, None])
 
 

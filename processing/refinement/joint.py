@@ -15,12 +15,8 @@ import numpy as np
 from processing.lighting.interface import Interface
 from processing.lighting.lights import PatternLights, Shadows
 from processing.lighting.lobe import fresnel_table
-from processing.refinement.joint_kernels import (
-    Pixels,
-    Spread,
-    evidence_kernel,
-    solve_kernel,
-)
+from processing.refinement.joint_equations import Spread
+from processing.refinement.joint_kernels import Pixels, Solved, evidence_kernel, solve_kernel
 from processing.refinement.joint_light import Lamps
 
 
@@ -77,46 +73,10 @@ class Scattered:
 
 
 @dataclasses.dataclass(frozen=True)
-class Solved:
-    """Of n pixels; zero where not solved.
+class Given:
+    """n pixels, and all that is held fast while they are solved.
 
     Attributes:
-        normal: (n, 3) float32 unit, from all that was read.
-        matte: (n, 3) float32 unit, from the part of the readings that no white gloss holds; of
-            polarised ones, from what is left of all when gloss is taken off.
-        lit: (n, 3) float32 least squares of the diffuse albedo is lit / power.
-        power: (n, 3) float32 the sum of squared irradiance.
-        misfit: (n,) float32 mean squared residual over its expected variance.
-        irradiance: (n, P) float32 what enters straight from the lights, for the normals found.
-        certainty: (n,) float32 least information on a turn of the normal, one over rad^2.
-        matte_turn2: (n,) float32 mean squared turn of `matte`, rad^2, by the readings' own noise.
-    """
-
-    normal: np.ndarray
-    matte: np.ndarray
-    lit: np.ndarray
-    power: np.ndarray
-    misfit: np.ndarray
-    irradiance: np.ndarray
-    certainty: np.ndarray
-    matte_turn2: np.ndarray
-
-
-def solve_jointly(
-    rgb: np.ndarray,
-    lights: PatternLights,
-    place: Place,
-    normals: np.ndarray,
-    roughness: np.ndarray,
-    specular: np.ndarray,
-    interface: Interface,
-    scattered: Scattered,
-    noise: Noise,
-    rounds: int = 2,
-) -> Solved:
-    """Normals and albedo of pixels whose gloss is known, by Gauss-Newton from given normals.
-
-    Args:
         rgb: (n, P, 3) readings in the lights' own colour.
         lights: of P patterns; polarised ones need no colour to tell what is mirrored.
         place: of the n pixels.
@@ -126,9 +86,27 @@ def solve_jointly(
         interface: that light passes on its way into the diffuse layer and out, and its facets.
         scattered: inside the skin.
         noise: of the readings.
+    """
+
+    rgb: np.ndarray
+    lights: PatternLights
+    place: Place
+    normals: np.ndarray
+    roughness: np.ndarray
+    specular: np.ndarray
+    interface: Interface
+    scattered: Scattered
+    noise: Noise
+
+
+def solve_jointly(given: Given, rounds: int = 2) -> Solved:
+    """Normals and albedo of pixels whose gloss is known, by Gauss-Newton from given normals.
+
+    Args:
+        given: see there.
         rounds: steps.
     """
-    count = len(rgb)
+    count = len(given.rgb)
     normal, matte, lit, power = np.zeros((4, count, 3), np.float32)
     out = Solved(
         normal,
@@ -136,82 +114,50 @@ def solve_jointly(
         lit,
         power,
         misfit=np.zeros(count, np.float32),
-        irradiance=np.zeros(rgb.shape[:2], np.float32),
+        irradiance=np.zeros(given.rgb.shape[:2], np.float32),
         certainty=np.zeros(count, np.float32),
         matte_turn2=np.zeros(count, np.float32),
     )
-    solve_kernel(
-        *_arguments(rgb, lights, place, normals, roughness, specular, interface, scattered, noise),
-        rounds,
-        not lights.polarised,
-        out.normal,
-        out.matte,
-        out.lit,
-        out.power,
-        out.misfit,
-        out.irradiance,
-        out.certainty,
-        out.matte_turn2,
-    )
+    solve_kernel(*_compiled(given), rounds, not given.lights.polarised, out)
     return out
 
 
-def gloss_evidence(
-    rgb: np.ndarray,
-    lights: PatternLights,
-    place: Place,
-    normals: np.ndarray,
-    roughness: np.ndarray,
-    specular: np.ndarray,
-    interface: Interface,
-    scattered: Scattered,
-    noise: Noise,
-) -> np.ndarray:
+def gloss_evidence(given: Given) -> np.ndarray:
     """What each pixel says of its specular albedo and roughness, normal and albedo left free.
 
     Args:
-        rgb, lights, place, normals, interface, scattered, noise: as in `solve_jointly`.
-        roughness, specular: (n,) about which the lobe is taken as linear.
+        given: see there; the lobe is taken as linear about its roughness and specular albedo.
 
     Returns:
         (n, 5) float32: information on s, on s and m together, on m; its product with the offsets
         of s and of m from the given ones that fit best. Sums over pixels of one gloss are that
         gloss's. Zero where a pixel cannot be solved; outliers count little.
     """
-    out = np.zeros((len(rgb), 5), np.float32)
-    given = (rgb, lights, place, normals, roughness, specular, interface, scattered, noise)
-    evidence_kernel(*_arguments(*given), out)
+    out = np.zeros((len(given.rgb), 5), np.float32)
+    evidence_kernel(*_compiled(given), out)
     return out
 
 
-def _arguments(
-    rgb: np.ndarray,
-    lights: PatternLights,
-    place: Place,
-    normals: np.ndarray,
-    roughness: np.ndarray,
-    specular: np.ndarray,
-    interface: Interface,
-    scattered: Scattered,
-    noise: Noise,
-) -> tuple[Pixels, Lamps, Spread]:
+def _compiled(given: Given) -> tuple[Pixels, Lamps, Spread]:
     """What both kernels take."""
 
     def single(values: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(values, np.float32)
 
+    place, scattered = given.place, given.scattered
     pixels = Pixels(
-        rgb=single(rgb),
+        rgb=single(given.rgb),
         points=single(place.points_mm),
-        starts=single(normals),
+        starts=single(given.normals),
         views=single(place.views),
-        roughness=single(roughness),
-        specular=single(specular),
+        roughness=single(given.roughness),
+        specular=single(given.specular),
         corners=place.shadows.corners,
         weights=place.shadows.weights,
         rests=single(scattered.rest),
     )
-    return pixels, lamps_of(lights, place, interface), spread_of(noise, scattered)
+    lamps = lamps_of(given.lights, place, given.interface)
+    return pixels, lamps, spread_of(given.noise, scattered)
 
 
 def spread_of(noise: Noise, scattered: Scattered) -> Spread:

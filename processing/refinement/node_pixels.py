@@ -13,7 +13,7 @@ from processing.lanes import LANES, every, load, store
 from processing.readings import BRIGHTEST
 from processing.refinement import finish
 from processing.refinement.finish import GIVEN, Limits, Maps, finish_pixel
-from processing.refinement.joint_kernels import Spread
+from processing.refinement.joint_equations import Spread
 from processing.refinement.node_light import (
     FRAME,
     GLOSS,

@@ -14,7 +14,8 @@ import numpy as np
 from numba import njit
 
 from processing.lanes import LANES, above, at_least, at_most, every, load, root, store
-from processing.refinement.joint_kernels import LONGEST_TURN, MOST_TURN2
+from processing.refinement.joint_equations import MOST_TURN2
+from processing.refinement.joint_kernels import LONGEST_TURN
 from processing.refinement.node_light import OF_PATTERN
 
 OF_STATE = 12

@@ -12,7 +12,8 @@ from lightstage.rig import Camera
 from processing.lighting.lights import Shadows
 from processing.refinement.config import RefineConfig
 from processing.refinement.finish import facing
-from processing.refinement.joint import Place, Scattered, Solved, lamps_of
+from processing.refinement.joint import Place, Scattered, lamps_of
+from processing.refinement.joint_kernels import Solved
 from processing.refinement.node_light import (
     OF_PATTERN,
     OF_PLACE,

@@ -19,7 +19,7 @@ from processing.readings import px_per_mm, read_pixels
 from processing.refinement.config import RefineConfig
 from processing.refinement.finish import facing
 from processing.refinement.gloss import Gloss, skin_gloss
-from processing.refinement.joint import Place
+from processing.refinement.joint import Given, Noise, Place, Scattered
 from processing.surface import (
     LitSurface,
     Sight,
@@ -210,3 +210,26 @@ def steady(view: View, config: RefineConfig) -> np.ndarray:
 def edge_distance(mask: np.ndarray, depth_mm: np.ndarray, config: RefineConfig) -> np.ndarray:
     """(h, w) float32 pixels to the nearest edge of a mask or step of its depth."""
     return edge_distance_px(mask & ~depth_edges(depth_mm, config.depth_step_mm))
+
+
+def given_of(
+    scene: Scene,
+    view: View,
+    some: slice | np.ndarray,
+    normals: np.ndarray,
+    around: Scattered,
+    noise: Noise,
+) -> Given:
+    """Some of a view's pixels with the gloss that the scene knows."""
+    roughness, specular = gloss_of(scene, view.sight)
+    return Given(
+        view.rgb[some],
+        scene.lights,
+        place_of(scene, view, some),
+        normals,
+        roughness[some],
+        specular[some],
+        scene.interface,
+        around,
+        noise,
+    )

@@ -14,6 +14,7 @@ from numba import njit, prange
 
 from processing.frames.halves import as_float
 from processing.lanes import LANES, every, load_row, store_turned
+from processing.separation.coarse_given import Maps, Model, Window
 from processing.separation.coarse_pixel import FAST, LENGTH, OUT, solve_pixel
 
 RUN = 128
@@ -87,68 +88,49 @@ def _load_few(
 
 
 @njit(cache=True, fastmath=FAST, forceinline=True)
+def blank(maps: Maps, at: int) -> None:
+    """Keep nothing of one pixel."""
+    maps.normal[at] = 0
+    maps.albedo[at] = 0
+    maps.specular[at] = maps.roughness[at] = maps.confidence[at] = 0
+
+
+@njit(cache=True, fastmath=FAST, forceinline=True)
 def put(
     found: bool,
     out: np.ndarray,
     at: int,
     sums: np.ndarray,
-    normal: np.ndarray,
-    albedo: np.ndarray,
-    specular: np.ndarray,
-    roughness: np.ndarray,
-    confidence: np.ndarray,
+    maps: Maps,
 ) -> None:
     """Keep one pixel's result, and add it to its block's sums (SUMS + 1)."""
     if not found:
         out[LENGTH] = 0
-        normal[at] = 0
-        albedo[at] = 0
-        specular[at] = roughness[at] = confidence[at] = 0
+        blank(maps, at)
         return
     for c in range(3):
-        normal[at, c] = out[c]
-        albedo[at, c] = out[6 + c]
-    confidence[at] = out[3]
-    roughness[at], specular[at] = out[9], out[10]
+        maps.normal[at, c] = out[c]
+        maps.albedo[at, c] = out[6 + c]
+    maps.confidence[at] = out[3]
+    maps.roughness[at], maps.specular[at] = out[9], out[10]
     for c in range(SUMS):
         sums[c] += out[4 + c]
     sums[COUNT] += 1
 
 
 @njit(parallel=True, cache=True, fastmath=FAST)
-def solve_window(
-    half: np.ndarray,
-    scale: float,
-    mask: np.ndarray,
-    valid: np.ndarray,
-    row_start: np.ndarray,
-    origin: np.ndarray,
-    rays: np.ndarray,
-    step: int,
-    camera: np.ndarray,
-    diffuse: np.ndarray,
-    lobe: np.ndarray,
-    leaving: np.ndarray,
-    groups: int,
-    radius: float,
-    white: np.ndarray,
-    part: np.ndarray,
-    limits: np.ndarray,
-    block: int,
-    sums: np.ndarray,
-    normal: np.ndarray,
-    albedo: np.ndarray,
-    specular: np.ndarray,
-    roughness: np.ndarray,
-    confidence: np.ndarray,
-) -> None:
+def solve_window(window: Window, model: Model, sums: np.ndarray, maps: Maps) -> None:
     """Solve the masked pixels of a window of half-float frames.
 
-    half (P, h, w, 3) uint16 bits of the window, times scale; mask, valid (h, w) of the window;
-    row_start (h,) of a row's first pixel in the maps; origin: the window's top and left; rays
-    (gh, gw, 3) unit directions from the camera at every `step` pixels of the picture; camera (3,)
-    mm; block in pixels, counted from the window's corner; sums (bh, bw, SUMS + 1); maps by pixel.
+    Args:
+        window: of P patterns.
+        model: of its camera.
+        sums: (bh, bw, SUMS + 1) of the window's blocks, added to.
+        maps: by masked pixel, filled.
     """
+    half, mask, valid, row_start = window.half, window.mask, window.valid, window.row_start
+    origin, rays, step, camera = window.origin, window.rays, window.step, window.camera
+    scale, block, groups = window.scale, window.block, model.groups
     patterns = len(half)
     stride = 3 * LANES
     beyond = RUN * stride
@@ -200,14 +182,7 @@ def solve_window(
                             camera[1] - away * dy,
                             camera[2] - away * dz,
                         ),
-                        diffuse,
-                        lobe,
-                        leaving,
-                        groups,
-                        radius,
-                        white,
-                        part,
-                        limits,
+                        model,
                         signal,
                         out,
                     )
@@ -216,11 +191,7 @@ def solve_window(
                         out,
                         at,
                         sums[strip, x // block],
-                        normal,
-                        albedo,
-                        specular,
-                        roughness,
-                        confidence,
+                        maps,
                     )
                     at += 1
                 x0 = x1
@@ -228,9 +199,7 @@ def solve_window(
 
 @njit(parallel=True, cache=True, fastmath=FAST)
 def finish_window(
-    mask: np.ndarray,
-    row_start: np.ndarray,
-    block: int,
+    window: Window,
     gloss: np.ndarray,
     prior: np.ndarray,
     prior_power: float,
@@ -242,8 +211,10 @@ def finish_window(
     """Turn lit and power into albedo with the blocks' specular albedo, in place.
 
     gloss (bh, bw) specular albedo and prior (bh, bw, 3) diffuse albedo of the blocks, read between
-    their centres; prior_power weighs the latter.
+    their centres; prior_power weighs the latter. The maps come one by one, as numba drops what a
+    parallel loop itself writes to a tuple's field (its issue 7135).
     """
+    mask, row_start, block = window.mask, window.row_start, window.block
     height, width = mask.shape
     rows, columns = gloss.shape
     half, one = np.float32(0.5), np.float32(1)

@@ -23,6 +23,7 @@ from processing.lanes import (
     totals,
 )
 from processing.lighting.lobe import GRAZING
+from processing.separation.coarse_given import Model
 from processing.separation.far_tables import CELLS, LOBE_SIDE, ROWS
 
 LENGTH = 11
@@ -61,14 +62,7 @@ def solve_pixel(
     scale: float,
     view: tuple[float, float, float],
     place: tuple[float, float, float],
-    diffuse: np.ndarray,
-    lobe: np.ndarray,
-    leaving: np.ndarray,
-    groups: int,
-    radius: float,
-    white: np.ndarray,
-    part: np.ndarray,
-    limits: np.ndarray,
+    model: Model,
     signal: np.ndarray,
     out: np.ndarray,
 ) -> bool:
@@ -80,17 +74,13 @@ def solve_pixel(
         first, beyond, scale: see there.
         view: toward the camera.
         place: of the pixel, mm.
-        diffuse, lobe, leaving: tables of FarTables, the first two flat.
-        groups: of eight patterns.
-        radius: of the lights, mm.
-        white: (6,) the lights' colour and its direction.
-        part: (3,) weights of R G B that normals are solved from, zeros for chroma.
-        limits: three times the dark level, grey saturation, solves at most, when to stop, noise
-            squared, and the normal's deviation squared that halves the confidence.
+        model: that it is solved against.
         signal: (2, groups * LANES) flat: what was solved, and the lobe of the normal found.
         out: normal (3), confidence, weighed, weight, lit (3), power, mirror times irradiance,
             |rho n|, which is 0 where the pixel before was not solved, cell, and weights (3).
     """
+    diffuse, lobe, leaving, groups = model.diffuse, model.lobe, model.leaving, model.groups
+    radius, white, part, limits = model.radius, model.white, model.part, model.limits
     one, zero = np.float32(1), np.float32(0)
     vx, vy, vz = view
     px, py, pz = place

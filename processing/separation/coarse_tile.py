@@ -9,6 +9,8 @@ from numba import njit
 
 from processing.lanes import LANES, at_least, every, lane, load, store, totals
 from processing.lighting.lobe import GRAZING
+from processing.separation.coarse_given import Maps
+from processing.separation.coarse_kernels import blank
 from processing.separation.coarse_pixel import FAST
 from processing.separation.far_tables import ROWS
 from processing.separation.triples import load_triples, over_root, store_triples
@@ -265,20 +267,20 @@ def store_eight(
     base: int,
     trust: float,
     at: int,
-    normal: np.ndarray,
-    albedo: np.ndarray,
-    specular: np.ndarray,
-    roughness: np.ndarray,
-    confidence: np.ndarray,
+    maps: Maps,
 ) -> None:
     """Keep eight pixels that lie beside each other in the maps."""
     red, green = load(kept, base), load(kept, base + TILE)
-    store_triples(normal.reshape(normal.size), 3 * at, red, green, load(kept, base + 2 * TILE))
+    store_triples(
+        maps.normal.reshape(maps.normal.size), 3 * at, red, green, load(kept, base + 2 * TILE)
+    )
     red, green = load(kept, base + 3 * TILE), load(kept, base + 4 * TILE)
-    store_triples(albedo.reshape(albedo.size), 3 * at, red, green, load(kept, base + 5 * TILE))
-    store(roughness, at, load(kept, base + 6 * TILE))
-    store(specular, at, load(kept, base + 7 * TILE))
-    store(confidence, at, every(trust))
+    store_triples(
+        maps.albedo.reshape(maps.albedo.size), 3 * at, red, green, load(kept, base + 5 * TILE)
+    )
+    store(maps.roughness, at, load(kept, base + 6 * TILE))
+    store(maps.specular, at, load(kept, base + 7 * TILE))
+    store(maps.confidence, at, every(trust))
 
 
 @njit(cache=True, fastmath=FAST)
@@ -288,23 +290,17 @@ def keep_one(
     i: int,
     trust: float,
     at: int,
-    normal: np.ndarray,
-    albedo: np.ndarray,
-    specular: np.ndarray,
-    roughness: np.ndarray,
-    confidence: np.ndarray,
+    maps: Maps,
 ) -> None:
     """Keep one pixel of a tile, zeros where it cannot be used."""
     if not good:
-        normal[at] = 0
-        albedo[at] = 0
-        specular[at] = roughness[at] = confidence[at] = 0
+        blank(maps, at)
         return
     for c in range(3):
-        normal[at, c] = kept[c * TILE + i]
-        albedo[at, c] = kept[(3 + c) * TILE + i]
-    roughness[at], specular[at] = kept[6 * TILE + i], kept[7 * TILE + i]
-    confidence[at] = trust
+        maps.normal[at, c] = kept[c * TILE + i]
+        maps.albedo[at, c] = kept[(3 + c) * TILE + i]
+    maps.roughness[at], maps.specular[at] = kept[6 * TILE + i], kept[7 * TILE + i]
+    maps.confidence[at] = trust
 
 
 @njit(cache=True, fastmath=FAST)

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from processing.lanes import LANES
+from processing.separation.coarse_given import Maps, Model, Window
 from processing.separation.coarse_kernels import COUNT, SUMS, put
 from processing.separation.coarse_pixel import ACROSS, CELL, FAST, LENGTH, OUT, solve_pixel
 from processing.separation.coarse_tile import (
@@ -53,36 +54,14 @@ def _ray(
 
 
 @njit(parallel=True, cache=True, fastmath=FAST)
-def solve_tiles(
-    half: np.ndarray,
-    scale: float,
-    mask: np.ndarray,
-    valid: np.ndarray,
-    row_start: np.ndarray,
-    origin: np.ndarray,
-    rays: np.ndarray,
-    step: int,
-    camera: np.ndarray,
-    diffuse: np.ndarray,
-    lobe: np.ndarray,
-    leaving: np.ndarray,
-    groups: int,
-    radius: float,
-    white: np.ndarray,
-    part: np.ndarray,
-    limits: np.ndarray,
-    block: int,
-    sums: np.ndarray,
-    normal: np.ndarray,
-    albedo: np.ndarray,
-    specular: np.ndarray,
-    roughness: np.ndarray,
-    confidence: np.ndarray,
-) -> None:
+def solve_tiles(window: Window, model: Model, sums: np.ndarray, maps: Maps) -> None:
     """What `solve_window` does, and takes, by tiles; block is a multiple of a tile's sides.
 
     The window is at least eight pixels wide.
     """
+    half, mask, valid, row_start = window.half, window.mask, window.valid, window.row_start
+    origin, rays, step, camera = window.origin, window.rays, window.step, window.camera
+    scale, block, groups, white = window.scale, window.block, model.groups, model.white
     patterns, height, width = len(half), mask.shape[0], mask.shape[1]
     apart = half.shape[1] * half.shape[2] * 3
     flat = half.reshape(half.size)
@@ -121,7 +100,7 @@ def solve_tiles(
                 for row in range(rows):
                     first = ((y0 + row) * width + left) * 3
                     read_eight(flat, patterns, apart, first, row, read, looks)
-                count = usable(looks, scale, white, limits, good)
+                count = usable(looks, scale, white, model.limits, good)
                 done = 0
                 view, place = _ray(
                     rays,
@@ -140,18 +119,11 @@ def solve_tiles(
                         scale,
                         view,
                         place,
-                        diffuse,
-                        lobe,
-                        leaving,
-                        groups,
-                        radius,
-                        white,
-                        part,
-                        limits,
+                        model,
                         signal,
                         out,
                     ):
-                        share(diffuse, int(out[CELL]), groups, place, held)
+                        share(model.diffuse, int(out[CELL]), groups, place, held)
                         facing = out[0] * view[0] + out[1] * view[1] + out[2] * view[2]
                         for row in range(rows):
                             solve_eight(
@@ -163,7 +135,7 @@ def solve_tiles(
                                 signal[across:],
                                 (out[ACROSS], out[ACROSS + 1], out[ACROSS + 2]),
                                 view,
-                                leaves(leaving, facing),
+                                leaves(model.leaving, facing),
                                 (scale / white[0], scale / white[1], scale / white[2]),
                                 kept,
                                 row * LANES,
@@ -181,11 +153,7 @@ def solve_tiles(
                             base,
                             out[3],
                             at[row],
-                            normal,
-                            albedo,
-                            specular,
-                            roughness,
-                            confidence,
+                            maps,
                         )
                         at[row] += LANES
                         continue
@@ -202,14 +170,7 @@ def solve_tiles(
                                 scale,
                                 view,
                                 place,
-                                diffuse,
-                                lobe,
-                                leaving,
-                                groups,
-                                radius,
-                                white,
-                                part,
-                                limits,
+                                model,
                                 signal,
                                 single,
                             )
@@ -218,11 +179,7 @@ def solve_tiles(
                                 single,
                                 at[row],
                                 sums[strip, x0 // block],
-                                normal,
-                                albedo,
-                                specular,
-                                roughness,
-                                confidence,
+                                maps,
                             )
                         else:
                             keep_one(
@@ -231,10 +188,6 @@ def solve_tiles(
                                 i,
                                 out[3],
                                 at[row],
-                                normal,
-                                albedo,
-                                specular,
-                                roughness,
-                                confidence,
+                                maps,
                             )
                         at[row] += 1

@@ -19,6 +19,7 @@ from processing.lighting.interface import skin_interface
 from processing.lighting.lights import PatternLights
 from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
+from processing.separation.coarse_given import Maps, Model, Window
 from processing.separation.coarse_kernels import COUNT, SUMS, finish_window, solve_window
 from processing.separation.coarse_tile import TILE_ROWS
 from processing.separation.coarse_tiles import solve_tiles
@@ -146,50 +147,37 @@ def separate_window(readings: Readings, lights: PatternLights, config: SeparateC
         view = _mean_ray(readings)
     tables = far_tables(lights, -view, config.roughness, skin_interface())
     sums = np.zeros((*(-(-side // block) for side in mask.shape), SUMS + 1), np.float32)
-    normal, albedo = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    specular, roughness, confidence = (np.empty(count, np.float32) for _ in range(3))
     values = readings.values
-    solve = solve_tiles if tiles else solve_window
-    solve(
-        values.view(np.uint16) if values.dtype == np.float16 else values,
-        np.float32(readings.scale),
-        mask,
-        np.ascontiguousarray(readings.valid),
-        row_start,
-        np.array(readings.origin),
-        readings.rays,
-        readings.step_px,
-        readings.camera_mm.astype(np.float32),
-        tables.diffuse.ravel(),
-        tables.lobe.ravel(),
-        tables.leaving,
-        tables.lobe.shape[1],
-        np.float32(tables.radius_mm),
-        np.append(lights.colour, lights.colour / np.linalg.norm(lights.colour)).astype(np.float32),
-        _part(config.normals, lights.colour),
-        _limits(config),
-        block,
-        sums,
-        normal,
-        albedo,
-        specular,
-        roughness,
-        confidence,
+    window = Window(
+        half=values.view(np.uint16) if values.dtype == np.float16 else values,
+        scale=np.float32(readings.scale),
+        mask=mask,
+        valid=np.ascontiguousarray(readings.valid),
+        row_start=row_start,
+        origin=np.array(readings.origin),
+        rays=readings.rays,
+        step=readings.step_px,
+        camera=readings.camera_mm.astype(np.float32),
+        block=block,
     )
+    white = np.append(lights.colour, lights.colour / np.linalg.norm(lights.colour))
+    model = Model(
+        diffuse=tables.diffuse.ravel(),
+        lobe=tables.lobe.ravel(),
+        leaving=tables.leaving,
+        groups=tables.lobe.shape[1],
+        radius=np.float32(tables.radius_mm),
+        white=white.astype(np.float32),
+        part=_part(config.normals, lights.colour),
+        limits=_limits(config),
+    )
+    normal, albedo = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    maps = Maps(normal, albedo, *(np.empty(count, np.float32) for _ in range(3)))
+    (solve_tiles if tiles else solve_window)(window, model, sums, maps)
     gloss, prior = blocks_albedo(sums, block, readings.px_per_mm, config)
-    finish_window(
-        mask,
-        row_start,
-        block,
-        gloss,
-        prior,
-        np.float32(config.albedo_prior_power),
-        np.float32(config.roughness),
-        albedo,
-        specular,
-        roughness,
-    )
-    return PixelMaps(normal, normal, albedo, specular, roughness, confidence)
+    power, width = np.float32(config.albedo_prior_power), np.float32(config.roughness)
+    finish_window(window, gloss, prior, power, width, albedo, maps.specular, maps.roughness)
+    return PixelMaps(normal, normal, albedo, maps.specular, maps.roughness, maps.confidence)
 
 
 def blocks_albedo(
@@ -244,14 +232,14 @@ def _blurred(image: np.ndarray, sigma_px: float, block: int) -> np.ndarray:
 
 
 def _limits(config: SeparateConfig) -> np.ndarray:
-    """What `solve_window` takes as limits."""
+    """`Model.limits`."""
     half_trust = math.radians(config.half_trust_deg)
     values = (3 * config.dark_level, config.grey_saturation, config.iterations, SETTLED)
     return np.array([*values, config.noise**2, half_trust**2], np.float32)
 
 
 def _part(normals: str, white: np.ndarray) -> np.ndarray:
-    """(3,) float32 weights of R G B for `solve_window`."""
+    """`Model.part`."""
     if normals in ("auto", "chroma"):
         return np.zeros(3, np.float32)
     if normals == "mean":

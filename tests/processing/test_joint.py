@@ -15,13 +15,14 @@ from processing.lighting.interface import Interface, skin_interface
 from processing.lighting.lights import Shadows
 from processing.lighting.lobe import transport
 from processing.refinement.joint import (
+    Given,
     Noise,
     Place,
     Scattered,
-    Solved,
     gloss_evidence,
     solve_jointly,
 )
+from processing.refinement.joint_kernels import Solved
 from tests.processing import joint_twin, lit_ball
 from tests.processing.joint_twin import Pixel
 from tests.processing.lit_ball import PATTERNS, angle_deg
@@ -43,7 +44,7 @@ LIGHTS = lit_ball.lights_of_rig(RIG)
 class Skin:
     """Pixels of skin, each a vertex of its own.
 
-    Attributes: as the arguments of `solve_jointly`; truth holds the (n, 3) normals.
+    Attributes: as of `Given`; truth holds the (n, 3) normals.
     """
 
     rgb: np.ndarray
@@ -126,25 +127,19 @@ def skin(
     )
 
 
-def solved(s: Skin, noise: Noise, rounds: int = 1) -> Solved:
-    return solve_jointly(
-        s.rgb,
-        LIGHTS,
-        s.place,
-        s.start,
-        s.roughness,
-        s.specular,
-        s.interface,
-        s.around,
-        noise,
-        rounds,
+def given_by(s: Skin, noise: Noise) -> Given:
+    """The pixels as `solve_jointly` takes them."""
+    return Given(
+        s.rgb, LIGHTS, s.place, s.start, s.roughness, s.specular, s.interface, s.around, noise
     )
+
+
+def solved(s: Skin, noise: Noise, rounds: int = 1) -> Solved:
+    return solve_jointly(given_by(s, noise), rounds)
 
 
 def evidence(s: Skin, noise: Noise) -> np.ndarray:
-    return gloss_evidence(
-        s.rgb, LIGHTS, s.place, s.start, s.roughness, s.specular, s.interface, s.around, noise
-    )
+    return gloss_evidence(given_by(s, noise))
 
 
 def pixels(s: Skin) -> list[Pixel]:
@@ -294,8 +289,8 @@ BAD = st.floats(-1e6, 1e6) | st.sampled_from(
 
 
 def check_sane(found: Solved, gloss: np.ndarray) -> None:
-    for field in dataclasses.fields(found):
-        assert np.isfinite(getattr(found, field.name)).all(), field.name
+    for name, values in found._asdict().items():
+        assert np.isfinite(values).all(), name
     for normals in (found.normal, found.matte):
         length = np.linalg.norm(normals, axis=1)
         assert ((length == 0) | (np.abs(length - 1) < 1e-5)).all()
@@ -344,8 +339,8 @@ def test_pixels_that_hold_no_number_or_no_light_are_left_zero() -> None:
     roughness[2] = 0
     bad = dataclasses.replace(s, rgb=rgb, start=start, roughness=roughness)
     found = both(bad)
-    for field in dataclasses.fields(found):
-        assert not getattr(found, field.name)[:3].any(), field.name
+    for name, values in found._asdict().items():
+        assert not values[:3].any(), name
     good = solved(s, Noise(), rounds=2)
     np.testing.assert_array_equal(found.normal[3], good.normal[3])
 

@@ -23,7 +23,7 @@ from processing.refinement.node_solve import OF_STATE, RESULTS, solve_eight
 from processing.refinement.scene import prepare_scene, read_view
 from tests.processing import lit_ball, test_joint, test_reflectance
 from tests.processing.lit_ball import PATTERNS, angle_deg
-from tests.processing.test_joint import BAD, INTERFACE, LIGHTS, Skin, skin
+from tests.processing.test_joint import BAD, INTERFACE, LIGHTS, Skin, given_by, skin
 
 SEEDS = st.integers(0, 2**31)
 AXIS = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]], np.float32)
@@ -92,9 +92,7 @@ def test_eight_pixels_are_solved_as_each_alone(seed: int, lit: bool, shade: floa
     table, known = nodes_at(s)
     assert known.all()
     found = eight(s, table, noise)
-    alone = solve_jointly(
-        s.rgb, LIGHTS, s.place, s.start, s.roughness, s.specular, INTERFACE, s.around, noise, 2
-    )
+    alone = solve_jointly(given_by(s, noise))
     holds = found[:, 13] > 0
     assert holds.mean() > 0.7
     normal = in_world(table, found[:, 0], found[:, 1], np.ones(LANES))
