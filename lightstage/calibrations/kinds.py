@@ -20,7 +20,7 @@ class Kind:
     Attributes:
         name: as commands and files call it.
         put: what the operator puts before the cameras, in plain words; `{camera}` is the one that
-            a pose faces.
+            a pose faces, `{where}` before or behind, in turn, as that camera sees it.
         patterns: lit for each pose, names of lightstage.patterns.
         drive: how lights are weighted; `on-off` where each light's own strength is looked for.
         faces: each pose is made for one camera, in turn; else for all at once.
@@ -56,7 +56,8 @@ class Kind:
 
     def asks(self, rig: Rig, index: int) -> str:
         """What the operator is asked to do for pose `index` (from 0)."""
-        return self.put.format(camera=self.faced(rig, index))
+        where = "before" if (index // len(rig.cameras)) % 2 == 0 else "behind"
+        return self.put.format(camera=self.faced(rig, index), where=where)
 
     def shown(self, rig: Rig, every_light: bool) -> tuple[str, ...]:
         """Patterns of a pose.
@@ -75,8 +76,9 @@ KINDS: dict[str, Kind] = {
     for kind in (
         Kind(
             "charuco",
-            "Hold the ChArUco board in the middle of the stage, facing {camera}, tilted another "
-            "way than before, and keep it still.",
+            # Nearer and farther: else a longer lens farther off would fit nearly as well.
+            "Hold the ChArUco board a hand's width {where} the middle of the stage, facing "
+            "{camera}, tilted another way than before, and keep it still.",
             ("full",),
             "solid-angle",
             True,

@@ -14,12 +14,14 @@ from lightstage.formats.board import BoardConfig
 from lightstage.rig import Camera, Rig
 from processing.calibration.boards import Sight
 from processing.calibration.cameras_fit import Adjusted, adjust
+from processing.calibration.cameras_held import HeldOut, enough, held_out
 from processing.calibration.cameras_start import first_poses
+from processing.calibration.cameras_world import four, onto
 from processing.errors import PoseError
 
 MODELS = ("SIMPLE_RADIAL", "RADIAL", "OPENCV")
-HELD_OUT = 4
-"""Every fourth board is left out of a second adjustment, which is then asked where it lies."""
+WIDE_PX, NARROWEST_PX = 0.3, 0.005
+"""Scale of the loss by which cameras that moved are found, and the least of the last adjustment."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,6 +38,8 @@ class CamerasConfig:
         min_sights: boards that a camera must have seen.
         moved_mm: a camera found farther than this from where rig.json has it is warned of.
         turned_deg: likewise by how much it looks elsewhere.
+        unsure_mm: a camera whose place the boards leave less certain than this (standard deviation)
+            is warned of.
         allow: ids of cameras that are kept whatever their residual.
     """
 
@@ -45,6 +49,7 @@ class CamerasConfig:
     min_sights: int = 3
     moved_mm: float = 20.0
     turned_deg: float = 3.0
+    unsure_mm: float = 0.2
     allow: tuple[str, ...] = ()
 
 
@@ -87,7 +92,7 @@ def measure_cameras(
         raise PoseError("cameras", field="model", found=config.model, expected=" or ".join(MODELS))
     corners = board.corners_mm()
     rig_cameras = {camera.id: camera for camera in rig.cameras}
-    counted = _enough(sights, config.min_sights)
+    counted = enough(sights, config.min_sights)
     if len({sight.camera for sight in counted}) < 1:
         raise PoseError(
             "cameras",
@@ -110,26 +115,24 @@ def measure_cameras(
     far = adjust(counted, corners, start, boards, model=config.model, lenses=False, scale_px=20.0)
     near = adjust(counted, corners, far.cameras, far.boards, model=config.model, scale_px=2.0)
     clean = _without_outliers(counted, near, config.outlier_px)
-    found = adjust(clean, corners, near.cameras, near.boards, model=config.model)
-    held = _held_out(clean, corners, found, config)
-    world = _onto(found.cameras, rig_cameras)
-    facts, warnings = _told(sights, clean, found, held, rig_cameras, world)
-    _refuse(_contradicting(clean, corners, found, config), config, warnings)
+    found = adjust(clean, corners, near.cameras, near.boards, model=config.model, scale_px=WIDE_PX)
+    warnings = _refuse(_contradicting(clean, corners, found, config), config)
+    # Most corners are found to a hundredth of a pixel and a few to a half: a loss as wide as the
+    # few lets them push cameras about.
+    typical = float(np.median(np.concatenate(found.residual_px)))
+    scale = float(np.clip(2 * typical, NARROWEST_PX, WIDE_PX))
+    found = adjust(clean, corners, found.cameras, found.boards, model=config.model, scale_px=scale)
+    held = held_out(clean, corners, found, config.min_sights, config.model, scale)
+    world = onto(found.cameras, rig_cameras)
+    facts, unmeasured = _told(sights, clean, found, held, rig_cameras, world)
+    warnings += unmeasured + _unsure(facts["cameras"], config)
     measured = {
-        name: dataclasses.replace(camera, cam_from_world=_four(camera.cam_from_world)[:3] @ world)
+        name: dataclasses.replace(camera, cam_from_world=four(camera.cam_from_world)[:3] @ world)
         for name, camera in found.cameras.items()
     }
     warnings += _moved(measured, rig_cameras, config)
     cameras = tuple(measured.get(camera.id, camera) for camera in rig.cameras)
     return MeasuredCameras(cameras, facts, warnings)
-
-
-def _enough(sights: Sequence[Sight], least: int) -> list[Sight]:
-    """Sights of cameras that have enough of them."""
-    counts = {s.camera: 0 for s in sights}
-    for sight in sights:
-        counts[sight.camera] += 1
-    return [s for s in sights if counts[s.camera] >= least]
 
 
 def _lens_alone(sights: Sequence[Sight], corners_mm: np.ndarray, camera: Camera) -> Camera:
@@ -173,67 +176,11 @@ def _without_outliers(sights: Sequence[Sight], found: Adjusted, limit_px: float)
     return out
 
 
-def _held_out(
-    sights: Sequence[Sight], corners: np.ndarray, found: Adjusted, config: CamerasConfig
-) -> dict[str, np.ndarray]:
-    """Residuals by camera on boards that the cameras were not adjusted to."""
-    shots = sorted({s.shot for s in sights})
-    out = shots[HELD_OUT - 1 :: HELD_OUT]
-    left = [s for s in sights if s.shot not in out]
-    kept = {s.camera for s in _enough(left, config.min_sights)}
-    if not out or not kept:
-        return {}
-    left = [s for s in left if s.camera in kept]
-    cameras = {name: found.cameras[name] for name in kept}
-    fitted = adjust(left, corners, cameras, found.boards, model=config.model)
-    asked = [s for s in sights if s.shot in out and s.camera in kept]
-    if not asked:
-        return {}
-    shown = adjust(
-        asked, corners, fitted.cameras, found.boards, model=config.model, lenses=False, poses=False
-    )
-    return {
-        name: np.concatenate(
-            [m for s, m in zip(asked, shown.residual_px, strict=True) if s.camera == name]
-            or [np.zeros(0)]
-        )
-        for name in kept
-    }
-
-
-def _onto(cameras: Mapping[str, Camera], nominal: Mapping[str, Camera]) -> np.ndarray:
-    """(4, 4) reference from world that lays cameras onto the rig's [Kabsch1976], robustly."""
-    names = sorted(cameras)
-    here = np.array([cameras[name].centre_mm for name in names])
-    there = np.array([nominal[name].centre_mm for name in names])
-    spread = np.linalg.svd(there - there.mean(axis=0), compute_uv=False)
-    if len(names) < 3 or spread[1] < 1e-3 * spread[0]:
-        one = _four(nominal[names[0]].cam_from_world)
-        return np.asarray(np.linalg.inv(_four(cameras[names[0]].cam_from_world)) @ one)
-    # To start with, the one camera by which most others stand where they are written: two that
-    # were swapped would pull a plain mean far off.
-    single = [
-        np.linalg.inv(_four(cameras[name].cam_from_world)) @ _four(nominal[name].cam_from_world)
-        for name in names
-    ]
-    out = min(single, key=lambda pose: float(np.median(_missed(pose, there, here))))
-    for _ in range(10):
-        miss = _missed(out, there, here)
-        weights = 1 / (1 + (miss / max(2 * float(np.median(miss)), 1e-6)) ** 2)
-        share = weights / weights.sum()
-        middle, target = share @ here, share @ there
-        turn, _ = Rotation.align_vectors(here - middle, there - target, weights=share)
-        out = np.eye(4)
-        out[:3, :3] = turn.as_matrix()
-        out[:3, 3] = middle - out[:3, :3] @ target
-    return out
-
-
 def _told(
     sights: Sequence[Sight],
     clean: Sequence[Sight],
     found: Adjusted,
-    held: Mapping[str, np.ndarray],
+    held: HeldOut,
     nominal: Mapping[str, Camera],
     world: np.ndarray,
 ) -> tuple[dict[str, Any], list[str]]:
@@ -247,15 +194,16 @@ def _told(
             continue
         miss = np.concatenate(own)
         now = found.cameras[name]
-        moved = (_four(now.cam_from_world) @ world)[:3]
+        moved = (four(now.cam_from_world) @ world)[:3]
         turn = moved[:, :3] @ camera.cam_from_world[:, :3].T
-        off = held.get(name, np.zeros(0))
+        off = held.off_px.get(name, np.zeros(0))
         cameras[name] = {
             "boards": len(own),
             "corners": len(miss),
             "residual_px": round(float(np.median(miss)), 4),
             "residual_95_px": round(float(np.percentile(miss, 95)), 4),
             "held_out_px": round(float(np.median(off)), 4) if len(off) else None,
+            "place_sigma_mm": held.sigma_mm.get(name),
             "focal_px": round(now.fx_px, 2),
             "principal_px": [round(now.cx_px, 2), round(now.cy_px, 2)],
             "distortion": [float(f"{value:.4g}") for value in now.dist],
@@ -295,8 +243,9 @@ def _contradicting(
         found = adjust(sights, corners, cameras, found.boards, model=config.model)
 
 
-def _refuse(off: Mapping[str, float], config: CamerasConfig, warnings: list[str]) -> None:
-    bad = []
+def _refuse(off: Mapping[str, float], config: CamerasConfig) -> list[str]:
+    """Warnings of cameras that are off and allowed; PoseError for those that are not."""
+    bad, warnings = [], []
     for name, miss_px in off.items():
         said = f"{name} ({miss_px:.2f} px)"
         if name in config.allow:
@@ -312,6 +261,17 @@ def _refuse(off: Mapping[str, float], config: CamerasConfig, warnings: list[str]
             hint="Did it move between the boards, or lose focus? Take the shots again, or name it "
             "with --allow-camera.",
         )
+    return warnings
+
+
+def _unsure(told: Mapping[str, Mapping[str, Any]], config: CamerasConfig) -> list[str]:
+    """What to tell of cameras whose place chance may have moved by too much."""
+    return [
+        f"{name} may stand {one['place_sigma_mm']:.2f} mm from where it was measured: hold the "
+        "board toward it more often, a hand's width nearer and farther"
+        for name, one in told.items()
+        if one["place_sigma_mm"] is not None and one["place_sigma_mm"] > config.unsure_mm
+    ]
 
 
 def _moved(
@@ -333,14 +293,3 @@ def _moved(
                 f"has it{like}"
             )
     return said
-
-
-def _missed(pose: np.ndarray, there: np.ndarray, here: np.ndarray) -> np.ndarray:
-    """(n,) distances of points that a pose moves from where they should come, mm."""
-    return np.asarray(np.linalg.norm(there @ pose[:3, :3].T + pose[:3, 3] - here, axis=1))
-
-
-def _four(pose: np.ndarray) -> np.ndarray:
-    out = np.eye(4)
-    out[:3] = pose[:3]
-    return out

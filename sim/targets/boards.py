@@ -20,6 +20,8 @@ CHART_FRAME = 0.035
 CHART_PATCH, CHART_PITCH, CHART_BORDER = 2.5, 2.75, 0.25
 """Proportions of the classic chart: patch, patch and gap, border."""
 CHART_ROWS, CHART_COLUMNS = 4, 6
+NEARER_MM = 100.0
+"""Boards are held so far before the middle of the stage and behind it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,6 +119,9 @@ def facing(toward: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray) -> np
 def board_poses(rig: Rig, config: BoardConfig, count: int, seed: int) -> np.ndarray:
     """Poses as someone holds a board for one camera after the other, tilted each time.
 
+    In the first round a hand's width before the middle of the stage, in the second behind it, and
+    so on: that parts a camera's focal length from its distance.
+
     Args:
         rig: the cameras.
         config: of the board.
@@ -134,6 +139,8 @@ def board_poses(rig: Rig, config: BoardConfig, count: int, seed: int) -> np.ndar
         pose = facing(camera.centre_mm, np.zeros(3), size)[:, :3]
         tilt = Rotation.from_euler("xyz", rng.uniform(-1, 1, 3) * [30.0, 30.0, 20.0], degrees=True)
         middle = rng.uniform(-1, 1, 3) * [30.0, 40.0, 30.0]
+        nearer = NEARER_MM if (index // len(rig.cameras)) % 2 == 0 else -NEARER_MM
+        middle += nearer * camera.centre_mm / np.linalg.norm(camera.centre_mm)
         out[index] = _placed(pose @ tilt.as_matrix(), middle, size)
     return out
 

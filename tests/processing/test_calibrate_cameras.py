@@ -168,6 +168,33 @@ def test_adjusting_never_makes_it_worse(model: str, seed: int) -> None:
     assert np.isfinite(after).all()
 
 
+def test_how_sure_a_cameras_place_is_is_told(
+    true_rig: Rig, written: Rig, measured: MeasuredCameras
+) -> None:
+    found = dataclasses.replace(true_rig, cameras=measured.cameras)
+    off_mm = pose_errors(found, true_rig)[1]
+    told = np.array([measured.facts["cameras"][c.id]["place_sigma_mm"] for c in true_rig.cameras])
+    assert 0.4 < np.sqrt((told**2).mean() / (off_mm**2).mean()) < 2.5
+    assert not measured.warnings
+    strict = dataclasses.replace(CONFIG, unsure_mm=1e-4)
+    warned = measure_cameras(sights_of(true_rig, 20, 2), written, BOARD, strict).warnings
+    assert [said.split(" ")[0] for said in warned] == [c.id for c in true_rig.cameras]
+    assert "nearer and farther" in warned[0]
+
+
+def test_a_few_corners_far_off_push_no_camera(true_rig: Rig, written: Rig) -> None:
+    sights = []
+    for number, sight in enumerate(sights_of(true_rig, 20, 2, 0.01)):
+        # A third of every fifth board to one side, as where a shadow's edge lies across it.
+        bad = (sight.ids < 25) & (number % 5 == 0)
+        moved = sight.pixels + bad[:, None] * np.array([0.4, 0.3])
+        sights.append(dataclasses.replace(sight, pixels=moved))
+    cameras = measure_cameras(sights, written, BOARD, CONFIG).cameras
+    degrees, off_mm = pose_errors(dataclasses.replace(true_rig, cameras=cameras), true_rig)
+    assert off_mm.max() < 0.1
+    assert degrees.max() < 0.01
+
+
 def test_corners_of_a_photographed_board_are_found_to_a_fiftieth_of_a_pixel() -> None:
     rig = default_rig().scaled(0.2)
     camera = rig.cameras[1]
