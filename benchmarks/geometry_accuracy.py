@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.geometry_case import Case, Depths, timed_match
+from benchmarks.geometry_peer import Sgbm, peer_depths
 from benchmarks.geometry_people import PEOPLE
 from benchmarks.geometry_pictures import write_pictures
 from benchmarks.geometry_scores import Scores, score
@@ -59,7 +60,7 @@ def peer(case: Case) -> Meshes:
     plain = dataclasses.replace(CONFIG, relief_mm=0.0)
     views = case.views(plain)
     start = time.process_time()
-    depths = case.peer(views, plain)
+    depths = peer_depths(case.session, case.out, views, plain, Sgbm())
     yield "OpenCV SGBM", *_meshed(case, depths, plain, time.process_time() - start)
 
 

@@ -6,15 +6,12 @@ the truth's world by the turn and shift that no board can tell.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from benchmarks.geometry import PAIRS, sgbm_depth, splat
 from benchmarks.geometry_people import person, session
 from benchmarks.geometry_poses import measured, onto_truth, true_rig
 from benchmarks.geometry_scores import Skin, true_skin
@@ -24,14 +21,13 @@ from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from lightstage.rig import Rig
-from processing.frames.read import foreground_path, read_foreground, read_frames
+from processing.frames.read import foreground_path
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import consistent_points
 from processing.reconstruction.fusion import fuse
-from processing.reconstruction.poses import tone_mapped
 from processing.reconstruction.stage import read_views
-from processing.reconstruction.stereo import focus_point, match_views
-from processing.reconstruction.views import Level, View, pyramid
+from processing.reconstruction.stereo import match_views
+from processing.reconstruction.views import Level, View
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from sim.session import truth_path
@@ -81,39 +77,11 @@ class Case:
 
     def laid(self, mesh: Mesh) -> Mesh:
         """A mesh in the truth's world."""
-        return Mesh(self._turn.apply(mesh.vertices) + self._shift, mesh.faces)
+        return Mesh(self.placed(mesh.vertices), mesh.faces)
 
-    def peer(self, views: list[View], config: ReconstructConfig) -> Depths:
-        """SGBM's depth of eight pairs, as `benchmarks.geometry` takes it, lenses straightened."""
-        level = pyramid(views, config.finest_rows, config.coarsest_rows)[-1]
-        pictures, masks = [], []
-        for name in self.session.camera_ids():
-            frames = read_frames(self.out, name)
-            mask = read_foreground(self.out, name)
-            camera = self.session.rig.camera(name)
-            picture = tone_mapped(frames.image(frames.patterns.index("full")), mask)
-            lens, dist = camera.opencv_matrix, np.array(camera.dist)
-            pictures.append(cv2.undistort(picture, lens, dist))
-            masks.append(cv2.undistort(mask.astype(np.uint8), lens, dist) > 0)
-        cameras = [
-            dataclasses.replace(self.session.rig.camera(name), dist=(0.0,) * 5)
-            for name in self.session.camera_ids()
-        ]
-        focus = focus_point(cameras)
-        clouds: list[list[np.ndarray]] = [[] for _ in views]
-        for first, second in PAIRS:
-            points = sgbm_depth(
-                cameras[first],
-                cameras[second],
-                [pictures[first], pictures[second]],
-                [masks[first], masks[second]],
-                focus,
-            )
-            clouds[first].append(points)
-            clouds[second].append(points)
-        depths = [splat(np.concatenate(c), level, k) for k, c in enumerate(clouds)]
-        costs = [np.where(depth > 0, 0.2, 2.0).astype(np.float32) for depth in depths]
-        return level, depths, costs
+    def placed(self, points: np.ndarray) -> np.ndarray:
+        """(n, 3) points in the truth's world."""
+        return np.asarray(self._turn.apply(points) + self._shift)
 
 
 def timed_match(views: list[View], config: ReconstructConfig) -> tuple[Depths, float]:
