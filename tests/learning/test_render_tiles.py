@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 
 import numpy as np
 import pytest
@@ -116,7 +117,16 @@ def test_half_precision_maps_are_shaded_in_single() -> None:
     torch.testing.assert_close(found, whole, atol=3e-3, rtol=1e-2)
 
 
-def test_the_compiled_engine_is_the_eager_one(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler, g++")
+def test_compiled_code_is_the_eager_engine() -> None:
+    skin, lights = scene(np.random.default_rng(7))
+    found, expected = (
+        shade(skin, lights, ShadeOptions(engine=engine)) for engine in ("compiled", "eager")
+    )
+    torch.testing.assert_close(found, expected)
+
+
+def test_the_compiled_engine_is_traced_with_shadows(monkeypatch: pytest.MonkeyPatch) -> None:
     # Traced and differentiated as for code, but run by torch's operations: making code takes long.
     traced = torch.compile(eager._sums_of_tensors, backend="aot_eager")
     monkeypatch.setattr(eager, "compiled", lambda: traced)

@@ -5,51 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from learning.errors import MapsError
 from learning.render import shading
 from learning.render.environments import Environment, from_light_set, stack
 from learning.render.shading import ShadeOptions, SkinMaps, direct, shade
 from lightstage.formats.environment import LightSet
+from tests.learning.scenes import flat_skin, one_light, random_lights, random_skin
 
 NO_SCATTER = ShadeOptions(subsurface_mm=0)
-
-
-def random_skin(
-    rng: np.random.Generator, height: int = 5, width: int = 4, dtype: torch.dtype = torch.float64
-) -> SkinMaps:
-    def values(channels: int, low: float, high: float) -> torch.Tensor:
-        return torch.tensor(rng.uniform(low, high, (2, channels, height, width)), dtype=dtype)
-
-    return SkinMaps(
-        diffuse_albedo=values(3, 0.05, 0.9),
-        specular_albedo=values(1, 0.01, 0.1),
-        diffuse_normal=values(3, -1, 1),
-        specular_normal=values(3, -1, 1),
-        shininess=values(1, 2, 80),
-        translucency=values(1, 0.1, 0.9),
-        position_mm=values(3, -80, 80),
-        area=values(1, 0.5, 1.5),
-        texel_mm=1.0,
-        ambient_occlusion=values(1, 0.3, 1),
-    )
-
-
-def random_lights(rng: np.random.Generator, count: int = 3) -> Environment:
-    def tensor(values: np.ndarray) -> torch.Tensor:
-        return torch.tensor(values, dtype=torch.float64)
-
-    direction = rng.normal(size=(2, count, 3))
-    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
-    return Environment(
-        tensor(direction * rng.uniform(400, 1500, (2, count, 1))),
-        tensor(rng.uniform(0.05, 0.4, (2, count, 3))),
-        tensor(rng.uniform(0, 0.3, (2, 3))),
-        torch.tensor([[i % 2 == 1 for i in range(count)]] * 2),
-        tensor(np.array([[50.0, -30.0, 1000.0], [0.0, 0.0, 900.0]])),
-    )
 
 
 def lobe_norm(exponent: float) -> float:
@@ -121,27 +85,6 @@ def test_the_sums_do_not_depend_on_the_chunks(monkeypatch: pytest.MonkeyPatch) -
     torch.testing.assert_close(shade(skin, lights), whole)
 
 
-def flat_skin(
-    normal: tuple[float, float, float] = (0, 0, 1), albedo: float = 1.0, **changes: torch.Tensor
-) -> SkinMaps:
-    one = torch.ones(1, 1, 1, 1, dtype=torch.float64)
-    up = torch.tensor(normal, dtype=torch.float64).view(1, 3, 1, 1)
-    skin = SkinMaps(
-        albedo * one.repeat(1, 3, 1, 1), 0 * one, up, up, 32 * one, 0 * one, 0 * up, one, 1.0, one
-    )
-    return dataclasses.replace(skin, **changes)
-
-
-def one_light(
-    position: tuple[float, float, float], rgb: float = 0.7, ambient: float = 0.0
-) -> Environment:
-    lights = LightSet("one", np.array([position]), np.full((1, 3), rgb), np.full(3, ambient))
-    environment = from_light_set(lights, np.array([0, 0, 1000.0]))
-    fields = dataclasses.fields(environment)
-    values = {f.name: getattr(environment, f.name) for f in fields}
-    return Environment(**{k: v if v.dtype == torch.bool else v.double() for k, v in values.items()})
-
-
 def test_white_diffuser_reads_the_lights_own_value_and_ambient_adds() -> None:
     lights = one_light((0, 0, 1250.0), 0.7, ambient=0.1)
     assert shade(flat_skin(), lights, NO_SCATTER).flatten().tolist() == pytest.approx([0.8] * 3)
@@ -190,75 +133,6 @@ def test_paper_mode_is_neither_clamped_nor_added() -> None:
     assert float(shade(flat_skin(), away, options)[0, 0, 0, 0]) == pytest.approx(-0.5)
     dark = one_light((0, 0, 1000.0), 0.5, ambient=0.0)
     assert float(shade(flat_skin(), dark, options)[0, 0, 0, 0]) == 0.0
-
-
-GRADIENT_FIELDS = (
-    "diffuse_albedo",
-    "specular_albedo",
-    "diffuse_normal",
-    "specular_normal",
-    "shininess",
-    "translucency",
-    "position_mm",
-    "ambient_occlusion",
-)
-
-
-@pytest.mark.parametrize("mode", ["physical", "paper"])
-@pytest.mark.parametrize("field", GRADIENT_FIELDS)
-def test_gradient_of_every_map_is_exact(field: str, mode: str) -> None:
-    rng = np.random.default_rng(2)
-    skin, lights = random_skin(rng, 3, 2), random_lights(rng)
-    options = ShadeOptions(mode=mode)
-
-    def render(values: torch.Tensor) -> torch.Tensor:
-        return shade(dataclasses.replace(skin, **{field: values}), lights, options)
-
-    values = getattr(skin, field).clone().requires_grad_()
-    assert torch.autograd.gradcheck(render, (values,), eps=1e-6, atol=1e-6)
-
-
-@pytest.mark.parametrize("field", ["position_mm", "rgb", "ambient_rgb", "camera_mm"])
-def test_gradient_of_every_light_is_exact(field: str) -> None:
-    rng = np.random.default_rng(4)
-    skin, lights = random_skin(rng, 2, 2), random_lights(rng)
-
-    def render(values: torch.Tensor) -> torch.Tensor:
-        return shade(skin, dataclasses.replace(lights, **{field: values}))
-
-    values = getattr(lights, field).clone().requires_grad_()
-    assert torch.autograd.gradcheck(render, (values,), eps=1e-4, atol=1e-6)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    normal=st.sampled_from(
-        [(0, 0, 0), (1, 0, 0), (0, 0, 1), (0, 0, -1), (1e-9, 0, 0), (1e6, 0, 0)]
-    ),
-    albedo=st.sampled_from([0.0, 1e-6, 0.5, 1.0, 1e6]),
-    exponent=st.floats(1, 1000),
-    position=st.sampled_from([(0, 0, 1000), (1000, 0, 0), (1e6, 0, 1), (1e-3, 0, 0), (0, 0, -5)]),
-    distant=st.booleans(),
-    strength=st.sampled_from([0.0, 1e-6, 1.0, 1e6]),
-)
-def test_values_and_gradients_stay_finite_at_the_extremes(
-    normal: tuple[float, float, float],
-    albedo: float,
-    exponent: float,
-    position: tuple[float, float, float],
-    distant: bool,
-    strength: float,
-) -> None:
-    skin = flat_skin(normal, albedo, shininess=torch.full((1, 1, 1, 1), exponent).double())
-    skin = dataclasses.replace(skin, specular_albedo=torch.full((1, 1, 1, 1), albedo).double())
-    lights = dataclasses.replace(one_light(position, strength), distant=torch.tensor([[distant]]))
-    leaves = {name: getattr(skin, name).clone().requires_grad_() for name in GRADIENT_FIELDS}
-    picture = shade(dataclasses.replace(skin, **leaves), lights)
-    assert torch.isfinite(picture).all()
-    picture.sum().backward()
-    for name, leaf in leaves.items():
-        assert leaf.grad is not None, name
-        assert torch.isfinite(leaf.grad).all(), name
 
 
 def test_nan_is_passed_on_and_not_hidden() -> None:
