@@ -33,6 +33,12 @@ def shade(
 ) -> Tensor:
     """Render skin in texture space.
 
+    Values are taken as they are: a NaN or infinity reaches its own texel, and with scattering all
+    skin around it; a negative albedo gives negative light; positions in metres put all lights a
+    thousand times too far away. `maps.load_head` refuses all three. Normals count by their
+    direction and fade below a length of 1e-6; a light within 1 mm of a texel is as bright as at
+    1 mm; without lights the ambient light remains (nothing in mode `paper`, which multiplies).
+
     Args:
         maps: the skin, batch B or 1; it is never changed.
         environment: lights and camera, batch B or 1. Textures x light sets: a batch of one skin

@@ -9,13 +9,9 @@ import numpy as np
 import pytest
 
 from learning.__main__ import main
-from learning.map_checks import looks_encoded
-from learning.maps import load_head
 from learning.relight import about_y, turned_camera
-from lightstage.errors import LightstageError
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.mesh import Mesh, read_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Rig, default_rig, save_rig
 
@@ -114,38 +110,6 @@ def test_no_lights_at_all_leave_the_ambient_light(
     assert run(monkeypatch, *words, "--out", tmp_path / "lit.exr", "--rig", rig_file(tmp_path)) == 0
     albedo = read_exr(people[0].atlas_path("diffuse_albedo"))
     assert read_exr(tmp_path / "lit.exr").mean() == pytest.approx(0.25 * albedo.mean(), rel=0.02)
-
-
-def atlas_with(source: ProcessedFolder, folder: Path, name: str, values: np.ndarray) -> Path:
-    folder.mkdir()
-    for file in (source.root / "atlas").iterdir():
-        (folder / file.name).write_bytes(file.read_bytes())
-    write_exr(folder / f"{name}.exr", values, half=False)
-    return folder
-
-
-def test_bad_maps_are_refused_or_mended_and_said(
-    people: list[ProcessedFolder], tmp_path: Path
-) -> None:
-    person = people[0]
-    mesh = read_obj(person.registered_mesh)
-    albedo = read_exr(person.atlas_path("diffuse_albedo")).astype(np.float32)
-    negative = albedo.copy()
-    negative[3, 4, 1] = -0.2
-    with pytest.raises(LightstageError, match=r"texel \(3, 4, 1\): found 1 negative"):
-        load_head(atlas_with(person, tmp_path / "a", "diffuse_albedo", negative), mesh)
-    metres = Mesh(mesh.vertices / 1000, mesh.faces, mesh.uvs, mesh.face_uvs)
-    with pytest.raises(LightstageError, match="Is the mesh in metres"):
-        load_head(person.root / "atlas", metres)
-    normal = read_exr(person.atlas_path("diffuse_normal")).astype(np.float32)
-    head = load_head(atlas_with(person, tmp_path / "b", "diffuse_normal", 1.5 * normal), mesh)
-    (note,) = head.notes
-    assert "normals were not of length 1" in note
-    encoded = np.round(255 * albedo ** (1 / 2.2)) / 255
-    head = load_head(atlas_with(person, tmp_path / "c", "diffuse_albedo", encoded), mesh)
-    (note,) = head.notes
-    assert "8-bit sRGB" in note
-    assert not looks_encoded(np.full((4, 4, 3), 0.4), np.ones((4, 4), bool))
 
 
 def test_cameras_go_round_a_point_and_keep_looking_at_it() -> None:

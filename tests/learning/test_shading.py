@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from learning.errors import MapsError
 from learning.render import shading
 from learning.render.environments import Environment, from_light_set, stack
 from learning.render.shading import ShadeOptions, SkinMaps, direct, shade
@@ -135,11 +134,6 @@ def test_paper_mode_is_neither_clamped_nor_added() -> None:
     assert float(shade(flat_skin(), dark, options)[0, 0, 0, 0]) == 0.0
 
 
-def test_nan_is_passed_on_and_not_hidden() -> None:
-    skin = flat_skin(albedo=float("nan"))
-    assert torch.isnan(shade(skin, one_light((0, 0, 1000.0)), NO_SCATTER)).all()
-
-
 def test_black_lights_fill_up_a_batch_without_changing_it() -> None:
     rng = np.random.default_rng(5)
     skin = random_skin(rng, dtype=torch.float32)
@@ -152,8 +146,3 @@ def test_black_lights_fill_up_a_batch_without_changing_it() -> None:
     both = shade(skin, stack([first, second]))
     torch.testing.assert_close(both[:1], shade(skin, first)[:1])
     torch.testing.assert_close(both[1:], shade(skin, second)[1:])
-
-
-def test_maps_of_different_sizes_are_refused() -> None:
-    with pytest.raises(MapsError, match="specular_albedo: found 2 x 2 texels, expected 1 x 1"):
-        flat_skin(specular_albedo=torch.zeros(1, 1, 2, 2))
