@@ -8,139 +8,38 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import cv2
-import mitsuba
 import numpy as np
 import torch
 
 from benchmarks.record import record
-from learning.maps import TexturedHead, skin_maps_from, to_batch
-from learning.relight import FAR_MM, render_head, shadows_of
-from learning.render.panorama import Panorama, median_cut
+from benchmarks.render_scene import (
+    NAMES,
+    MatteScene,
+    head_of,
+    lights_of,
+    matte,
+    panorama_of,
+    scanned_head,
+)
+from learning.maps import TexturedHead, to_batch
+from learning.relight import render_head, shadows_of
 from learning.render.skin import ShadeOptions
-from learning.render.uv import rasterise
 from lightstage.formats.environment import LightSet
 from lightstage.rig import Camera, default_rig
 from processing.colour import srgb_from_linear
-from sim.light.environments import Panorama as SimulatedPanorama
-from sim.light.relight import SKIES
-from sim.light.sky import mitsuba_sky
-from sim.light.street import street
 from sim.people.subject import Subject
-from sim.reference.variant import find_variant
-from sim.scans.lps import load_scan, scan_folder
 
 DOCS = Path(__file__).parents[1] / "docs"
 CREDIT = "Scan: Infinite, 3D Head Scan by Lee Perry-Smith, CC BY 3.0, www.triplegangers.com"
-TEXTURE, SAMPLES, LIGHTS, SCALE = 320, 32, 64, 0.05
-NAMES = ("street", "noon", "sunset")
+TEXTURE, SAMPLES, LIGHTS, SCALE = 320, 512, 64, 0.05
 GAIN = 4.0
 """Of the differences that are shown."""
 SOFT = ShadeOptions()
-
-
-def head_of(person: Subject, fine: bool) -> TexturedHead:
-    """The scan as the renderer takes it; smooth normals of the mesh unless fine."""
-    rows, columns = person.diffuse_albedo.shape[:2]
-    raster = rasterise(person.mesh, rows, columns)
-    smooth = raster.normals(person.mesh)
-    normal = person.normal if fine else smooth
-    maps = {
-        "diffuse_albedo": person.diffuse_albedo,
-        "specular_albedo": person.specular_albedo,
-        "diffuse_normal": smooth * 0.5 + normal * 0.5,
-        "specular_normal": normal,
-        "position": raster.interpolate(person.mesh.vertices),
-    }
-    shininess = 2 / np.maximum(person.roughness, 0.05) ** 2 - 2
-    skin = skin_maps_from(maps, raster.covered, shininess, person.translucency)
-    return TexturedHead(person.mesh, raster, skin, raster.covered)
-
-
-def matte(head: TexturedHead) -> TexturedHead:
-    """Without its specular part."""
-    skin = dataclasses.replace(head.skin, specular_albedo=0 * head.skin.specular_albedo)
-    return dataclasses.replace(head, skin=skin)
-
-
-def lights_of(panorama: SimulatedPanorama, count: int) -> LightSet:
-    found = median_cut(Panorama(panorama.radiance), count, np.zeros(3))
-    position = FAR_MM * found.position_mm[0].double().numpy()
-    return LightSet(panorama.name, position, found.rgb[0].double().numpy(), np.zeros(3))
-
-
-def path_traced(person: Subject, panorama: SimulatedPanorama, camera: Camera) -> np.ndarray:
-    """The matte head in direct light, by Mitsuba."""
-    mi: Any = mitsuba
-    mi.set_variant(find_variant())
-    mesh = person.mesh
-    corners = mesh.triangles()
-    count = corners.size
-    made = mi.Mesh("head", count, len(corners), has_vertex_normals=True, has_vertex_texcoords=True)
-    smooth = np.zeros((len(mesh.vertices), 3))
-    crossed = np.cross(
-        mesh.vertices[corners[:, 1]] - mesh.vertices[corners[:, 0]],
-        mesh.vertices[corners[:, 2]] - mesh.vertices[corners[:, 0]],
-    )
-    for k in range(3):
-        np.add.at(smooth, corners[:, k], crossed)
-    smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
-    params = mi.traverse(made)
-    params["vertex_positions"] = mesh.vertices[corners].astype(np.float32).ravel()
-    params["vertex_normals"] = smooth[corners].astype(np.float32).ravel()
-    if mesh.uvs is None:
-        raise SystemExit("the scan has no texture coordinates")
-    params["vertex_texcoords"] = mesh.uvs[mesh.triangle_uvs()].astype(np.float32).ravel()
-    params["faces"] = np.arange(count, dtype=np.uint32)
-    params.update()
-    with tempfile.TemporaryDirectory() as folder:
-        made.write_ply(f"{folder}/head.ply")
-        # Mitsuba's v runs down the texture's rows, and its light's columns toward -x.
-        albedo = mi.Bitmap(np.ascontiguousarray(person.diffuse_albedo[::-1], np.float32))
-        light = np.ascontiguousarray(panorama.radiance[:, ::-1], np.float32)
-        rotation, centre = camera.cam_from_world[:, :3], camera.centre_mm
-        wide = 2 * np.degrees(np.arctan(camera.width_px / 2 / camera.fx_px))
-        frame = mi.ScalarTransform4f().look_at(
-            origin=centre.tolist(),
-            target=(centre + rotation[2]).tolist(),
-            up=(-rotation[1]).tolist(),
-        )
-        scene = mi.load_dict(
-            {
-                "type": "scene",
-                "integrator": {"type": "path", "max_depth": 2},
-                "sky": {"type": "envmap", "bitmap": mi.Bitmap(light)},
-                "head": {
-                    "type": "ply",
-                    "filename": f"{folder}/head.ply",
-                    "bsdf": {
-                        "type": "diffuse",
-                        "reflectance": {"type": "bitmap", "bitmap": albedo, "raw": True},
-                    },
-                },
-                "sensor": {
-                    "type": "perspective",
-                    "fov": float(wide),
-                    "fov_axis": "x",
-                    "principal_point_offset_x": 0.5 - camera.cx_px / camera.width_px,
-                    "principal_point_offset_y": 0.5 - camera.cy_px / camera.height_px,
-                    "to_world": frame,
-                    "film": {
-                        "type": "hdrfilm",
-                        "width": camera.width_px,
-                        "height": camera.height_px,
-                        "rfilter": {"type": "box"},
-                    },
-                    "sampler": {"type": "independent", "sample_count": SAMPLES},
-                },
-            }
-        )
-        return np.array(mi.render(scene))[..., :3]
 
 
 def tile(picture: np.ndarray, exposure: float, text: str) -> np.ndarray:
@@ -162,7 +61,7 @@ def environment(person: Subject, camera: Camera, name: str) -> None:
     """One light: ours, Mitsuba's, the difference, and ours with all terms."""
     smooth, fine = matte(head_of(person, False)), head_of(person, True)
     flat = ShadeOptions(subsurface_mm=0)
-    panorama = street(0) if name == "street" else mitsuba_sky(SKIES[name], name)
+    panorama = panorama_of(name)
     lights = lights_of(panorama, LIGHTS)
     # Once for nothing: what is compiled is read from disk.
     render_head(smooth, lights, camera, 0.0, options=flat)
@@ -170,8 +69,10 @@ def environment(person: Subject, camera: Camera, name: str) -> None:
     seen = shadows_of(smooth, lights)
     baked = time.process_time()
     ours, alpha = render_head(smooth, lights, camera, 0.0, options=flat, seen=seen)
+    shaded = time.process_time()
+    scene = MatteScene(person, panorama, camera)
     drawn = time.process_time()
-    truth = path_traced(person, panorama, camera)
+    truth = scene.picture(SAMPLES)
     traced = time.process_time()
     full, _ = render_head(fine, lights, camera, 0.0, options=SOFT, seen=seen)
     inside = alpha > 0.999
@@ -181,7 +82,7 @@ def environment(person: Subject, camera: Camera, name: str) -> None:
     row = [
         f"{100 * off.mean() / mean:.1f}",
         f"{100 * (ours[inside].mean() / mean - 1):+.1f}",
-        f"{drawn - baked:.2f}",
+        f"{shaded - baked:.2f}",
         f"{baked - began:.1f}",
         f"{traced - drawn:.1f}",
     ]
@@ -210,14 +111,15 @@ def terms(person: Subject, camera: Camera) -> None:
     seen = shadows_of(head, lights)
     bare = ShadeOptions(subsurface_mm=0)
 
-    def shown(
-        text: str, who: TexturedHead, options: ShadeOptions, mask: Any, light: LightSet = lights
+    def drawn(
+        who: TexturedHead = head,
+        options: ShadeOptions = SOFT,
+        mask: Any = seen,
+        light: LightSet = lights,
     ) -> np.ndarray:
-        picture, _ = render_head(who, light, camera, 0.0, options=options, seen=mask)
-        return tile(picture, 1.4, text)
+        return render_head(who, light, camera, 0.0, options=options, seen=mask)[0]
 
     bright = dataclasses.replace(lights, ambient_rgb=np.ones(3))
-
     smooth = to_batch(head.raster.normals(head.mesh))
     skin = dataclasses.replace(head.skin, specular_normal=smooth)
     coarse = dataclasses.replace(head, skin=skin)
@@ -225,18 +127,35 @@ def terms(person: Subject, camera: Camera) -> None:
         head,
         skin=dataclasses.replace(head.skin, translucency=torch.ones_like(head.skin.translucency)),
     )
+    everything = drawn()
+    without = {
+        "gloss": drawn(matte(head)),
+        "cast shadows": drawn(mask=None),
+        "scattering": drawn(options=bare),
+        "ambient light": drawn(light=dataclasses.replace(lights, ambient_rgb=np.zeros(3))),
+    }
+    waxen = drawn(thick, ShadeOptions(subsurface_mm=4.0))
+    facets = drawn(options=ShadeOptions(mode="ggx"))
+    printed = drawn(options=ShadeOptions(mode="paper"), mask=None, light=bright)
+    even = drawn(coarse)
+
+    def change(picture: np.ndarray, text: str) -> np.ndarray:
+        return tile(GAIN * np.abs(picture - everything), 1.4, f"{text}: change x {GAIN:g}")
+
     rows = [
+        [tile(picture, 1.4, f"without {name}") for name, picture in without.items()],
+        [change(picture, name) for name, picture in without.items()],
         [
-            shown("all terms (physical)", head, SOFT, seen),
-            shown("without gloss", matte(head), SOFT, seen),
-            shown("without cast shadows", head, SOFT, None),
-            shown("without scattering", head, bare, seen),
+            tile(everything, 1.4, "all terms (physical)"),
+            tile(waxen, 1.4, "translucency 1, 4 mm"),
+            tile(facets, 1.4, "mode ggx"),
+            tile(even, 1.4, "gloss on the mesh's normals"),
         ],
         [
-            shown("gloss on the mesh's normals", coarse, SOFT, seen),
-            shown("translucency 1, 4 mm", thick, ShadeOptions(subsurface_mm=4.0), seen),
-            shown("mode ggx", head, ShadeOptions(mode="ggx"), seen),
-            shown("mode paper, ambient 1", head, ShadeOptions(mode="paper"), None, bright),
+            tile(printed, 1.4, "mode paper, ambient 1"),
+            change(waxen, "translucency"),
+            change(facets, "ggx"),
+            change(even, "normals of the gloss"),
         ],
     ]
     write_sheet(DOCS / "renderer_terms.jpg", rows)
@@ -246,10 +165,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", choices=("terms", *NAMES))
     chosen = parser.parse_args().only
-    folder = scan_folder()
-    if folder is None:
-        raise SystemExit("no scan of a head at hand (LIGHTSTAGE_DATA)")
-    person = load_scan(folder, TEXTURE)
+    person = scanned_head(TEXTURE)
     camera = default_rig().scaled(SCALE).camera("cam0")
     if chosen in (None, "terms"):
         terms(person, camera)
