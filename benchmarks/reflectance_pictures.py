@@ -31,7 +31,7 @@ RELIEF_PEAK = 0.15
 ALBEDO_ERROR, SPECULAR_ERROR, ANGLE_ERROR_DEG, LIGHT_ERROR = 0.04, 0.015, 5.0, 0.05
 """Errors that are drawn white."""
 LIGHT = 7
-COLUMNS = 300
+COLUMNS = 210
 TITLES = (
     f"diffuse albedo (error: {ALBEDO_ERROR:g} white)",
     f"specular 0..{SPECULAR_PEAK:g} ({SPECULAR_ERROR:g})",
@@ -136,7 +136,7 @@ def main() -> None:
             case = Case(person(name), told.light, Path(folder), scale=told.scale)
             sheets.append(sheet(case, case.refined()[CAMERA]))
     ok, data = cv2.imencode(
-        told.out.suffix, titled(np.concatenate(sheets, axis=0)), [cv2.IMWRITE_JPEG_QUALITY, 88]
+        told.out.suffix, titled(np.concatenate(sheets, axis=0)), [cv2.IMWRITE_JPEG_QUALITY, 85]
     )
     if not ok:
         raise OSError(f"{told.out}: cannot be encoded")
