@@ -50,12 +50,7 @@ class FusedLight(torch.autograd.Function):
         batch, _, texels = position.shape
         kind = skins.position.dtype
         visible = np.zeros((batch, 0, texels), kind) if seen is None else array_of(seen)
-        packed = np.stack(
-            [
-                pack_lights(array_of(p), array_of(c), d.numpy(), NEAREST_MM)
-                for p, c, d in zip(light_mm, rgb, distant, strict=True)
-            ]
-        )
+        packed = pack_lights(array_of(light_mm), array_of(rgb), array_of(distant), NEAREST_MM)
         irradiance = np.empty((batch, 3, texels), kind)
         lobes = np.empty((batch, 3, texels), kind)
         lights = Lights(packed, visible, array_of(ambient), array_of(camera))

@@ -110,26 +110,21 @@ def finish_sums(buf: np.ndarray, ambient: np.ndarray, paper: bool) -> None:
             buf[(LOBE + k) * TEXELS + t] *= buf[NORM * TEXELS + t]
 
 
-@numba.njit
 def pack_lights(
     position: np.ndarray, rgb: np.ndarray, distant: np.ndarray, nearest: float
 ) -> np.ndarray:
-    """(L, 9) rows of one set: position, near, |P|^2, least squared distance, rgb.
+    """(B, L, 9) rows of (B, L) lights: position, near, |P|^2, least squared distance, rgb.
 
     A distant light stands at distance 1, whatever length its direction was given with.
     """
-    out = np.zeros((len(position), LIGHT_COLUMNS), position.dtype)
-    for j in range(len(position)):
-        x, y, z = position[j]
-        square = x * x + y * y + z * z
-        if distant[j]:
-            scale = 1.0 / np.sqrt(max(square, 1e-30))
-            out[j, 0], out[j, 1], out[j, 2] = x * scale, y * scale, z * scale
-            out[j, 4], out[j, 5] = 1.0, 1e-12
-        else:
-            out[j, 0], out[j, 1], out[j, 2], out[j, 3] = x, y, z, 1.0
-            out[j, 4], out[j, 5] = square, nearest * nearest
-        out[j, 6:] = rgb[j]
+    square = np.square(position).sum(axis=-1)
+    out = np.zeros((*rgb.shape[:2], LIGHT_COLUMNS), position.dtype)
+    scale = np.where(distant, 1.0 / np.sqrt(np.maximum(square, 1e-30)), 1.0)
+    out[..., :3] = position * scale[..., None]
+    out[..., 3] = ~distant
+    out[..., 4] = np.where(distant, 1.0, square)
+    out[..., 5] = np.where(distant, 1e-12, nearest * nearest)
+    out[..., 6:] = rgb
     return out
 
 
