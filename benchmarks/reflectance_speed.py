@@ -97,13 +97,13 @@ def decoded(root: Path, out: Path) -> Cost:
     del out
     opened = load_session(root)
     with tempfile.TemporaryDirectory() as name:
-        target = Path(name) / "out"
+        # A folder for each: what removing the last one takes is no part of the stage.
+        targets = (Path(name) / f"out{k}" for k in range(4))
 
         def anew() -> None:
-            shutil.rmtree(target, ignore_errors=True)
-            decode(opened, target, DecodeConfig())
+            decode(opened, next(targets), DecodeConfig())
 
-        return timed(anew, 2)
+        return timed(anew, 3)
 
 
 def maps_of(opened: Session, out: Path, method: str) -> PixelMaps:

@@ -90,7 +90,7 @@ class ProcessedFolder:
     def write_mask(self, camera: str, mask: np.ndarray) -> Path:
         """Write a view's (h, w) bool mask as PNG."""
         with atomic_path(self.mask_path(camera)) as beside:
-            cv2.imwrite(str(beside), mask.astype(np.uint8) * 255)
+            cv2.imwrite(str(beside), np.asarray(mask, bool).view(np.uint8) * np.uint8(255))
         return self.mask_path(camera)
 
     def read_mask(self, camera: str) -> np.ndarray:
