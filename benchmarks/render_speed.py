@@ -147,7 +147,7 @@ def curves() -> list[list[str]]:
     def case(skin: SkinMaps, lights: Environment) -> list[str]:
         size, count = skin.area.shape[-1], lights.rgb.shape[1]
         render = functools.partial(shade, environment=lights, options=MATTE)
-        ms = best_ms(functools.partial(with_gradients, render, skin), 3)
+        ms = best_ms(functools.partial(with_gradients, render, skin), 4 * REPEATS)
         pairs = size * size * count
         return [f"{count} lights, {size} x {size}", f"{ms:.1f}", f"{1e6 * ms / pairs:.1f}"]
 
