@@ -18,7 +18,7 @@ from lightstage.rig import Rig, default_rig, save_rig
 
 TINY_TOML = """
 epochs = 1
-seconds = 1.0
+seconds = 0.3
 score_patches = 2
 [generator]
 width = 8
@@ -136,7 +136,7 @@ def test_train_then_infer_writes_the_maps(
     assert "PSNR" in capsys.readouterr().out
     assert run(monkeypatch, *train) == 2
     assert "a run that is there already" in capsys.readouterr().err
-    assert run(monkeypatch, *train, "--resume", "--seconds", 0.5) == 0
+    assert run(monkeypatch, *train, "--resume", "--seconds", 0.2) == 0
     texture = people[1].atlas_path("diffuse_albedo")
     base = ["infer", "--mesh", people[1].registered_mesh, "--checkpoint", tmp_path / "run"]
     pose = ["--head-pose", people[1].head_pose]

@@ -267,25 +267,25 @@ def run_interrupted(store_path: Path, out: Path, config: TrainConfig, after: int
 
 
 def test_training_learns_scores_and_writes_whole_files(store_path: Path, tmp_path: Path) -> None:
-    config = dataclasses.replace(TINY, epochs=12, map_weight=100.0)
+    config = dataclasses.replace(TINY, epochs=4, map_weight=100.0)
     result = train(open_store(store_path), tmp_path / "run", config)
     lines = [json.loads(s) for s in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
-    assert result.steps == 72
-    assert [line["step"] for line in lines] == [*range(72), 72]
+    assert result.steps == 24
+    assert [line["step"] for line in lines] == [*range(24), 24]
     first = np.mean([line["maps"] for line in lines[:8]])
     last = np.mean([line["maps"] for line in lines[-9:-1]])
-    assert last < 0.7 * first
+    assert last < 0.5 * first
     assert lines[-1]["psnr_db"] == result.score.psnr_db
     assert result.held_out == ["person-2"]
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {
         "checkpoint.json",
         "metrics.jsonl",
-        "generator-0000072.safetensors",
-        "training-0000072.safetensors",
+        "generator-0000024.safetensors",
+        "training-0000024.safetensors",
     }
     generator, checkpoint = load_generator(tmp_path / "run")
-    assert checkpoint.step == 72
+    assert checkpoint.step == 24
     assert checkpoint.texture_rows == 96
     assert checkpoint.data_fingerprint == open_store(store_path).fingerprint
     assert checkpoint.metrics["psnr_db"] == result.score.psnr_db
