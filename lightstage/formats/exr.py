@@ -9,10 +9,9 @@ import OpenEXR
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path
+from lightstage.formats.half import float_from_half, half_from_float
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
-
-LARGEST_HALF = 65504.0
 
 
 def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
@@ -34,25 +33,19 @@ def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
         pixels = pixels[:, :, 0]
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)) or pixels.size == 0:
         raise FormatError(path, found=f"shape {pixels.shape}", expected="(h, w), (h, w, 1 or 3)")
-    given = pixels
     with np.errstate(over="ignore"):
-        pixels = np.ascontiguousarray(given, dtype=np.float16 if half else np.float32)
-    if half and _peaks(pixels) and np.nanmax(np.abs(given), initial=0.0) > LARGEST_HALF:
-        raise FormatError(path, found="values above 65504", expected="values that half can hold")
+        pixels = np.ascontiguousarray(pixels, np.float32)
+    if half:
+        pixels, fits = half_from_float(pixels)
+        if not fits:
+            raise FormatError(
+                path, found="values above 65504", expected="values that half can hold"
+            )
     channels = {"Y": pixels} if pixels.ndim == 2 else {"RGB": pixels}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic_path(path) as beside, OpenEXR.File(header, channels) as file:
         file.write(str(beside))
     return path
-
-
-def _peaks(half: np.ndarray) -> bool:
-    """Whether float16 values hold an infinity or the largest number, by their bits: that is fast.
-
-    Only then may what was given be larger than half floats can tell.
-    """
-    bits = half.view(np.uint16) & np.uint16(0x7FFF)
-    return bool((bits - np.uint16(0x7BFF) <= 1).any())
 
 
 def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:
@@ -78,7 +71,7 @@ def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:
         with OpenEXR.File(str(path)) as file:
             channels = file.channels()
             names = sorted(channels)
-            pixels = {name: np.array(channels[name].pixels) for name in names}
+            pixels = {name: channels[name].pixels for name in names}
     except Exception as error:  # OpenEXR raises bare RuntimeError and ValueError on damage
         raise FormatError(
             path,
@@ -89,10 +82,13 @@ def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:
     key = "RGB" if "RGB" in pixels else "RGBA" if "RGBA" in pixels else "Y"
     if key not in pixels:
         raise FormatError(path, found=f"channels {names}", expected="R G B or Y")
-    image = pixels[key].astype(np.float32)
-    if image.ndim == 3:
-        image = np.ascontiguousarray(image[:, :, :3])
-    if finite:
+    stored = pixels[key][:, :, :3] if pixels[key].ndim == 3 else pixels[key]
+    if stored.dtype == np.float16:
+        image, whole = float_from_half(stored)
+    else:
+        image = np.array(stored, np.float32, order="C")
+        whole = not finite or bool(np.isfinite(image).all())
+    if finite and not whole:
         require_finite(image, path)
     return image
 
