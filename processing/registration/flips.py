@@ -128,8 +128,8 @@ def mend(
             break
         seeds = np.zeros(len(rest), bool)
         seeds[triangles[trial_faulty]] = True
-        patch = grown(seeds, triangles, turn // 4)[:, None]
-        for _ in range(5):
+        patch = grown(seeds, triangles, turn // 3)[:, None]
+        for _ in range(10):
             trial = np.where(patch, 0.5 * (trial + mean @ trial), trial)
         trial_faulty = faults(trial)
         if trial_faulty.sum() < faulty.sum():

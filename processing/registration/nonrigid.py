@@ -23,11 +23,11 @@ from processing.registration.target import Target
 class NonrigidConfig:
     """Non-rigid ICP's settings."""
 
-    stiffness_mm: tuple[float, ...] = (150.0, 80.0, 40.0, 20.0, 10.0, 6.0, 4.0, 2.5, 1.5, 0.8)
+    stiffness_mm: tuple[float, ...] = (150.0, 80.0, 40.0, 20.0, 10.0, 5.0, 2.5, 1.2, 0.5)
     """Annealed: details of the displacement shorter than about 2 pi times this are suppressed."""
     noise_times: float = 6.0
     """Stiffnesses below so many times the scan's noise would copy it and are left out."""
-    iterations: int = 3
+    iterations: int = 2
     """Closest-point rounds per stiffness, at most."""
     still_mm: float = 0.05
     """A round that moves no vertex farther ends its stiffness."""

@@ -21,6 +21,7 @@ from processing.registration.landmarks import triangulate
 from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
 from processing.registration.providers import ClickedLandmarks, CommandLandmarks
+from processing.registration.quiet import quieted
 from processing.registration.rigid import Similarity, robust_umeyama
 from processing.registration.sky import sky_share
 from processing.registration.start import first_pose, require_surface
@@ -40,6 +41,8 @@ class RegisterConfig:
     """A landmark this far from the fitted shape model, with no neighbour alike, is left out."""
     least_open_sky: float = 0.08
     """Vertices that see less than this share of all directions follow cavities of the scan only."""
+    quiet_rounds: int = 2
+    """So often is what alternates from vertex to vertex of the scan, its noise, taken down."""
     modes: ModesConfig = dataclasses.field(default_factory=ModesConfig)
     nonrigid: NonrigidConfig = dataclasses.field(default_factory=NonrigidConfig)
 
@@ -155,7 +158,7 @@ def register_mesh(
     """
     require_surface(scan)
     triangles = template.mesh.triangles()
-    target = Target(scan)
+    target = Target(quieted(scan, config.quiet_rounds))
     known = np.isfinite(landmarks_mm).all(axis=1)
     start = first_pose(target, landmarks_mm, known, template)
     hidden = ~open_to_sky(template.mesh.vertices, triangles, config.least_open_sky)
