@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
-from processing.atlas.sampling import accumulate, low_band
+from processing.atlas.sampling import accumulate, low_band, weigh_up
 from processing.atlas.weights import ViewSamples, WeightConfig
 
 
@@ -18,26 +19,54 @@ class BlendConfig:
     """Gaussian sigma between the two bands: below it views are averaged widely, above narrowly."""
     detail_power: float = 4.0
     """Power on the weights of the fine band: the best view's detail is kept, not averaged away."""
+    detail_least: float = 0.1
+    """A view whose weight is below this share of the best's adds nothing to the fine band, where
+    it would count a ten-thousandth: less than half floats can tell."""
     weights: WeightConfig = dataclasses.field(default_factory=WeightConfig)
 
 
 class Blender:
-    """Sums of one map over the views: a low band widely averaged, a fine band narrowly."""
+    """Maps merged over the same views: a low band widely averaged, a fine band narrowly."""
 
-    def __init__(self, texels: int, channels: int, config: BlendConfig) -> None:
-        self._config = config
-        self._low = np.zeros((texels, channels), np.float32)
-        self._fine = np.zeros((texels, channels), np.float32)
-        self._weight = np.zeros((texels, 2), np.float32)
+    def __init__(self, best: np.ndarray, views: Sequence[ViewSamples], config: BlendConfig) -> None:
+        """Sum the views' weights, which all maps share.
 
-    def add(self, samples: ViewSamples, image: np.ndarray) -> None:
-        """Add one view's (h, w, c) float32 map."""
+        Args:
+            best: (n,) float32, the largest weight that any view has at each texel.
+            views: their samples; those that no pixel serves get the weight 0.
+            config: settings.
+        """
+        self._config, self._best, self._views = config, best, views
+        self._total = np.zeros((len(best), 2), np.float32)
+        for samples in views:
+            weigh_up(
+                samples.usable,
+                samples.slot,
+                samples.pixel,
+                samples.weight,
+                best,
+                config.detail_power,
+                config.detail_least,
+                self._total,
+            )
+
+    def add(self, view: int, image: np.ndarray, out: np.ndarray) -> None:
+        """Add one view's map to the blended one.
+
+        Args:
+            view: which of the views.
+            image: (h, w) or (h, w, c) float32.
+            out: (n, c) float32, zero before the first view; when all are added it holds the
+                blended values, and 0 where no view sees the texel.
+        """
+        samples = self._views[view]
         if not len(samples.slot):
             return
+        image = np.ascontiguousarray(image, np.float32).reshape(*image.shape[:2], -1)
         sigma = max(self._config.band_mm / samples.footprint_mm, 0.5)
         low = low_band(image, samples.usable, sigma)
         accumulate(
-            np.ascontiguousarray(image, np.float32),
+            image,
             samples.usable,
             low.sums,
             low.counts,
@@ -45,16 +74,9 @@ class Blender:
             samples.slot,
             samples.pixel,
             samples.weight,
+            self._best,
             self._config.detail_power,
-            self._low,
-            self._fine,
-            self._weight,
+            self._config.detail_least,
+            self._total,
+            out,
         )
-
-    def result(self) -> np.ndarray:
-        """(k, c) float32 blended values; 0 where no view sees the texel."""
-        least = np.finfo(np.float32).tiny
-        self._low /= np.maximum(self._weight[:, :1], least)
-        self._fine /= np.maximum(self._weight[:, 1:], least)
-        self._low += self._fine
-        return self._low

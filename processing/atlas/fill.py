@@ -1,8 +1,7 @@
-"""What no view saw: values spread over the mesh, and the gutter around the UV islands."""
+"""What no view saw: values spread over the mesh."""
 
 from __future__ import annotations
 
-import cv2
 import numba
 import numpy as np
 import scipy.sparse as sp
@@ -139,33 +138,9 @@ def _scatter(
         if weight[k] <= 0:
             continue
         texel = texels[k]
-        b1, b2 = barycentric[texel]
-        corners = triangles[face[texel]]
+        b1, b2 = barycentric[texel, 0], barycentric[texel, 1]
+        t = face[texel]
         for corner in range(3):
             b = b1 if corner == 1 else b2 if corner == 2 else 1.0 - b1 - b2
             for c in range(values.shape[1]):
-                out[corners[corner], c] += weight[k] * b * values[k, c]
-
-
-def gutter_sources(covered: np.ndarray, gutter_px: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each texel near an island, the nearest covered one.
-
-    Args:
-        covered: (rows, columns) bool.
-        gutter_px: how far the gutter reaches.
-
-    Returns:
-        (g,) flat indices of gutter texels and (g,) of the texels they copy.
-    """
-    if covered.all() or not covered.any():
-        none = np.zeros(0, np.int64)
-        return none, none
-    distance, labels = cv2.distanceTransformWithLabels(
-        (~covered).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    distance, labels = np.asarray(distance).ravel(), np.asarray(labels).ravel()
-    inside = np.flatnonzero(covered)
-    source = np.zeros(int(labels.max()) + 1, np.int64)
-    source[labels[inside]] = inside
-    gutter = np.flatnonzero((distance > 0) & (distance <= gutter_px))
-    return gutter, source[labels[gutter]]
+                out[triangles[t, corner], c] += weight[k] * b * values[k, c]

@@ -133,9 +133,9 @@ def _interpolate(
     for k in numba.prange(len(texels)):
         texel = texels[k]
         t = face[texel]
-        b1, b2 = barycentric[texel]
+        b1, b2 = barycentric[texel, 0], barycentric[texel, 1]
         b0 = 1.0 - b1 - b2
-        i, j, m = triangles[t]
+        i, j, m = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         for c in range(values.shape[1]):
             out[k, c] = b0 * values[i, c] + b1 * values[j, c] + b2 * values[m, c]
 

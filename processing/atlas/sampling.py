@@ -16,6 +16,29 @@ waves three pixels long and 8 % from those of four and a half; -0.7 takes 22 and
 most 2 % to longer ones."""
 
 
+CLOSED, USABLE, SURROUNDED = 0, 1, 2
+"""What `readable` says of a pixel."""
+
+
+def readable(usable: np.ndarray) -> np.ndarray:
+    """Which pixels may be read, and where a cubic may.
+
+    Args:
+        usable: (h, w) bool.
+
+    Returns:
+        (h, w) uint8: CLOSED, USABLE, or SURROUNDED where the pixel, the one before, and the two
+        after it in both directions are usable: all sixteen taps of a place between it and the next.
+    """
+    plain = usable.astype(np.uint8)
+    window = np.ones((4, 4), np.uint8)
+    # What lies beyond the picture counts as closed.
+    inner = cv2.erode(
+        plain, window, anchor=(1, 1), borderType=cv2.BORDER_CONSTANT, borderValue=(0.0,)
+    )
+    return np.add(plain, np.asarray(inner), out=plain)
+
+
 @dataclasses.dataclass(frozen=True)
 class LowBand:
     """A picture's masked Gaussian blur, on a grid as coarse as the blur allows.
@@ -38,7 +61,7 @@ def low_band(image: np.ndarray, usable: np.ndarray, sigma_px: float) -> LowBand:
 
     Args:
         image: (h, w, c) float32, anything outside `usable`.
-        usable: (h, w) bool.
+        usable: (h, w) of any type, 0 where nothing may be read.
         sigma_px: of the Gaussian.
 
     Returns:
@@ -85,41 +108,29 @@ def _cubic(t: float, k: int) -> float:
 
 
 @numba.njit(cache=True, parallel=True)
-def accumulate(
-    image: np.ndarray,
+def weigh_up(
     usable: np.ndarray,
-    low_sums: np.ndarray,
-    low_counts: np.ndarray,
-    low_step: int,
     slot: np.ndarray,
     pixel: np.ndarray,
     weight: np.ndarray,
+    best: np.ndarray,
     power: float,
-    sum_low: np.ndarray,
-    sum_fine: np.ndarray,
-    sum_weight: np.ndarray,
+    least_share: float,
+    total: np.ndarray,
 ) -> None:
-    """Add one view's samples in two bands; a slot occurs once a view.
-
-    Where all sixteen pixels around are usable the value is a cubic, which keeps the finest detail
-    that a bilinear one halves, held to those pixels' range; elsewhere bilinear over usable ones.
+    """Add one view's weights of both bands; samples that cannot be read get the weight 0.
 
     Args:
-        image: (h, w, c) float32.
-        usable: (h, w) bool.
-        low_sums: of `LowBand`, as are the next two.
-        low_counts: its counts.
-        low_step: its step.
-        slot: (k,) int32 into the sums.
+        usable: (h, w) uint8 of `readable`.
+        slot: (k,) int32, each at most once.
         pixel: (k, 2) float32, the first pixel's centre at 0.5.
-        weight: (k,) float32.
+        weight: (k,) float32, changed.
+        best: (n,) float32, the largest weight that any view has there.
         power: on the weights of the fine band.
-        sum_low: (n, c) float32, added to.
-        sum_fine: (n, c), the same of the fine band.
-        sum_weight: (n, 2), of both bands.
+        least_share: of the best weight; samples below add nothing to the fine band.
+        total: (n, 2) float32, added to.
     """
-    height, width, channels = image.shape
-    low_height, low_width = low_counts.shape
+    height, width = usable.shape
     for k in numba.prange(len(slot)):
         x, y = pixel[k, 0] - 0.5, pixel[k, 1] - 0.5
         left, top = int(np.floor(x)), int(np.floor(y))
@@ -131,55 +142,117 @@ def accumulate(
                 if 0 <= row < height and 0 <= column < width and usable[row, column]:
                     covered += (tx if dx else 1 - tx) * (ty if dy else 1 - ty)
         if covered < LEAST_COVER:
+            weight[k] = 0
             continue
-        whole = left >= 1 and left + 2 < width and top >= 1 and top + 2 < height
-        if whole:
-            for dy in range(-1, 3):
-                for dx in range(-1, 3):
-                    whole = whole and usable[top + dy, left + dx]
+        total[slot[k], 0] += weight[k]
+        if weight[k] >= least_share * best[slot[k]]:
+            total[slot[k], 1] += weight[k] ** power
+
+
+@numba.njit(cache=True, parallel=True)
+def accumulate(
+    image: np.ndarray,
+    usable: np.ndarray,
+    low_sums: np.ndarray,
+    low_counts: np.ndarray,
+    low_step: int,
+    slot: np.ndarray,
+    pixel: np.ndarray,
+    weight: np.ndarray,
+    best: np.ndarray,
+    power: float,
+    least_share: float,
+    total: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Add one view's share of both bands; a slot occurs once a view.
+
+    Where all sixteen pixels around are usable the value is a cubic, which keeps the finest detail
+    that a bilinear one halves, held to those pixels' range; elsewhere bilinear over usable ones.
+
+    Args:
+        image: (h, w, c) float32.
+        usable: (h, w) uint8 of `readable`.
+        low_sums: of `LowBand`, as are the next two.
+        low_counts: its counts.
+        low_step: its step.
+        slot: (k,) int32 into the sums.
+        pixel: as `weigh_up` had it, as are the next four.
+        weight: (k,) float32, 0 where nothing is to be read.
+        best: (n,) float32.
+        power: on the weights of the fine band.
+        least_share: of the best weight.
+        total: (n, 2) float32 that `weigh_up` left.
+        out: (n, c) float32, added to.
+    """
+    height, width, channels = image.shape
+    low_height, low_width = low_counts.shape
+    fourth = power == 4.0
+    half = np.float32(0.5)
+    for k in numba.prange(len(slot)):
+        here = weight[k]
+        if not here > 0:
+            continue
+        s = slot[k]
+        fine = np.float32(0)
+        if here >= least_share * best[s]:
+            square = here * here
+            fine = np.float32((square * square if fourth else here**power) / total[s, 1])
+        wide = here / total[s, 0]
+        x, y = pixel[k, 0] - half, pixel[k, 1] - half
+        left, top = int(np.floor(x)), int(np.floor(y))
+        tx, ty = x - np.float32(left), y - np.float32(top)
+        whole = 0 <= left < width and 0 <= top < height and usable[top, left] == SURROUNDED
         # The low band's cells have their centres at (i + 1/2) steps.
-        lx = (x + 0.5) / low_step - 0.5
-        ly = (y + 0.5) / low_step - 0.5
+        lx = (x + half) / np.float32(low_step) - half
+        ly = (y + half) / np.float32(low_step) - half
         low_left, low_top = int(np.floor(lx)), int(np.floor(ly))
-        ux, uy = lx - low_left, ly - low_top
-        low_covered = 0.0
+        ux, uy = lx - np.float32(low_left), ly - np.float32(low_top)
+        low_covered = np.float32(0)
         for dy in range(2):
             for dx in range(2):
                 row, column = low_top + dy, low_left + dx
                 if 0 <= row < low_height and 0 <= column < low_width:
                     share = (ux if dx else 1 - ux) * (uy if dy else 1 - uy)
-                    low_covered += share * low_counts[row, column]
-        s = slot[k]
-        coarse_weight = weight[k]
-        fine_weight = coarse_weight**power
-        sum_weight[s, 0] += coarse_weight
-        sum_weight[s, 1] += fine_weight
+                    low_covered += np.float32(share) * low_counts[row, column]
+        has_low = low_covered > 1e-6
+        read = fine > 0 or not has_low
+        x0, x1 = np.float32(_cubic(tx, 0)), np.float32(_cubic(tx, 1))
+        x2, x3 = np.float32(_cubic(tx, 2)), np.float32(_cubic(tx, 3))
+        y0, y1 = np.float32(_cubic(ty, 0)), np.float32(_cubic(ty, 1))
+        y2, y3 = np.float32(_cubic(ty, 2)), np.float32(_cubic(ty, 3))
         for c in range(channels):
-            value, coarse = 0.0, 0.0
-            if whole:
-                least, most = np.inf, -np.inf
+            value, coarse = np.float32(0), np.float32(0)
+            if whole and read:
+                least, most = image[top, left, c], image[top, left, c]
                 for dy in range(4):
-                    line = 0.0
-                    for dx in range(4):
-                        tap = image[top + dy - 1, left + dx - 1, c]
-                        least, most = min(least, tap), max(most, tap)
-                        line += _cubic(tx, dx) * tap
-                    value += _cubic(ty, dy) * line
+                    row = top + dy - 1
+                    a, b = image[row, left - 1, c], image[row, left, c]
+                    d, e = image[row, left + 1, c], image[row, left + 2, c]
+                    least = min(least, min(min(a, b), min(d, e)))
+                    most = max(most, max(max(a, b), max(d, e)))
+                    along = y0 if dy == 0 else y1 if dy == 1 else y2 if dy == 2 else y3
+                    value += along * (x0 * a + x1 * b + x2 * d + x3 * e)
                 value = min(max(value, least), most)
-            else:
+            elif read:
+                covered = np.float32(0)
                 for dy in range(2):
                     for dx in range(2):
                         row, column = top + dy, left + dx
                         if 0 <= row < height and 0 <= column < width and usable[row, column]:
-                            share = (tx if dx else 1 - tx) * (ty if dy else 1 - ty)
-                            value += share * image[row, column, c] / covered
-            for dy in range(2):
-                for dx in range(2):
-                    row, column = low_top + dy, low_left + dx
-                    if 0 <= row < low_height and 0 <= column < low_width:
-                        share = (ux if dx else 1 - ux) * (uy if dy else 1 - uy)
-                        coarse += share * low_sums[row, column, c]
-            # Without a low band here the value is all low.
-            coarse = coarse / low_covered if low_covered > 1e-6 else value
-            sum_low[s, c] += coarse_weight * coarse
-            sum_fine[s, c] += fine_weight * (value - coarse)
+                            share = np.float32((tx if dx else 1 - tx) * (ty if dy else 1 - ty))
+                            value += share * image[row, column, c]
+                            covered += share
+                value /= covered
+            if has_low:
+                for dy in range(2):
+                    for dx in range(2):
+                        row, column = low_top + dy, low_left + dx
+                        if 0 <= row < low_height and 0 <= column < low_width:
+                            share = np.float32((ux if dx else 1 - ux) * (uy if dy else 1 - uy))
+                            coarse += share * low_sums[row, column, c]
+                coarse /= low_covered
+                out[s, c] += wide * coarse + fine * (value - coarse)
+            else:
+                # Without a low band here the value is all low.
+                out[s, c] += wide * value

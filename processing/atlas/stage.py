@@ -10,15 +10,16 @@ import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import ConfigError, LightstageError, one_error
-from lightstage.formats.mesh import Mesh, read_obj, read_ply, vertex_normals
+from lightstage.formats.mesh import Mesh, read_obj, read_ply
 from lightstage.formats.processed import MAPS, ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.formats.template import Template
 from lightstage.rig import Camera
 from processing.atlas.blend import BlendConfig, Blender
-from processing.atlas.fill import BY_DIFFUSION, MeshFill, gutter_sources, mirrored_vertices
-from processing.atlas.raster import Raster, overlap_share, rasterise, texel_size_mm
-from processing.atlas.tangents import tangent_frames, to_tangent_space
+from processing.atlas.fill import BY_DIFFUSION, MeshFill, mirrored_vertices
+from processing.atlas.finish import gutter_sources, picture, towards, unit_towards
+from processing.atlas.geometry import Geometry
+from processing.atlas.seen import Seen
 from processing.atlas.weights import Texels, ViewSamples, view_samples
 from processing.errors import AtlasError
 from processing.registration.target import Target
@@ -34,8 +35,6 @@ NORMALS = ("diffuse_normal", "specular_normal")
 OPTIONAL = ("roughness",)
 """Blended where every view has it."""
 MOST_OVERLAP = 0.01
-FILL_WEIGHT = 0.02
-"""The guess for unseen texels counts like a view of this weight, which feathers its rim."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,22 +67,6 @@ class AtlasConfig:
                 found=", ".join(unknown),
                 expected=f"some of {', '.join(BLENDED + OPTIONAL)}",
             )
-
-
-@dataclasses.dataclass(frozen=True)
-class _Geometry:
-    """The atlas's covered texels and the mesh they lie on."""
-
-    raster: Raster
-    flat: np.ndarray
-    mesh: Mesh
-    triangles: np.ndarray
-    vertices: np.ndarray
-    vertex_normals: np.ndarray
-
-    def at(self, values: np.ndarray) -> np.ndarray:
-        """(k, c) float32 of per-vertex values."""
-        return self.raster.at(values, self.triangles, self.flat)
 
 
 def atlas(
@@ -119,16 +102,16 @@ def atlas(
         or all(folder.view_path(camera.id, name).is_file() for camera in cameras.values())
     ]
     total = len(cameras) * (1 + len(names))
-    shape = _geometry(mesh, config)
-    texels = Texels(
+    shape = Geometry.of(mesh, config.rows)
+    flat = shape.tiles.flat
+    texels = Texels.of(
         shape.at(shape.vertices),
-        _unit(shape.at(shape.vertex_normals)),
+        shape.normals(),
         shape.at(_trust(folder, shape, config))[:, 0],
+        shape.tiles.start,
     )
     views: list[ViewSamples] = []
-    best = np.zeros(len(shape.flat), np.float32)
-    heaviest = np.full(len(shape.flat), -1, np.float32)
-    coverage = np.zeros(len(shape.flat), np.float32)
+    seen = Seen.none(len(flat))
     middle = shape.vertices.mean(axis=0)
     finest = min(np.linalg.norm(c.centre_mm - middle) / c.fx_px for c in cameras.values())
     for index, camera in cameras.items():
@@ -143,12 +126,10 @@ def atlas(
             float(finest),
             config.blend.weights,
         )
-        better = found.weight > best[found.slot]
-        best[found.slot[better]] = found.weight[better]
-        heaviest[found.slot[better]] = index
-        coverage[found.slot] += 1
+        seen.add(found, index)
         views.append(found)
         progress(len(views), total)
+    best = seen.best
     if not best.any():
         raise AtlasError(
             out,
@@ -157,56 +138,42 @@ def atlas(
             hint="Do rig.json and the mesh share world coordinates?",
         )
     gutter = gutter_sources(shape.raster.face >= 0, config.gutter_px)
+    size = shape.raster.face.shape
 
     def write(name: str, values: np.ndarray) -> None:
-        image = np.zeros((shape.raster.face.size, MAPS[name].channels), np.float32)
-        if name == "view":
-            image[:] = -1
-        image[shape.flat] = values.reshape(len(values), -1)
-        image[gutter[0]] = image[gutter[1]]
-        folder.write_atlas(name, image.reshape(*shape.raster.face.shape, -1))
+        outside = -1.0 if name == "view" else 0.0
+        folder.write_atlas(name, picture(values, size, flat, gutter, outside))
 
-    normals = texels.normals
     write("position", texels.positions)
-    write("view", heaviest)
+    write("view", seen.heaviest)
     write("confidence", best)
-    write("coverage", coverage)
+    write("coverage", seen.count)
     facts = _facts(shape, config, best, views)
-    del texels, heaviest, coverage
+    normals = texels.normals
+    del texels, seen
     mirror = mirrored_vertices(template.mesh.vertices, config.mirror_mm)
-    fill = MeshFill(shape.vertices, shape.triangles, shape.raster, shape.flat, best, mirror)
+    fill = MeshFill(shape.vertices, shape.triangles, shape.raster, flat, best, mirror)
     kind = np.round(shape.at(fill.kind[:, None].astype(float)))[:, 0]
     write("filled", np.where(best > 0, 0, np.clip(kind, 1, BY_DIFFUSION)))
-    share = (best / (best + FILL_WEIGHT))[:, None]
+    del kind
+    blender = Blender(best, views, config.blend)
     for number, name in enumerate(names, 1):
-        blender = Blender(len(shape.flat), MAPS[name].channels, config.blend)
+        values = np.zeros((len(flat), MAPS[name].channels), np.float32)
         for view, camera in enumerate(cameras.values()):
             if len(views[view].slot):
-                image = folder.read_view(camera.id, name)
-                blender.add(views[view], image.reshape(*image.shape[:2], -1))
+                blender.add(view, folder.read_view(camera.id, name), values)
             progress(number * len(cameras) + view + 1, total)
-        values = blender.result()
         if name in NORMALS:
             # Unseen texels have the mesh's own normal.
-            values = _unit(_unit(values) * share + normals * (1 - share))
+            unit_towards(values, normals, best)
         else:
             guess = fill.vertex_values(values)
-            values *= share
-            values += (1 - share) * shape.at(guess)
+            towards(values, guess, shape.raster, shape.triangles, flat, best)
         write(name, values)
         if name == "specular_normal":
-            write("tangent_normal", _tangent(shape, values))
+            write("tangent_normal", shape.tangent(values))
     written = ["tangent_normal"] if "specular_normal" in names else []
     return {**facts, "maps": [*names, *written]}
-
-
-def _tangent(shape: _Geometry, world: np.ndarray) -> np.ndarray:
-    """(k, 3) tangent-space normals."""
-    mesh = shape.mesh
-    assert mesh.uvs is not None  # _geometry refused it
-    normals = shape.vertex_normals
-    frames = tangent_frames(shape.vertices, shape.triangles, mesh.uvs, mesh.triangle_uvs(), normals)
-    return to_tangent_space(world, shape.raster, shape.flat, shape.triangles, normals, frames)
 
 
 def _registered(folder: ProcessedFolder, template: Template) -> Mesh:
@@ -247,39 +214,19 @@ def _cameras(session: Session, folder: ProcessedFolder, config: AtlasConfig) -> 
     return cameras
 
 
-def _geometry(mesh: Mesh, config: AtlasConfig) -> _Geometry:
-    triangles = mesh.triangles()
-    if mesh.uvs is None:
-        raise AtlasError("registered mesh", found="no UV", expected="the template's UV")
-    raster = rasterise(mesh.uvs, mesh.triangle_uvs(), config.rows, config.rows * 2 // 3)
-    normals = vertex_normals(mesh.vertices, triangles)
-    return _Geometry(raster, raster.texels(), mesh, triangles, mesh.vertices, normals)
-
-
-def _trust(folder: ProcessedFolder, shape: _Geometry, config: AtlasConfig) -> np.ndarray:
+def _trust(folder: ProcessedFolder, shape: Geometry, config: AtlasConfig) -> np.ndarray:
     """(n, 1) per vertex: 1 on the scan, falling to 0 at the largest gap."""
     gap = Target(read_ply(folder.base_mesh)).closest(shape.vertices).distance_mm
     ratio: np.ndarray = np.clip(gap / config.largest_gap_mm, 0, 1)
     return (1 - ratio**2)[:, None]
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    unit: np.ndarray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-9)
-    return unit
-
-
 def _facts(
-    shape: _Geometry, config: AtlasConfig, best: np.ndarray, views: list[ViewSamples]
+    shape: Geometry, config: AtlasConfig, best: np.ndarray, views: list[ViewSamples]
 ) -> dict[str, Any]:
-    columns = config.rows * 2 // 3
-    mesh = shape.mesh
-    assert mesh.uvs is not None  # _geometry refused it
-    size = texel_size_mm(
-        mesh.vertices, shape.triangles, mesh.uvs, mesh.triangle_uvs(), config.rows, columns
-    )
+    flat = shape.tiles.flat
     seen = best > 0
-    overlap = overlap_share(mesh.uvs, mesh.triangle_uvs(), shape.raster)
+    overlap = shape.overlap_share()
     warnings = []
     if overlap > MOST_OVERLAP:
         warnings.append(
@@ -289,11 +236,13 @@ def _facts(
         "warnings": warnings,
         "uv_overlap_share": overlap,
         "rows": config.rows,
-        "columns": columns,
+        "columns": config.rows * 2 // 3,
         "views": len(views),
-        "covered_share": len(shape.flat) / shape.raster.face.size,
+        "covered_share": len(flat) / shape.raster.face.size,
         "seen_share": float(seen.mean()),
         "views_per_seen_texel": float(sum(len(v.slot) for v in views) / seen.sum()),
-        "texel_mm_median": float(np.median(size[shape.raster.face.ravel()[shape.flat][seen]])),
+        "tiles_looked_at_share": sum(v.tiles for v in views)
+        / (len(views) * (len(shape.tiles.start) - 1)),
+        "texel_mm_median": shape.texel_mm_median(seen),
         "mean_confidence": float(best[seen].mean()),
     }

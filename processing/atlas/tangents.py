@@ -96,7 +96,7 @@ def to_tangent_space(
     """
     out = np.empty((len(texels), 3), np.float32)
     _encode(
-        np.ascontiguousarray(world, np.float64),
+        np.ascontiguousarray(world, np.float32),
         raster.face.ravel(),
         raster.barycentric.reshape(-1, 2),
         texels,
@@ -125,26 +125,42 @@ def _encode(
 ) -> None:
     for k in numba.prange(len(texels)):
         t = face[texels[k]]
-        b1, b2 = barycentric[texels[k]]
+        b1, b2 = barycentric[texels[k], 0], barycentric[texels[k], 1]
         b0 = 1.0 - b1 - b2
-        i, j, m = triangles[t]
-        n = b0 * normals[i] + b1 * normals[j] + b2 * normals[m]
-        i, j, m = corner[t]
-        a = b0 * tangents[i] + b1 * tangents[j] + b2 * tangents[m]
-        b = sign[t] * np.cross(n, a)
+        i, j, m = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        n0 = b0 * normals[i, 0] + b1 * normals[j, 0] + b2 * normals[m, 0]
+        n1 = b0 * normals[i, 1] + b1 * normals[j, 1] + b2 * normals[m, 1]
+        n2 = b0 * normals[i, 2] + b1 * normals[j, 2] + b2 * normals[m, 2]
+        i, j, m = corner[t, 0], corner[t, 1], corner[t, 2]
+        a0 = b0 * tangents[i, 0] + b1 * tangents[j, 0] + b2 * tangents[m, 0]
+        a1 = b0 * tangents[i, 1] + b1 * tangents[j, 1] + b2 * tangents[m, 1]
+        a2 = b0 * tangents[i, 2] + b1 * tangents[j, 2] + b2 * tangents[m, 2]
+        s0, s1, s2 = _cross(n0, n1, n2, a0, a1, a2)
+        s0, s1, s2 = sign[t] * s0, sign[t] * s1, sign[t] * s2
         # Cramer's rule for x a + y b + z n = world.
-        volume = np.dot(a, np.cross(b, n))
+        p0, p1, p2 = _cross(s0, s1, s2, n0, n1, n2)
+        q0, q1, q2 = _cross(n0, n1, n2, a0, a1, a2)
+        r0, r1, r2 = _cross(a0, a1, a2, s0, s1, s2)
+        volume = a0 * p0 + a1 * p1 + a2 * p2
+        w0, w1, w2 = world[k, 0], world[k, 1], world[k, 2]
         x, y, z = 0.0, 0.0, 1.0
         if abs(volume) > 1e-12:
-            x = np.dot(world[k], np.cross(b, n)) / volume
-            y = np.dot(world[k], np.cross(n, a)) / volume
-            z = np.dot(world[k], np.cross(a, b)) / volume
+            x = (w0 * p0 + w1 * p1 + w2 * p2) / volume
+            y = (w0 * q0 + w1 * q1 + w2 * q2) / volume
+            z = (w0 * r0 + w1 * r1 + w2 * r2) / volume
         length = np.sqrt(x * x + y * y + z * z)
         if not length > 1e-12:
             x, y, z, length = 0.0, 0.0, 1.0, 1.0
         out[k, 0] = x / length
         out[k, 1] = y / length
         out[k, 2] = z / length
+
+
+@numba.njit(cache=True, inline="always")
+def _cross(
+    a0: float, a1: float, a2: float, b0: float, b1: float, b2: float
+) -> tuple[float, float, float]:
+    return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
 
 
 def _flat(vectors: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -8,7 +8,12 @@ import numba
 import numpy as np
 
 from lightstage.rig import Camera
+from processing.atlas.sampling import readable
+from processing.atlas.tiles import TileBounds, bound
 from processing.atlas.visibility import depth_buffer, silhouette_distance
+
+LEAST_WEIGHT = 1e-6
+"""Texels of less weight count as not seen."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,11 +46,22 @@ class Texels:
         positions: (k, 3) float32 mm.
         normals: (k, 3) float32 unit, the mesh's.
         trust: (k,) float32 in 0..1, how far the mesh may be believed there.
+        start: (t + 1,) int64, where each tile's texels begin and the last one's end.
+        bounds: of the tiles.
     """
 
     positions: np.ndarray
     normals: np.ndarray
     trust: np.ndarray
+    start: np.ndarray
+    bounds: TileBounds
+
+    @classmethod
+    def of(
+        cls, positions: np.ndarray, normals: np.ndarray, trust: np.ndarray, start: np.ndarray
+    ) -> Texels:
+        """With the bounds that follow."""
+        return cls(positions, normals, trust, start, bound(start, positions, normals, trust))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,8 +72,9 @@ class ViewSamples:
         slot: (k,) int32, position in the list of covered texels.
         pixel: (k, 2) float32 where the texel lies in the picture (first pixel's centre at 0.5).
         weight: (k,) float32 in 0..1.
-        usable: (h, w) bool, pixels that may be read.
+        usable: (h, w) uint8 of `sampling.readable`, pixels that may be read.
         footprint_mm: width of a pixel on the surface.
+        tiles: how many tiles were looked at; the others cannot face the view.
     """
 
     slot: np.ndarray
@@ -65,6 +82,7 @@ class ViewSamples:
     weight: np.ndarray
     usable: np.ndarray
     footprint_mm: float
+    tiles: int = 0
 
 
 def view_samples(
@@ -98,21 +116,28 @@ def view_samples(
     Returns:
         ViewSamples.
     """
-    depth = depth_buffer(camera, vertices, triangles)
     usable = mask & (confidence > 0)
+    tiles = texels.bounds.seen_from(camera.centre_mm, config.least_cos)
+    if not len(tiles) or not usable.any():
+        none = np.zeros((0, 2), np.float32)
+        return ViewSamples(none[:, 0].astype(np.int32), none, none[:, 0], readable(usable), 1.0, 0)
+    depth = depth_buffer(camera, vertices, triangles)
     seen = usable & np.isfinite(depth)
     distance_mm = float(np.median(depth[seen])) if seen.any() else 1.0
     footprint = distance_mm / camera.fx_px
     edge = silhouette_distance(depth, usable, max(config.jump_mm, 8 * footprint))
-    feather = np.clip((edge - config.erode_px) * (footprint / config.feather_mm), 0, 1)
-    quality = (feather * feather * (3 - 2 * feather) * confidence).astype(np.float32)
+    quality = np.zeros_like(edge)
+    _feather(edge, confidence, config.erode_px, footprint / config.feather_mm, quality)
     doubt, disbelief = np.cos(np.deg2rad([config.doubt_deg, config.disbelief_deg]))
     weight = np.zeros(len(texels.positions), np.float32)
-    pixel = np.zeros((len(weight), 2), np.float32)
+    pixel = np.empty((len(weight), 2), np.float32)
+    counts = np.zeros(len(tiles), np.int64)
     lens = np.array(
         [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.dist], np.float64
     )
     _weigh(
+        tiles,
+        texels.start,
         np.asarray(camera.cam_from_world, np.float64),
         np.asarray(camera.centre_mm, np.float64),
         lens,
@@ -125,15 +150,71 @@ def view_samples(
         np.array([config.least_cos, config.bias_mm, config.bias_px, doubt, disbelief, finest_mm]),
         weight,
         pixel,
+        counts,
     )
-    slot = np.flatnonzero(weight > 1e-6).astype(np.int32)
-    # What is not read sharply must not be read through the blur either.
-    usable = usable & (edge > 0)
-    return ViewSamples(slot, pixel[slot], weight[slot], usable, footprint)
+    ends = np.cumsum(counts)
+    total = int(ends[-1])
+    samples = ViewSamples(
+        np.empty(total, np.int32),
+        np.empty((total, 2), np.float32),
+        np.empty(total, np.float32),
+        # What is not read sharply must not be read through the blur either.
+        readable(usable & (edge > 0)),
+        footprint,
+        len(tiles),
+    )
+    _gather(
+        tiles,
+        texels.start,
+        ends - counts,
+        weight,
+        pixel,
+        samples.slot,
+        samples.pixel,
+        samples.weight,
+    )
+    return samples
+
+
+@numba.njit(cache=True, parallel=True)
+def _feather(
+    edge: np.ndarray, confidence: np.ndarray, erode: float, per_px: float, out: np.ndarray
+) -> None:
+    """Confidence, rising smoothly from 0 at silhouettes."""
+    for row in numba.prange(edge.shape[0]):
+        for column in range(edge.shape[1]):
+            share = min((edge[row, column] - erode) * per_px, 1.0)
+            if share > 0:
+                out[row, column] = share * share * (3 - 2 * share) * confidence[row, column]
+
+
+@numba.njit(cache=True, parallel=True)
+def _gather(
+    tiles: np.ndarray,
+    start: np.ndarray,
+    first: np.ndarray,
+    weight: np.ndarray,
+    pixel: np.ndarray,
+    slot: np.ndarray,
+    found_pixel: np.ndarray,
+    found_weight: np.ndarray,
+) -> None:
+    """The texels of some weight, one after the other."""
+    for i in numba.prange(len(tiles)):
+        at = first[i]
+        for k in range(start[tiles[i]], start[tiles[i] + 1]):
+            if weight[k] > LEAST_WEIGHT:
+                slot[at] = k
+                found_pixel[at, 0] = pixel[k, 0]
+                found_pixel[at, 1] = pixel[k, 1]
+                found_weight[at] = weight[k]
+                at += 1
 
 
 @numba.njit(cache=True, parallel=True)
 def _weigh(
+    tiles: np.ndarray,
+    start: np.ndarray,
     pose: np.ndarray,
     centre: np.ndarray,
     lens: np.ndarray,
@@ -146,48 +227,51 @@ def _weigh(
     limits: np.ndarray,
     weight: np.ndarray,
     pixel: np.ndarray,
+    counts: np.ndarray,
 ) -> None:
-    """Fill weight and pixel of every texel; weight stays 0 where the view shows nothing of it."""
+    """Fill weight and pixel of some tiles' texels, and how many of them have any weight."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
     least_cos, bias_mm, bias_px, doubt, disbelief, finest = limits
     height, width = depth.shape
-    for k in numba.prange(len(weight)):
-        if not trust[k] > 0:
-            continue
-        px, py, pz = positions[k, 0], positions[k, 1], positions[k, 2]
-        vx, vy, vz = centre[0] - px, centre[1] - py, centre[2] - pz
-        far = np.sqrt(vx * vx + vy * vy + vz * vz)
-        if not far > 0:
-            continue
-        cosine = (vx * normals[k, 0] + vy * normals[k, 1] + vz * normals[k, 2]) / far
-        if not cosine > least_cos:
-            continue
-        z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
-        if not z > 0:
-            continue
-        x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) / z
-        y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) / z
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u = fx * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + cx
-        v = fy * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + cy
-        if not (0 <= u < width and 0 <= v < height):
-            continue
-        row, column = int(v), int(u)
-        good = quality[row, column]
-        if not good > 0:
-            continue
-        footprint = z / fx
-        slope = np.sqrt(1 - min(cosine * cosine, 1.0)) / cosine
-        if z > depth[row, column] + bias_mm + bias_px * footprint * slope:
-            continue
-        agreement = (
-            measured[row, column, 0] * normals[k, 0]
-            + measured[row, column, 1] * normals[k, 1]
-            + measured[row, column, 2] * normals[k, 2]
-        )
-        believed = min(max((agreement - disbelief) / (doubt - disbelief), 0.0), 1.0)
-        sharp = min(1.0, (finest / footprint) ** 2)
-        weight[k] = cosine * cosine * sharp * good * trust[k] * believed
-        pixel[k, 0] = u
-        pixel[k, 1] = v
+    for i in numba.prange(len(tiles)):
+        for k in range(start[tiles[i]], start[tiles[i] + 1]):
+            if not trust[k] > 0:
+                continue
+            px, py, pz = positions[k, 0], positions[k, 1], positions[k, 2]
+            vx, vy, vz = centre[0] - px, centre[1] - py, centre[2] - pz
+            far = np.sqrt(vx * vx + vy * vy + vz * vz)
+            if not far > 0:
+                continue
+            cosine = (vx * normals[k, 0] + vy * normals[k, 1] + vz * normals[k, 2]) / far
+            if not cosine > least_cos:
+                continue
+            z = pose[2, 0] * px + pose[2, 1] * py + pose[2, 2] * pz + pose[2, 3]
+            if not z > 0:
+                continue
+            x = (pose[0, 0] * px + pose[0, 1] * py + pose[0, 2] * pz + pose[0, 3]) / z
+            y = (pose[1, 0] * px + pose[1, 1] * py + pose[1, 2] * pz + pose[1, 3]) / z
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            u = fx * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + cx
+            v = fy * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + cy
+            if not (0 <= u < width and 0 <= v < height):
+                continue
+            row, column = int(v), int(u)
+            good = quality[row, column]
+            if not good > 0:
+                continue
+            footprint = z / fx
+            slope = np.sqrt(1 - min(cosine * cosine, 1.0)) / cosine
+            if z > depth[row, column] + bias_mm + bias_px * footprint * slope:
+                continue
+            agreement = (
+                measured[row, column, 0] * normals[k, 0]
+                + measured[row, column, 1] * normals[k, 1]
+                + measured[row, column, 2] * normals[k, 2]
+            )
+            believed = min(max((agreement - disbelief) / (doubt - disbelief), 0.0), 1.0)
+            sharp = min(1.0, (finest / footprint) ** 2)
+            weight[k] = cosine * cosine * sharp * good * trust[k] * believed
+            pixel[k, 0] = u
+            pixel[k, 1] = v
+            counts[i] += weight[k] > LEAST_WEIGHT

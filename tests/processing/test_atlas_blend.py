@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lightstage.formats.mesh import vertex_normals
 from processing.atlas.blend import BlendConfig, Blender
-from processing.atlas.sampling import SHARPNESS, low_band
+from processing.atlas.sampling import SHARPNESS, low_band, readable
 from processing.atlas.visibility import depth_buffer, silhouette_distance
 from processing.atlas.weights import Texels, ViewSamples, WeightConfig, view_samples
 from processing.rays import MeshRays, interpolate
@@ -93,9 +93,20 @@ def samples_of(pixel, weight, shape=(20, 20), usable=None):
         np.arange(len(pixel), dtype=np.int32),
         np.asarray(pixel, np.float32),
         np.asarray(weight, np.float32),
-        np.ones(shape, bool) if usable is None else usable,
+        readable(np.ones(shape, bool) if usable is None else usable),
         1.0,
     )
+
+
+def blended(count, views, best=None, config=None):
+    """(count, c) of [(samples, picture)], the skip of detail off unless `best` is given."""
+    samples = [one for one, _ in views]
+    none = np.zeros(count, np.float32)
+    blender = Blender(none if best is None else best, samples, config or BlendConfig())
+    out = np.zeros((count, views[0][1].shape[2]), np.float32)
+    for index, (_, picture) in enumerate(views):
+        blender.add(index, picture, out)
+    return out
 
 
 def spline(t):
@@ -135,9 +146,8 @@ def test_sampling_agrees_with_its_plain_twin(seed):
     usable = rng.uniform(size=(20, 20)) > rng.choice([0.02, 0.3])
     image[~usable] = np.nan
     pixel = rng.uniform(-1, 21, size=(50, 2)).astype(np.float32)
-    blender = Blender(50, 1, BlendConfig())
-    blender.add(samples_of(pixel, rng.uniform(0.1, 1, 50), usable=usable), image)
-    found = blender.result()[:, 0]
+    samples = samples_of(pixel, rng.uniform(0.1, 1, 50), usable=usable)
+    found = blended(50, [(samples, image)])[:, 0]
     clean = np.where(usable[..., None], image, 0).astype(float)
     for value, (x, y) in zip(found, pixel, strict=True):
         assert value == pytest.approx(sampled(clean, usable, float(x), float(y)), abs=1e-4)
@@ -145,9 +155,8 @@ def test_sampling_agrees_with_its_plain_twin(seed):
 
 def test_a_pixel_centre_reads_exactly_that_pixel():
     image = np.arange(400, dtype=np.float32).reshape(20, 20, 1)
-    blender = Blender(2, 1, BlendConfig())
-    blender.add(samples_of([[3.5, 7.5], [19.5, 19.5]], [1, 1]), image)
-    assert blender.result()[:, 0].tolist() == pytest.approx([7 * 20 + 3, 399], abs=1e-3)
+    found = blended(2, [(samples_of([[3.5, 7.5], [19.5, 19.5]], [1, 1]), image)])
+    assert found[:, 0].tolist() == pytest.approx([7 * 20 + 3, 399], abs=1e-3)
 
 
 def test_low_frequencies_are_averaged_and_detail_comes_from_the_best_view():
@@ -155,10 +164,11 @@ def test_low_frequencies_are_averaged_and_detail_comes_from_the_best_view():
     detail = rng.normal(size=(20, 20, 1)).astype(np.float32)
     pixel = np.stack(np.meshgrid(np.arange(5, 15) + 0.5, np.arange(5, 15) + 0.5), -1).reshape(-1, 2)
     config = dataclasses.replace(BlendConfig(), band_mm=2.0)
-    blender = Blender(len(pixel), 1, config)
-    blender.add(samples_of(pixel, np.full(len(pixel), 0.9)), 1.0 + detail)
-    blender.add(samples_of(pixel, np.full(len(pixel), 0.3)), np.full((20, 20, 1), 2, np.float32))
-    found = blender.result()[:, 0]
+    views = [
+        (samples_of(pixel, np.full(len(pixel), 0.9)), 1.0 + detail),
+        (samples_of(pixel, np.full(len(pixel), 0.3)), np.full((20, 20, 1), 2, np.float32)),
+    ]
+    found = blended(len(pixel), views, config=config)[:, 0]
     inside = detail[5:15, 5:15, 0].ravel()
     assert found.mean() == pytest.approx(0.75 * (1 + inside.mean()) + 0.25 * 2, abs=0.1)
     # The weights' ratio is 3, so the fine band takes 81 / 82 of the first view.
@@ -166,14 +176,19 @@ def test_low_frequencies_are_averaged_and_detail_comes_from_the_best_view():
 
 
 def test_texels_without_a_view_stay_zero_and_tiny_weights_stay_finite():
-    blender = Blender(3, 1, BlendConfig())
-    blender.add(samples_of([[5, 5], [6, 6]], [1.0, 2e-6]), np.full((20, 20, 1), 4, np.float32))
-    found = blender.result()[:, 0]
+    samples = samples_of([[5, 5], [6, 6]], [1.0, 2e-6])
+    found = blended(3, [(samples, np.full((20, 20, 1), 4, np.float32))])[:, 0]
     assert found == pytest.approx([4, 4, 0], abs=1e-3)
 
 
+def texels_at(places, normals, trust):
+    """In tiles of fifty."""
+    start = np.append(np.arange(0, len(places), 50), len(places))
+    return Texels.of(places.astype(np.float32), normals.astype(np.float32), trust, start)
+
+
 def texels_of(mesh, normals):
-    return Texels(mesh.vertices.astype(np.float32), normals, np.ones(len(normals), np.float32))
+    return texels_at(mesh.vertices, normals, np.ones(len(normals), np.float32))
 
 
 def measured_normals(cam, mesh):
@@ -222,11 +237,7 @@ def test_views_see_only_what_faces_them_and_is_not_hidden():
         cam,
         mesh.vertices,
         triangles,
-        Texels(
-            mesh.vertices.astype(np.float32),
-            normals.astype(np.float32),
-            np.ones(len(normals), np.float32),
-        ),
+        texels_of(mesh, normals),
         np.ones(shape, np.float32),
         np.ones(shape, bool),
         measured_normals(cam, mesh),
@@ -260,7 +271,7 @@ def test_no_trust_or_no_confidence_means_no_sample():
             cam,
             mesh.vertices,
             triangles,
-            Texels(mesh.vertices.astype(np.float32), normals, trust),
+            texels_at(mesh.vertices, normals, trust),
             confidence.astype(np.float32),
             np.ones(shape, bool),
             measured_normals(cam, mesh),
@@ -287,18 +298,14 @@ def test_threads_do_not_change_the_result():
                 cam,
                 mesh.vertices,
                 mesh.triangles(),
-                Texels(
-                    mesh.vertices.astype(np.float32), normals, np.ones(len(normals), np.float32)
-                ),
+                texels_of(mesh, normals),
                 np.ones(shape, np.float32),
                 np.ones(shape, bool),
                 measured,
                 1.0,
                 WeightConfig(),
             )
-            blender = Blender(len(normals), 3, BlendConfig())
-            blender.add(samples, image)
-            found.append((samples.weight, blender.result()))
+            found.append((samples.weight, blended(len(normals), [(samples, image)])))
     finally:
         numba.set_num_threads(kept)
     assert len(found[0][0]) > 300
@@ -316,7 +323,7 @@ def test_projection_through_distortion_is_the_cameras_own():
         cam,
         mesh.vertices,
         mesh.triangles(),
-        Texels(places, normals, np.ones(len(normals), np.float32)),
+        texels_at(places, normals, np.ones(len(normals), np.float32)),
         np.ones(shape, np.float32),
         np.ones(shape, bool),
         measured_normals(cam, mesh),

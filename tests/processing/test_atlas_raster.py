@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.atlas.fill import MeshFill, gutter_sources, mirrored_vertices
+from processing.atlas.fill import MeshFill, mirrored_vertices
+from processing.atlas.finish import gutter_sources
 from processing.atlas.raster import overlap_share, rasterise, texel_size_mm
 from tests.processing.shapes import ellipsoid
 
