@@ -223,13 +223,14 @@ def large() -> list[list[str]]:
     """One 6144 x 4096 picture under 3 lights, in bands."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     skin = random_skin(torch.Generator().manual_seed(3), *LARGE)
+    seen = torch.rand(1, 3, *LARGE, generator=torch.Generator().manual_seed(4))
     lights, maps = lights_around(3), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     began = time.process_time()
-    picture = shade_in_bands(skin, lights)
+    picture = shade_in_bands(skin, lights, None, seen)
     seconds = (time.process_time() - began) / CORES
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     size = picture.numel() * 4 / 2**30
-    name = f"{LARGE[0]} x {LARGE[1]}, 3 lights, scattering"
+    name = f"{LARGE[0]} x {LARGE[1]}, 3 lights, scattering, occlusion"
     return [[name, *(f"{value:.2f}" for value in (seconds, before, maps, peak, size))]]
 
 
