@@ -1,7 +1,7 @@
 """The peer of `reconstruct`: OpenCV's SGBM on rectified pairs, tuned, with our own fusion.
 
 `python -m benchmarks.geometry_peer --person lps` tunes it: one parameter after the other, on one
-pair of views, by the share of skin pixels whose point lies within .5 mm of the truth. `Sgbm` holds
+pair of views from brows to chin, by the share of skin pixels whose point lies within .5 mm of the truth. `Sgbm` holds
 what came out; both then get the same photographs, masks, cameras, consistency and fusion.
 """
 
@@ -34,6 +34,8 @@ from processing.reconstruction.views import Level, View, pyramid
 PAIRS = ((0, 1), (0, 2), (1, 3), (2, 4), (0, 5), (0, 6), (5, 7), (5, 8))
 REACH_MM = 130.0
 NEAR_MM = 0.5
+BAND = (0.35, 0.6)
+"""Tuned on this part of the height: from the brows to the chin."""
 MODES = {
     "HH": cv2.STEREO_SGBM_MODE_HH,
     "HH4": cv2.STEREO_SGBM_MODE_HH4,
@@ -109,10 +111,25 @@ def rectify(one: Camera, two: Camera, focus: np.ndarray) -> np.ndarray:
     return np.stack([x, y, np.cross(x, y)])
 
 
-def pair_points(one: Shown, two: Shown, focus: np.ndarray, sgbm: Sgbm) -> np.ndarray:
+def pair_points(
+    one: Shown,
+    two: Shown,
+    focus: np.ndarray,
+    sgbm: Sgbm,
+    band: tuple[float, float] = (0.0, 1.0),
+) -> tuple[np.ndarray, int]:
     """World points (n, 3) of the first view's mask, by SGBM with a left-right check.
 
     The virtual lenses are shifted so that the point the cameras look at has disparity 0.
+
+    Args:
+        one, two: the views.
+        focus: (3,) the point.
+        sgbm: parameters.
+        band: the part of the rectified pictures' height that is matched.
+
+    Returns:
+        The points, and how many pixels of the mask were asked.
     """
     rotation = rectify(one.camera, two.camera, focus)
     size = (int(1.25 * one.camera.width_px), one.camera.height_px)
@@ -146,6 +163,8 @@ def pair_points(one: Shown, two: Shown, focus: np.ndarray, sgbm: Sgbm) -> np.nda
         speckleRange=2,
         mode=MODES[sgbm.mode],
     )
+    top, bottom = (round(share * size[1]) for share in band)
+    warped = [layer[top:bottom] for layer in warped]
     # Disparities near the picture's edge need columns beyond it.
     pad = count
     left, right = (cv2.copyMakeBorder(w, 0, 0, pad, pad, cv2.BORDER_CONSTANT) for w in warped[::2])
@@ -154,8 +173,9 @@ def pair_points(one: Shown, two: Shown, focus: np.ndarray, sgbm: Sgbm) -> np.nda
     found = disparity[row, column]
     z = lens * baseline / (found + lens * baseline / depth)
     (cx, cy) = middle[0]
-    x, y = (column + 0.5 - cx) / lens * z, (row + 0.5 - cy) / lens * z
-    return np.stack([x, y, z], axis=1) @ rotation + centres[0]
+    x, y = (column + 0.5 - cx) / lens * z, (top + row + 0.5 - cy) / lens * z
+    points = np.stack([x, y, z], axis=1) @ rotation + centres[0]
+    return points, int(np.count_nonzero(warped[1]))
 
 
 def splat(points: np.ndarray, level: Level, index: int) -> np.ndarray:
@@ -189,7 +209,7 @@ def peer_depths(
     focus = focus_point([view.camera for view in seen])
     clouds: list[list[np.ndarray]] = [[] for _ in views]
     for first, second in PAIRS:
-        points = pair_points(seen[first], seen[second], focus, sgbm)
+        points = pair_points(seen[first], seen[second], focus, sgbm)[0]
         clouds[first].append(points)
         clouds[second].append(points)
     depths = [splat(np.concatenate(c), level, k) for k, c in enumerate(clouds)]
@@ -212,11 +232,11 @@ def tune(case: Case) -> tuple[Sgbm, list[tuple[object, ...]]]:
             seen = shown_views(case.session, case.out, asked.times)[:2]
             focus = focus_point(list(case.session.rig.cameras))
             start = time.process_time()
-            points = case.placed(pair_points(seen[0], seen[1], focus, asked))
+            points, pixels = pair_points(seen[0], seen[1], focus, asked, BAND)
             seconds = time.process_time() - start
-            some = points[:: max(1, len(points) // 50_000)]
+            some = case.placed(points)[:: max(1, len(points) // 50_000)]
             off = surface.nearest(some)[0]
-            share = float((off < NEAR_MM).mean()) * len(points) / int(seen[0].mask.sum())
+            share = float((off < NEAR_MM).mean()) * len(points) / pixels
             told = [f"{getattr(asked, key)}" for key in ASKED]
             rows.append(
                 (
