@@ -1,8 +1,9 @@
 """The peer of `reconstruct`: OpenCV's SGBM on rectified pairs, tuned, with our own fusion.
 
 `python -m benchmarks.geometry_peer --person lps` tunes it: one parameter after the other, on one
-pair of views from brows to chin, by the share of skin pixels whose point lies within .5 mm of the truth. `Sgbm` holds
-what came out; both then get the same photographs, masks, cameras, consistency and fusion.
+pair of views from brows to chin, by the share of skin pixels whose point lies within .5 mm of the
+truth. `Sgbm` holds what came out; both then get the same photographs, masks, cameras, consistency
+and fusion.
 """
 
 from __future__ import annotations
@@ -45,7 +46,10 @@ MODES = {
 
 @dataclasses.dataclass(frozen=True)
 class Sgbm:
-    """Parameters of OpenCV's matcher.
+    """Parameters of OpenCV's matcher, as tuned; but for small components, which are dropped.
+
+    Points were within .5 mm on most pixels with all of them kept, with 5 % of points more than
+    11 mm off: of several views' points each pixel takes the nearest.
 
     Attributes:
         times: pictures are matched smaller by this factor.
@@ -58,11 +62,11 @@ class Sgbm:
     """
 
     times: int = 1
-    block: int = 5
+    block: int = 3
     smooth: float = 8.0
-    unique: int = 5
+    unique: int = 0
     mode: str = "HH"
-    prefilter: int = 0
+    prefilter: int = 63
     speckle: int = 100
 
 
@@ -220,7 +224,7 @@ def peer_depths(
 def tune(case: Case) -> tuple[Sgbm, list[tuple[object, ...]]]:
     """The best parameters, sought one after the other, and a row for each that was tried."""
     surface = Surface(case.skin.mesh)
-    best, best_share = Sgbm(), -1.0
+    best, best_share = Sgbm(block=5, unique=5, prefilter=0), -1.0
     rows: list[tuple[object, ...]] = []
     tried: set[Sgbm] = set()
     for name, values in ASKED.items():
