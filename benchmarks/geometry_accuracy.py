@@ -4,13 +4,14 @@
 one file (--keep), so that a person and a part fit into four minutes; a run without --people and
 --parts does all and writes RESULTS.md. Parts: `ours`, `peer` (OpenCV SGBM, the same fusion),
 `normals` (positions and normals together: off, on, and with normals tipped by 3 degrees),
-`patterns` (which photographs the matcher saw).
+`patterns` (which photographs the matcher saw). --told writes the tables of what is kept.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -49,9 +50,15 @@ Meshes = Iterator[tuple[str, Mesh, float]]
 """What it is, the mesh, processor seconds."""
 
 
+@functools.lru_cache(maxsize=1)
+def _matched(case: Case) -> tuple[Depths, float]:
+    """Our depths of a person, which several parts take, and processor seconds."""
+    return timed_match(case.views(CONFIG), CONFIG)
+
+
 def ours(case: Case) -> Meshes:
     """The stage as it is."""
-    depths, matched_s = timed_match(case.views(CONFIG), CONFIG)
+    depths, matched_s = _matched(case)
     yield "ours", *_meshed(case, depths, CONFIG, matched_s)
 
 
@@ -65,17 +72,34 @@ def peer(case: Case) -> Meshes:
 
 
 def normals(case: Case) -> Meshes:
-    """What positions and normals together are worth: off, on, and with tipped normals."""
-    level, inverse, costs = timed_match(case.views(CONFIG), CONFIG)[0]
+    """What positions and normals together are worth: off, on, and with tipped normals.
+
+    First a mesh of points alone, normals by planes through neighbouring points: a surface that no
+    photometric normal has touched after matching.
+    """
+    (level, inverse, costs), _ = _matched(case)
     tipped = dataclasses.replace(level, normals=_tipped(level, TIPPED_DEG))
     cases: list[tuple[str, Level, float]] = [
-        ("points alone", level, 0.0),
+        ("points alone, their planes' normals", _toward_cameras(level), 0.0),
+        ("points alone, normals of both", level, 0.0),
         ("with normals", level, CONFIG.relief_mm),
         ("with normals tipped", tipped, CONFIG.relief_mm),
     ]
     for name, seen, relief_mm in cases:
         config = dataclasses.replace(CONFIG, relief_mm=relief_mm)
         yield name, *_meshed(case, (seen, inverse, costs), config, 0.0)
+
+
+def _toward_cameras(level: Level) -> Level:
+    """A level whose normals tell nothing: all face their camera."""
+    normals = np.empty_like(level.normals)
+    height, width = normals.shape[1:3]
+    for index, ((fx, fy, cx, cy), pose) in enumerate(zip(level.lenses, level.poses, strict=True)):
+        x, y = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
+        sight = np.stack(np.broadcast_arrays(x[None], y[:, None], 1.0), axis=-1)
+        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
+        normals[index] = -sight @ pose[:, :3]
+    return dataclasses.replace(level, normals=normals)
 
 
 def patterns(case: Case) -> Meshes:
@@ -186,10 +210,11 @@ def main() -> None:
     parser.add_argument("--parts", default=",".join(PARTS))
     parser.add_argument("--light", choices=("direct", "reference"), default="direct")
     parser.add_argument("--keep", type=Path, default=folder() / "geometry-accuracy.json")
+    parser.add_argument("--told", action="store_true", help="Measure nothing: tell what is kept.")
     parser.add_argument("--pictures", type=Path, help="Folder for pictures of the meshes.")
     chosen = parser.parse_args()
     results: dict[str, dict[str, Row]] = read_json(chosen.keep) if chosen.keep.is_file() else {}
-    for name in chosen.people.split(","):
+    for name in () if chosen.told else chosen.people.split(","):
         case = Case(name, chosen.light, folder() / f"geometry-out-{name}-{chosen.light}")
         for part in chosen.parts.split(","):
             found = results[f"{chosen.light} {name} {part}"] = {}

@@ -114,9 +114,8 @@ def main() -> None:
         start = time.process_time()
         slopes = plane_slopes(seen.astype(np.float32), LENS, POSE)
         known = np.ones(SHAPE, bool)
-        moved, _ = with_relief(
-            noisy.astype(np.float32), slopes, known, LENS, POSE, config.relief_mm, config.bias_mm
-        )
+        scales = config.relief_mm, config.bias_mm, config.doubt_deg
+        moved, _ = with_relief(noisy.astype(np.float32), slopes, known, LENS, POSE, *scales)
         spent = time.process_time() - start
         own = errors(moved.astype(float), *truth)
         rows.append(("ours", said, f"{own[0]:.4f}", f"{own[1]:.2f}", f"{spent:.2f}"))

@@ -33,6 +33,8 @@ class ReconstructConfig:
             0 leaves the points as they were matched.
         bias_mm: normals are trusted in what is smaller than this alone; the rest of them is
             replaced by that of the points.
+        doubt_deg: where normals and points disagree by more than this in what is a third of
+            `bias_mm`, normals are trusted in still smaller shapes alone.
         cell_mm: width of the finest cells of the fused surface.
         trim_mm: the surface is cut where no point lies within this distance.
         colmap_to: folder to which pictures, poses and depth maps are written in COLMAP's formats;
@@ -59,8 +61,9 @@ class ReconstructConfig:
     max_cost: float = 0.7
     agree_mm: float = 0.4
     agree_views: int = 1
-    relief_mm: float = 3.0
+    relief_mm: float = 1.5
     bias_mm: float = 3.0
+    doubt_deg: float = 2.0
     cell_mm: float = 1.2
     trim_mm: float = 2.0
     colmap_to: str = ""

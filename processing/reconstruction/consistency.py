@@ -243,5 +243,6 @@ def _relief(
     lens, pose, guide = level.lenses[index], level.poses[index], level.normals[index]
     known = np.einsum("hwk,hwk->hw", guide, guide) > 0.5
     slopes = plane_slopes(guide, lens, pose)
-    moved, mended = with_relief(points, slopes, known, lens, pose, config.relief_mm, config.bias_mm)
+    scales = config.relief_mm, config.bias_mm, config.doubt_deg
+    moved, mended = with_relief(points, slopes, known, lens, pose, *scales)
     return moved, np.where(np.isnan(mended), normals, mended)

@@ -4,7 +4,9 @@ After [Nehab2005], in the view: ln of inverse depth is what is sought, since its
 pixels are given by the normals alone, whatever the distance. Photometric normals are right in the
 small and wrong in the large (shadows, lamps, colour), matched depth the other way round. So first
 the normals' low frequencies are replaced by those of the points, then the surface is sought that
-keeps near the points and follows the mended normals.
+keeps near the points and follows the mended normals. In hollows (beside the nose, between the lips)
+normals go wrong within a millimetre, too: where points and normals disagree at a third of the
+wavelength, more of the normals is replaced.
 """
 
 from __future__ import annotations
@@ -17,6 +19,10 @@ TOLERANCE = 1e-4
 """Of the solver's residual, relative to its start: points move by less than a tenth of a
 millimetre, so that is .01 micrometre."""
 MOST_STEPS = 60
+SHARE = 1 / 3
+"""Of `bias_mm`: where normals are doubted, they are trusted in what is smaller than this alone."""
+USUAL = 2.0
+"""Disagreement less than so many times the median is noise of the points, and no doubt."""
 JUMP_MM = 1.0
 """Neighbours whose points miss the step that their normals give by more are not on one surface."""
 
@@ -29,6 +35,7 @@ def with_relief(
     pose: np.ndarray,
     relief_mm: float,
     bias_mm: float,
+    doubt_deg: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move a view's points along their rays so that they follow the normals in the small.
 
@@ -39,7 +46,9 @@ def with_relief(
         lens: (4,) fx, fy, cx, cy.
         pose: (3, 4) cam_from_world.
         relief_mm: shapes smaller than this come from the normals, larger ones from the points.
-        bias_mm: normals are trusted in what is smaller than this alone.
+        bias_mm: normals are trusted in what is smaller than this alone, and in what is a third of
+            it where they are doubted.
+        doubt_deg: disagreement with the points between these two scales that is half a doubt.
 
     Returns:
         Points (h, w, 3) float32, NaN where there was none, and (h, w, 3) float32 unit normals,
@@ -50,7 +59,9 @@ def with_relief(
     box = _box(np.isfinite(points[..., 0]))
     if box is not None:
         shifted = lens - [0, 0, box[1].start, box[0].start]
-        inside = _in_box(points[box], slopes[box], known[box], shifted, pose, relief_mm, bias_mm)
+        inside = _in_box(
+            points[box], slopes[box], known[box], shifted, pose, relief_mm, bias_mm, doubt_deg
+        )
         moved[box], normals[box] = inside
     return moved, normals
 
@@ -63,6 +74,7 @@ def _in_box(
     pose: np.ndarray,
     relief_mm: float,
     bias_mm: float,
+    doubt_deg: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """As `with_relief`, of a part of the picture that holds points."""
     depth = points.astype(float) @ pose[2, :3] + pose[2, 3]
@@ -82,7 +94,8 @@ def _in_box(
     sigma_px = bias_mm / pixel_mm
     excess = [np.diff(z, axis=1 - k) - steps[k] for k in range(2)]
     # (h, w) slopes that the points have beyond the normals' own, in the large.
-    beyond = [low_pass(excess[k], links[k], sigma_px) for k in range(2)]
+    doubt = np.tan(np.radians(doubt_deg)) * pixel_mm / middle
+    beyond = [_beyond(excess[k], links[k], sigma_px, doubt) for k in range(2)]
     misses = [excess[k] - beyond[k] for k in range(2)]
     shift = solve(misses, links, valid, (pixel_mm / relief_mm) ** 2)
     centre = -pose[:, :3].T @ pose[:, 3]
@@ -107,6 +120,15 @@ def _box(some: np.ndarray) -> tuple[slice, slice] | None:
         first = max(0, min(first, whole - length))
         sides.append(slice(first, first + length))
     return sides[0], sides[1]
+
+
+def _beyond(excess: np.ndarray, links: np.ndarray, sigma_px: float, doubt: float) -> np.ndarray:
+    """The part of the points' excess slope that normals take over: more of it where in doubt."""
+    large = low_pass(excess, links, sigma_px)
+    apart = np.where(links, low_pass(excess, links, SHARE * sigma_px) - large, 0.0)
+    usual = USUAL * float(np.median(np.abs(apart[links]))) if links.any() else 0.0
+    limit = max(doubt, usual)
+    return np.asarray(large + apart * apart**2 / (apart**2 + limit**2))
 
 
 def low_pass(values: np.ndarray, links: np.ndarray, sigma_px: float) -> np.ndarray:
@@ -140,6 +162,7 @@ def solve(
     valid: np.ndarray,
     weight: float,
     tolerance: float = TOLERANCE,
+    most_steps: int = MOST_STEPS,
 ) -> np.ndarray:
     """The least-squares shift d: sum over links (d' - d + miss)^2 + weight * sum d^2.
 
@@ -152,6 +175,7 @@ def solve(
         valid: (h, w) bool.
         weight: of staying, above 0.
         tolerance: of the residual, as a share of its start.
+        most_steps: of the conjugate gradients; masks full of single holes take hundreds.
 
     Returns:
         (h, w), 0 where not valid.
@@ -180,7 +204,7 @@ def solve(
         return out
     better = without_mask(residual)
     along, energy = better, float((residual * better).sum())
-    for _ in range(MOST_STEPS):
+    for _ in range(most_steps):
         pushed = apply(along)
         length = energy / float((along * pushed).sum())
         out += length * along
