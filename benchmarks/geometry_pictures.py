@@ -1,7 +1,12 @@
-"""A mesh from three sides, shaded and in the colours of its distance to the truth."""
+"""A mesh from three sides, shaded and in the colours of its distance to the truth.
+
+`python -m benchmarks.geometry_pictures A.png B.png --out C.jpg` puts pictures of several meshes, as
+`geometry_accuracy --pictures` writes them, beside each other.
+"""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import cv2
@@ -58,3 +63,22 @@ def write_pictures(mesh: Mesh, truth: Mesh, path: Path) -> None:
         shown.append(np.concatenate([grey, colour], axis=0))
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path.with_suffix(".png")), np.concatenate(shown, axis=1))
+
+
+def main() -> None:
+    """Put pictures of meshes beside each other, for the docs."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("pictures", nargs="+", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--rows", type=int, default=560)
+    chosen = parser.parse_args()
+    shown = []
+    for path in chosen.pictures:
+        picture = cv2.imread(str(path))
+        width = round(picture.shape[1] * chosen.rows / picture.shape[0])
+        shown.append(cv2.resize(picture, (width, chosen.rows), interpolation=cv2.INTER_AREA))
+    cv2.imwrite(str(chosen.out), np.concatenate(shown, axis=1), [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+
+if __name__ == "__main__":
+    main()
