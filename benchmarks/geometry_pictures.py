@@ -75,6 +75,8 @@ def main() -> None:
     shown = []
     for path in chosen.pictures:
         picture = cv2.imread(str(path))
+        if picture is None:
+            parser.error(f"{path} is no picture")
         width = round(picture.shape[1] * chosen.rows / picture.shape[0])
         shown.append(cv2.resize(picture, (width, chosen.rows), interpolation=cv2.INTER_AREA))
     cv2.imwrite(str(chosen.out), np.concatenate(shown, axis=1), [cv2.IMWRITE_JPEG_QUALITY, 85])
