@@ -1,4 +1,4 @@
-"""Small skins and lights for tests of the renderer, in float64."""
+"""Small skins, lights and a shadow for tests of the renderer."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import torch
 from learning.render.environments import Environment, from_light_set
 from learning.render.skin import SkinMaps
 from lightstage.formats.environment import LightSet
+from lightstage.formats.mesh import Mesh
 
 
 def random_skin(
@@ -66,3 +67,12 @@ def one_light(
     fields = dataclasses.fields(environment)
     values = {f.name: getattr(environment, f.name) for f in fields}
     return Environment(**{k: v if v.dtype == torch.bool else v.double() for k, v in values.items()})
+
+
+def screen() -> Mesh:
+    """A floor that fills the texture, and a wall over its middle that has one texel."""
+    floor = np.array([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], float)
+    wall = np.array([[-10, -10, 30], [10, -10, 30], [10, 10, 30], [-10, 10, 30]], float)
+    faces = np.array([[0, 1, 2, 3], [4, 5, 6, 7]], np.int32)
+    uvs = np.concatenate([(floor[:, :2] + 50) / 100, np.full((4, 2), 0.001)])
+    return Mesh(np.concatenate([floor, wall]), faces, uvs, faces)

@@ -17,17 +17,8 @@ from learning.render.occlusion_model import (
     load_occlusion,
 )
 from learning.render.occlusion_network import NetworkConfig, OcclusionNetwork, train_network
-from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import default_template_path, load_template
-
-
-def screen() -> Mesh:
-    """A floor that fills the texture, and a wall over its middle that has one texel."""
-    floor = np.array([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], float)
-    wall = np.array([[-10, -10, 30], [10, -10, 30], [10, 10, 30], [-10, 10, 30]], float)
-    faces = np.array([[0, 1, 2, 3], [4, 5, 6, 7]], np.int32)
-    uvs = np.concatenate([(floor[:, :2] + 50) / 100, np.full((4, 2), 0.001)])
-    return Mesh(np.concatenate([floor, wall]), faces, uvs, faces)
+from tests.learning.scenes import screen
 
 
 def front(count: int = 40) -> np.ndarray:

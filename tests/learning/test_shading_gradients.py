@@ -16,8 +16,7 @@ from learning.render.environments import Environment
 from learning.render.occlusion_model import OcclusionConfig, bake_table
 from learning.render.occlusion_network import NetworkConfig, OcclusionNetwork
 from learning.render.shading import ShadeOptions, SkinMaps, shade
-from lightstage.formats.mesh import Mesh
-from tests.learning.scenes import flat_skin, one_light, random_lights, random_skin
+from tests.learning.scenes import flat_skin, one_light, random_lights, random_skin, screen
 
 MAPS = (
     "diffuse_albedo",
@@ -77,12 +76,7 @@ def test_gradient_of_every_map_light_and_shadow_is_exact(mode: str, engine: str)
 
 
 def test_gradient_of_the_tables_shadows_for_the_lights_is_exact() -> None:
-    floor = np.array([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], float)
-    wall = np.array([[-10, -10, 30], [10, -10, 30], [10, 10, 30], [-10, 10, 30]], float)
-    uvs = np.concatenate([(floor[:, :2] + 50) / 100, np.full((4, 2), 0.001)])
-    faces = np.array([[0, 1, 2, 3], [4, 5, 6, 7]], np.int32)
-    mesh = Mesh(np.concatenate([floor, wall]), faces, uvs, faces)
-    table = bake_table(mesh, OcclusionConfig(rows=12, directions=60))
+    table = bake_table(screen(), OcclusionConfig(rows=12, directions=60))
     lights = torch.tensor([[50.0, 100, 1000], [400, -300, 700]]).double().requires_grad_()
 
     def shadows(metres: Tensor) -> Tensor:
