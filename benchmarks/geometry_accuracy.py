@@ -39,6 +39,7 @@ SETS = {
     "full, y+, y-": ("full", "y+", "y-"),
     "full, z+, z-": ("full", "z+", "z-"),
 }
+LIGHTS = ("direct", "reference", "frontal-direct", "frontal-reference")
 TIPPED_DEG = 3.0
 COARSE_ROWS = 400
 """Of the comparison of photographs, which matches often."""
@@ -170,7 +171,7 @@ def tables(results: dict[str, dict[str, Row]]) -> None:
                 (turned if part == "normals" else sets).append((who, method, *mm, share, deg))
     note = (
         "Nine views of 1004 x 1504, pixel noise .001, cameras measured from boards. `direct` "
-        "light has cast shadows, `reference` bounces and scattering as well."
+        "light has cast shadows, `reference` bounces and scattering as well; `frontal`: 3 views."
     )
     both = ("mesh to truth: median / p95, mm", "true skin to mesh: median / p95, mm")
     share, deg = "skin within .5 mm, % (seen by two)", "normals: mean / median, deg"
@@ -208,7 +209,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--people", default=",".join(known.name for known in PEOPLE))
     parser.add_argument("--parts", default=",".join(PARTS))
-    parser.add_argument("--light", choices=("direct", "reference"), default="direct")
+    parser.add_argument("--light", choices=LIGHTS, default="direct")
     parser.add_argument("--keep", type=Path, default=folder() / "geometry-accuracy.json")
     parser.add_argument("--told", action="store_true", help="Measure nothing: tell what is kept.")
     parser.add_argument("--pictures", type=Path, help="Folder for pictures of the meshes.")

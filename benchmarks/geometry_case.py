@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import reflectance_people
 from benchmarks.geometry_people import person, session
 from benchmarks.geometry_poses import measured, onto_truth, true_rig
 from benchmarks.geometry_scores import Skin, true_skin
@@ -49,14 +50,19 @@ class Case:
 
         Args:
             name: of PEOPLE.
-            light: ``direct`` or ``reference``.
+            light: ``direct`` or ``reference``; ``frontal-direct`` and ``frontal-reference`` are the
+                three frontal views of the reflectance benchmarks, quicker to render.
             out: processed folder; what an earlier run left in it is used again.
         """
         known = person(name)
-        path = session(known, light=light)
+        if light.startswith("frontal-"):
+            kept = reflectance_people.person(name)
+            path = reflectance_people.session(kept, light=light.removeprefix("frontal-"))
+        else:
+            path = session(known, light=light)
         true: Session = load_session(path)
         cameras = measured().cameras
-        rig = Rig(true.rig.lights, cameras)
+        rig = Rig(true.rig.lights, tuple(c for c in cameras if c.id in true.camera_ids()))
         self.session = Session(true.root, true.file, rig)
         self.out = out
         last = self.session.camera_ids()[-1]

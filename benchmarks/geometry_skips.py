@@ -21,7 +21,7 @@ from benchmarks.record import record
 from benchmarks.reflectance_people import folder
 from processing.frames.read import read_frames
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.small_views import small_view
+from processing.reconstruction.small_views import matched_times, small_view
 from processing.reconstruction.stereo import make_stereo, match_views, pick_sources
 from processing.reconstruction.views import Level, View, common_basis, finest_level, make_view
 
@@ -55,11 +55,12 @@ def apart(one: Found, two: Found, views: Sequence[View]) -> float:
 def unmasked(case: Case, views: Sequence[View]) -> list[View]:
     """Views in which every pixel is foreground."""
     small = []
+    times = matched_times(case.session.rig.cameras[0].height_px, CONFIG.finest_rows)
     for name in case.session.camera_ids():
         frames = read_frames(case.out, name)
         normals = np.zeros((*frames.shape, 3), np.float32)
         every = np.ones(frames.shape, bool)
-        small.append(small_view(case.session.rig.camera(name), frames, every, normals, 2))
+        small.append(small_view(case.session.rig.camera(name), frames, every, normals, times))
     basis = common_basis([s.images for s in small], [v.mask for v in views])
     return [
         make_view(s.camera, s.images, s.valid, s.mask, v.normals, basis)
