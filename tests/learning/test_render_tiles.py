@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+import sysconfig
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from learning.render.environments import Environment
 from learning.render.shading import shade
 from learning.render.skin import ShadeOptions, SkinMaps
 from learning.render.tiles import shade_in_bands
+
+PYTHON_HEADER = Path(sysconfig.get_path("include")) / "Python.h"
 
 
 def field(rng: np.random.Generator, channels: int, low: float, high: float) -> torch.Tensor:
@@ -117,7 +121,10 @@ def test_half_precision_maps_are_shaded_in_single() -> None:
     torch.testing.assert_close(found, whole, atol=3e-3, rtol=1e-2)
 
 
-@pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler, g++")
+@pytest.mark.skipif(
+    shutil.which("g++") is None or not PYTHON_HEADER.is_file(),
+    reason="torch.compile needs g++ and Python's headers",
+)
 def test_compiled_code_is_the_eager_engine() -> None:
     skin, lights = scene(np.random.default_rng(7))
     found, expected = (
