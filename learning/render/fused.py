@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,9 +13,41 @@ from learning.render.kernel_backward import LIGHT_SUMS, Asked, Gradients, Shaded
 from learning.render.kernel_forward import forward, pack_lights
 from learning.render.texel_blocks import NEAREST_MM, Lights, Skins, tasks_of
 
-PLACES = (0, 6, 9)
-NORMALS = (1, 2, 3)
-"""Arguments of `FusedLight` that share a part of the chain rule."""
+
+class Inputs(NamedTuple):
+    """What `FusedLight.apply` takes, in its order; also what is asked of each, and its worth.
+
+    Attributes:
+        position: (B, 3, n) mm.
+        diffuse_normal: (B, 3, n) of any length.
+        specular_normal: (B, 3, n).
+        shininess: (B, 1, n).
+        occlusion: (B, 1, n) of the ambient light.
+        seen: (B, L, n) or None.
+        light_mm: (B, L, 3).
+        rgb: (B, L, 3).
+        ambient: (B, 3).
+        camera: (B, 3) mm.
+        distant: (B, L) bool.
+        glossy: (B, n) bool, where the lobe is asked for.
+        valid: (B, n) bool, where a surface is.
+        paper: whether as printed.
+    """
+
+    position: Any
+    diffuse_normal: Any
+    specular_normal: Any
+    shininess: Any
+    occlusion: Any
+    seen: Any
+    light_mm: Any
+    rgb: Any
+    ambient: Any
+    camera: Any
+    distant: Any = None
+    glossy: Any = None
+    valid: Any = None
+    paper: Any = None
 
 
 def can_fuse(reference: Tensor) -> bool:
@@ -27,87 +59,76 @@ class FusedLight(torch.autograd.Function):
     """`shading.direct` on a processor: sums over lights of the diffuse and the specular part."""
 
     @staticmethod
-    def forward(
-        ctx: Any,
-        position: Tensor,
-        diffuse_normal: Tensor,
-        specular_normal: Tensor,
-        shininess: Tensor,
-        occlusion: Tensor,
-        seen: Tensor | None,
-        light_mm: Tensor,
-        rgb: Tensor,
-        ambient: Tensor,
-        camera: Tensor,
-        distant: Tensor,
-        glossy: Tensor,
-        valid: Tensor,
-        paper: bool,
-    ) -> tuple[Tensor, Tensor]:
-        """(B, c, n) fields; lights (B, L, 3), camera and ambient (B, 3); glossy, valid (B, n)."""
-        maps = (position, diffuse_normal, specular_normal, shininess, occlusion)
-        skins = Skins(*(array_of(field) for field in (*maps, valid)))
-        batch, _, texels = position.shape
+    def forward(ctx: Any, *given: Any) -> tuple[Tensor, Tensor]:
+        """Of `Inputs`: irradiance and lobes, (B, 3, n) each."""
+        of = Inputs(*given)
+        maps = (of.position, of.diffuse_normal, of.specular_normal, of.shininess, of.occlusion)
+        skins = Skins(*(array_of(field) for field in (*maps, of.valid)))
+        batch, _, texels = skins.position.shape
         kind = skins.position.dtype
-        visible = np.zeros((batch, 0, texels), kind) if seen is None else array_of(seen)
-        packed = pack_lights(array_of(light_mm), array_of(rgb), array_of(distant), NEAREST_MM)
+        visible = np.zeros((batch, 0, texels), kind) if of.seen is None else array_of(of.seen)
+        light_mm, rgb, distant = (array_of(x) for x in (of.light_mm, of.rgb, of.distant))
+        packed = pack_lights(light_mm, rgb, distant, NEAREST_MM)
         irradiance = np.empty((batch, 3, texels), kind)
         lobes = np.empty((batch, 3, texels), kind)
-        lights = Lights(packed, visible, array_of(ambient), array_of(camera))
-        forward(skins, lights, array_of(glossy), paper, irradiance, lobes)
+        lights = Lights(packed, visible, array_of(of.ambient), array_of(of.camera))
+        forward(skins, lights, array_of(of.glossy), of.paper, irradiance, lobes)
         found = torch.from_numpy(irradiance), torch.from_numpy(lobes)
-        ctx.save_for_backward(*maps, seen, light_mm, rgb, ambient, camera, distant, found[1])
+        # Kept so that torch notices when one is changed before the gradient is asked for.
+        others = (of.seen, of.rgb, of.ambient, of.camera)
+        ctx.save_for_backward(*maps, *others, of.light_mm, of.distant, found[1])
         # Without their own graph: arrays of the tensors that were saved.
         ctx.arrays = (skins, lights)
-        ctx.paper = paper
+        ctx.paper = of.paper
         return found
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, of_irradiance: Tensor, of_lobes: Tensor) -> tuple[Tensor | None, ...]:
-        """What each tensor of `forward` is worth; None where it is not asked for."""
-        saved = ctx.saved_tensors
-        light_mm, distant, lobes = saved[6], saved[10], saved[11]
+    def backward(ctx: Any, of_irradiance: Tensor, of_lobes: Tensor) -> Inputs:
+        """What each of the inputs is worth; None where it is not asked for."""
+        light_mm, distant, lobes = ctx.saved_tensors[-3:]
         skins, lights = ctx.arrays
-        asked = ctx.needs_input_grad
+        asked = Inputs(*ctx.needs_input_grad)
         batch, _, texels = skins.position.shape
-        count, kind = lights.packed.shape[1], lights.packed.dtype
+        count, kind, tasks = lights.packed.shape[1], lights.packed.dtype, tasks_of(texels)
 
-        def room(index: int, channels: int) -> np.ndarray:
-            return np.zeros((batch, channels, texels if asked[index] else 0), kind)
+        def room(some: bool, channels: int) -> np.ndarray:
+            return np.zeros((batch, channels, texels if some else 0), kind)
 
-        tasks = tasks_of(texels)
         of = Gradients(
-            room(0, 3),
-            room(1, 3),
-            room(2, 3),
-            room(3, 1),
-            room(4, 1),
-            room(5, count),
+            room(asked.position, 3),
+            room(asked.diffuse_normal, 3),
+            room(asked.specular_normal, 3),
+            room(asked.shininess, 1),
+            # As printed, ambient light comes in after the sums.
+            room(asked.occlusion and not ctx.paper, 1),
+            room(asked.seen, count),
             np.zeros((batch, tasks, count, LIGHT_SUMS), kind),
             np.zeros((batch, tasks, 3), kind),
             np.zeros((batch, tasks, 3), kind),
         )
         wanted = Asked(
-            any(asked[i] for i in NORMALS), any(asked[i] for i in PLACES), bool(asked[7])
+            asked.diffuse_normal or asked.specular_normal or asked.shininess,
+            asked.position or asked.light_mm or asked.camera,
+            asked.rgb,
         )
         worth = Shaded(array_of(of_irradiance), array_of(of_lobes))
         backward(skins, lights, ctx.paper, array_of(lobes), worth, wanted, of)
-        sums = torch.from_numpy(of.light_sums.sum(axis=1))
-        found = [torch.from_numpy(g) if asked[i] else None for i, g in enumerate(of[:6])]
-        if ctx.paper:
-            # Its ambient light comes in after the sums.
-            found[4] = None
-        return (
-            *found,
-            _of_places(light_mm, distant, sums) if asked[6] else None,
-            sums[..., 4:] if asked[7] else None,
-            torch.from_numpy(of.ambient_sums.sum(axis=1)) if asked[8] and not ctx.paper else None,
-            torch.from_numpy(of.camera_sums.sum(axis=1)) if asked[9] else None,
-            None,
-            None,
-            None,
-            None,
+        sums, camera, ambient = (
+            torch.from_numpy(x.sum(axis=1))
+            for x in (of.light_sums, of.camera_sums, of.ambient_sums)
+        )
+        return Inputs(
+            _filled(of.position),
+            _filled(of.diffuse_normal),
+            _filled(of.specular_normal),
+            _filled(of.shininess),
+            _filled(of.occlusion),
+            _filled(of.seen),
+            light_mm=_of_places(light_mm, distant, sums) if asked.light_mm else None,
+            rgb=sums[..., 4:] if asked.rgb else None,
+            ambient=ambient if asked.ambient and not ctx.paper else None,
+            camera=camera if asked.camera else None,
         )
 
 
@@ -118,6 +139,11 @@ def _of_places(light_mm: Tensor, distant: Tensor, sums: Tensor) -> Tensor:
     direction = light_mm * scale
     along = (sums[..., :3] * direction).sum(dim=-1, keepdim=True)
     return torch.where(distant[..., None], (sums[..., :3] - along * direction) * scale, near)
+
+
+def _filled(values: np.ndarray) -> Tensor | None:
+    """A gradient; None where it was not asked for and has no room."""
+    return torch.from_numpy(values) if values.shape[2] else None
 
 
 def array_of(values: Tensor) -> np.ndarray:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from learning.render.eager import TexelFields, compiled_sums, sums, unit
 from learning.render.environments import Environment
-from learning.render.fused import FusedLight, can_fuse
+from learning.render.fused import FusedLight, Inputs, can_fuse
 from learning.render.skin import ShadeOptions, SkinMaps, wide_enough
 from learning.render.subsurface import scatter, scatter_paper
 
@@ -124,7 +124,7 @@ def direct(
         glossy = valid
         if not maps.specular_albedo.requires_grad:
             glossy = valid & (maps.specular_albedo != 0).flatten(1)
-        irradiance, lobe = FusedLight.apply(
+        given = Inputs(
             texels.position_mm,
             texels.diffuse_normal,
             texels.specular_normal,
@@ -140,6 +140,7 @@ def direct(
             valid,
             paper,
         )
+        irradiance, lobe = FusedLight.apply(*given)
     else:
         irradiance, lobe, high = _in_torch(texels, lights, options)
         some = valid[:, None]
