@@ -107,7 +107,7 @@ def main() -> None:
         f"Geometry: {count} views of 24 megapixels",
         ("what", "value"),
         rows,
-        f"{name}, light `{chosen.light}`, rendered with {1 / SCALE:g} times fewer pixels a side and "
+        f"{name}, light `{chosen.light}`, rendered {1 / SCALE:g} times smaller a side, "
         "matched at the size to which 24 megapixels are made smaller.",
     )
 
