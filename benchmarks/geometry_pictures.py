@@ -18,6 +18,7 @@ from lightstage.formats.mesh import Mesh, vertex_normals
 
 SIDES_DEG = (-50.0, 0.0, 50.0)
 ROWS, COLUMNS = 620, 480
+GAP_PX = 40
 FULL_MM = 0.5
 """Distance at which the scale of colours ends."""
 
@@ -79,7 +80,9 @@ def main() -> None:
             parser.error(f"{path} is no picture")
         width = round(picture.shape[1] * chosen.rows / picture.shape[0])
         shown.append(cv2.resize(picture, (width, chosen.rows), interpolation=cv2.INTER_AREA))
-    cv2.imwrite(str(chosen.out), np.concatenate(shown, axis=1), [cv2.IMWRITE_JPEG_QUALITY, 85])
+        shown.append(np.full((chosen.rows, GAP_PX, 3), 255, np.uint8))
+    whole = np.concatenate(shown[:-1], axis=1)
+    cv2.imwrite(str(chosen.out), whole, [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
 if __name__ == "__main__":
