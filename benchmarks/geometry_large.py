@@ -99,7 +99,10 @@ def main() -> None:
         ("peak of memory, matching to mesh, GiB", f"{peak:.1f}"),
         ("mesh to truth: median / p95, mm", "{:.3f} / {:.2f}".format(*found.to_truth)),
         ("true skin to mesh: median / p95, mm", "{:.3f} / {:.2f}".format(*found.to_mesh)),
-        ("skin within .5 mm, %", f"{100 * found.within:.1f}"),
+        (
+            "skin within .5 mm, % (seen by two)",
+            f"{100 * found.within:.1f} ({100 * found.within_two:.1f})",
+        ),
         ("normals: mean / median, deg", "{:.2f} / {:.2f}".format(*found.normals_deg)),
     ):
         rows.append((what, value))
