@@ -12,6 +12,7 @@ from numba import njit, prange
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path
+from lightstage.formats.half import as_float
 from processing.frames.drafts import (
     CLIPPED,
     HALVES,
@@ -20,7 +21,6 @@ from processing.frames.drafts import (
     new_frames,
     read_told,
 )
-from processing.frames.halves import as_float
 from processing.frames.window import Window, whole
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from processing.frames.halves import as_float
+from lightstage.formats.half import as_float
 
 BRIGHT_PX = 2_000_000
 """What was lit is looked for in about this many pixels, and in means of squares where there are

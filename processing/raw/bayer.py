@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from processing.frames.halves import half_bits
+from lightstage.formats.half import half_bits
 
 REACH = 6
 """Pixels around a window that its colours are taken from."""

@@ -7,10 +7,10 @@ import dataclasses
 import cv2
 import numpy as np
 
+from lightstage.formats.half import LARGEST
 from processing.calibration.flat_file import FlatField
 from processing.colour import ColourCorrection
 from processing.frames.drafts import NOT_A_NUMBER
-from processing.frames.halves import LARGEST
 from processing.frames.window import Window
 from processing.raw.bayer import CLIP_REACH, REACH, SIDE
 from processing.raw.file import RawFile

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
+from lightstage.formats.half import as_float
 from lightstage.rig import Camera
-from processing.frames.halves import as_float
 from processing.frames.read import Frames
 
 SMALL_ROWS = 600

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from processing.frames.halves import as_float
+from lightstage.formats.half import as_float
 from processing.lanes import LANES, every, load, store
 from processing.readings import BRIGHTEST
 from processing.refinement import finish

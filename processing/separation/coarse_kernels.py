@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from processing.frames.halves import as_float
+from lightstage.formats.half import as_float
 from processing.lanes import LANES, every, load_row, store_turned
 from processing.separation.coarse_given import Maps, Model, Window
 from processing.separation.coarse_pixel import FAST, LENGTH, OUT, solve_pixel

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
+from lightstage.formats.half import as_float
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Camera
-from processing.frames.halves import as_float
 from processing.lanes import (
     LANES,
     at_least,
