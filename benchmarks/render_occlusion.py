@@ -158,6 +158,7 @@ def main() -> None:
     texels, kilobyte = seen.shape[1], 1e-3
     ways: list[tuple[str, float, Callable[[], np.ndarray]]] = [
         ("mean shape, exact (rays)", 0.0, lambda: trial.truth[0]),
+        ("no shadows at all", 0.0, lambda: np.ones_like(trial.truth[0])),
         ("table of 2048, mixed (default)", table.bits.nbytes, lambda: from_table(trial, table)),
         ("table of 2048, nearest", table.bits.nbytes, lambda: nearest(trial, table)),
         ("harmonics of order 4", 25 * texels * 4, by_harmonics(trial, seen, 4)),

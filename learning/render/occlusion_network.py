@@ -13,6 +13,7 @@ import dataclasses
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits
 
 CHANNELS = (8, 16, 32, 32, 64)
 """Of the 5 blocks, from the picture inward."""
@@ -92,10 +93,13 @@ class OcclusionNetwork(nn.Module):
         self.decoder = nn.Sequential(*outward, nn.Conv2d(before, 1, 3, padding=1))
         self.regressor = nn.Linear(light_features(config.lights), config.features)
 
+    def logits(self, features: Tensor) -> Tensor:
+        """(B, 64) to (B, rows, columns), before they are brought to 0..1."""
+        return self.decoder(self.widen(features).unflatten(1, self.small))[:, 0]
+
     def decode(self, features: Tensor) -> Tensor:
         """(B, 64) to (B, rows, columns) in 0..1."""
-        wide = self.widen(features).unflatten(1, self.small)
-        return torch.sigmoid(self.decoder(wide))[:, 0]
+        return torch.sigmoid(self.logits(features))
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Pictures through the code and back, (B, rows, columns)."""
@@ -134,6 +138,10 @@ def train_network(
 ) -> OcclusionNetwork:
     """Train on light sets drawn from baked directions.
 
+    Half of the steps by cross entropy, then by the mean absolute error that counts: most texels of
+    most sets see all lights, and under that error alone training stays at a white picture (after
+    2000 steps 6 % better than white).
+
     Args:
         visibility: (d, t) of the covered texels.
         directions: (d, 3) unit.
@@ -157,9 +165,14 @@ def train_network(
 
     optimiser = torch.optim.Adam(network.parameters(), lr=config.rate)
     falling = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.01, config.steps)
-    for _ in range(config.steps):
+    for step in range(config.steps):
         pictures, _, _ = draw(config.batch)
-        loss = (network(pictures) - pictures)[:, mask].abs().mean()
+        found = network.logits(network.encoder(pictures[:, None]))[:, mask]
+        expected = pictures[:, mask]
+        if step < config.steps // 2:
+            loss = binary_cross_entropy_with_logits(found, expected)
+        else:
+            loss = (torch.sigmoid(found) - expected).abs().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
