@@ -11,6 +11,7 @@ import numpy as np
 from lightstage.formats.processed import ProcessedFolder
 from processing.decode.diagnosis_page import light_section
 from processing.reconstruction.pictures import mesh_section
+from processing.registration.residual import residual_section
 from processing.report import (
     Picture,
     Section,
@@ -60,6 +61,9 @@ def write_processed_report(out: Path, report: Mapping[str, Any]) -> Path:
     mesh = mesh_section(out)
     if mesh is not None:
         sections.append(mesh)
+    registered = residual_section(out)
+    if registered is not None:
+        sections.append(registered)
     atlas = _atlas(folder)
     if atlas:
         sections.append(Section("Atlas", atlas))

@@ -22,6 +22,7 @@ from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
 from processing.registration.providers import ClickedLandmarks, CommandLandmarks
 from processing.registration.quiet import quieted
+from processing.registration.residual import residual, write_residual
 from processing.registration.rigid import Similarity, robust_umeyama
 from processing.registration.sky import sky_share
 from processing.registration.start import first_pose, require_surface
@@ -54,7 +55,8 @@ def register(
     config: RegisterConfig,
     progress: ProgressCallback = quiet,
 ) -> dict[str, Any]:
-    """Register a session's base mesh; writes registered_mesh.obj and head_from_world.json.
+    """Register a session's base mesh; writes registered_mesh.obj, head_from_world.json and,
+    for the report, work/registration/residual.npz and .png.
 
     Args:
         session: with landmarks.json in its folder, unless a program finds them.
@@ -80,7 +82,10 @@ def register(
         surface=MeshRays(scan.vertices, scan.triangles()),
     )
     vertices, facts = register_mesh(scan, found.points_mm, template, config, progress)
-    write_obj(template.mesh.with_vertices(vertices), folder.registered_mesh)
+    registered = template.mesh.with_vertices(vertices)
+    write_obj(registered, folder.registered_mesh)
+    left = residual(scan, vertices, template.mesh.triangles())
+    write_residual(out, left, registered)
     head_from_world = head_pose(vertices, template)
     write_json(
         folder.head_pose,
@@ -91,11 +96,13 @@ def register(
         },
     )
     several = found.views >= 2
-    residual = found.residual_mm[several]
+    rays = found.residual_mm[several]
     return {
         "landmarks_triangulated": int(several.sum()),
         "landmarks_of_one_view": int((found.views == 1).sum()),
-        "landmark_rays_rms_mm": float(np.sqrt(np.mean(residual**2))) if several.any() else None,
+        "landmark_rays_rms_mm": float(np.sqrt(np.mean(rays**2))) if several.any() else None,
+        "residual_median_mm": float(np.nanmedian(np.abs(left.distance_mm))),
+        "residual_angle_median_deg": float(np.nanmedian(left.angle_deg)),
         "clicks_left_out": [str(outlier) for outlier in found.outliers],
         **facts,
     }

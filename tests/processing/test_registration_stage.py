@@ -76,7 +76,7 @@ def refusal(change, template_scale=1.0):
     template, truth, scan = warped_person()
     marks = truth[template.landmarks]
     scan, marks = change(scan, marks.copy())
-    mesh = template.mesh.with_vertices(template.mesh.vertices * template_scale)
+    mesh = template.mesh.with_vertices(template.mesh.vertices * np.asarray(template_scale))
     scaled = dataclasses.replace(template, mesh=mesh)
     with pytest.raises(RegistrationError) as caught:
         register_mesh(scan, marks, scaled, RegisterConfig())
@@ -109,8 +109,14 @@ def test_a_scan_in_metres_is_refused():
     assert "0.001" in said
 
 
-def test_a_template_in_centimetres_is_refused():
-    assert "10" in refusal(lambda scan, marks: (scan, marks), template_scale=0.1)
+@pytest.mark.parametrize(("scale", "said"), [(0.1, "a scan 10"), (1e-3, "e+03 times")])
+def test_a_template_in_centimetres_or_metres_is_refused(scale, said):
+    assert said in refusal(lambda scan, marks: (scan, marks), template_scale=scale)
+
+
+def test_a_mirrored_template_is_refused():
+    said = refusal(lambda scan, marks: (scan, marks), template_scale=[-1, 1, 1])
+    assert "mirror" in said
 
 
 def test_a_mirrored_scan_is_refused():
@@ -179,6 +185,11 @@ def test_the_stage_reads_clicks_and_writes_mesh_and_pose(tmp_path):
     assert np.linalg.norm(mesh.vertices - truth, axis=1)[seen].mean() < 0.8
     pose = np.array(json.loads(out.head_pose.read_text())["head_from_world"])
     assert np.allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-9)
+    assert 0 < facts["residual_median_mm"] < 0.1
+    assert facts["residual_angle_median_deg"] < 5
+    with np.load(out.root / "work" / "registration" / "residual.npz") as left:
+        assert left["distance_mm"].shape == (len(truth),)
+        assert np.nanmax(np.abs(left["distance_mm"][seen])) < 1
     back = truth @ pose[:, :3].T + pose[:, 3]
     assert np.linalg.norm(back - template.mesh.vertices, axis=1).mean() < 6
 

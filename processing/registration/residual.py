@@ -1,0 +1,134 @@
+"""What registration left: distance and angle between the mesh and the scan, and their picture."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lightstage.formats.files import atomic_path
+from lightstage.formats.mesh import Mesh, vertex_normals
+from processing.rays import MeshRays, interpolate
+from processing.registration.target import Target
+from processing.report import Picture, Section, display_error
+
+SIDES_DEG = (-50.0, 0.0, 50.0)
+SIDE_PX = 360
+LARGEST_MM = 1.0
+LARGEST_DEG = 30.0
+"""Drawn brightest."""
+GREY = 40
+"""What has nothing of the scan near it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Residual:
+    """A vertex each; NaN where the closest point lies on the scan's border: nothing faces it.
+
+    Attributes:
+        distance_mm: (n,) float32, positive where the scan lies outside the mesh.
+        angle_deg: (n,) float32 between both normals.
+    """
+
+    distance_mm: np.ndarray
+    angle_deg: np.ndarray
+
+
+def residual(scan: Mesh, vertices: np.ndarray, triangles: np.ndarray) -> Residual:
+    """Compare a registered mesh with the scan it lies on.
+
+    Args:
+        scan: as it was measured.
+        vertices: (n, 3) mm.
+        triangles: (t, 3).
+    """
+    closest = Target(scan).closest(vertices)
+    normals = vertex_normals(vertices, triangles)
+    way = closest.point - vertices
+    side = np.where(np.einsum("nk,nk->n", way, normals) < 0, -1.0, 1.0)
+    facing = np.clip(np.einsum("nk,nk->n", normals, closest.normal), -1, 1)
+    distance = np.where(closest.border, np.nan, side * closest.distance_mm)
+    angle = np.where(closest.border, np.nan, np.rad2deg(np.arccos(facing)))
+    return Residual(distance.astype(np.float32), angle.astype(np.float32))
+
+
+def write_residual(out: Path, found: Residual, mesh: Mesh) -> None:
+    """Write residual.npz and its picture into a processed folder, where the report looks.
+
+    Args:
+        out: the processed folder.
+        found: of the mesh's vertices.
+        mesh: registered, mm.
+    """
+    folder = out / "work" / "registration"
+    with atomic_path(folder / "residual.npz") as beside, beside.open("wb") as file:
+        np.savez_compressed(file, distance_mm=found.distance_mm, angle_deg=found.angle_deg)
+    with atomic_path(folder / "residual.png") as beside:
+        cv2.imwrite(str(beside), drawn(found, mesh)[..., ::-1])
+
+
+def drawn(found: Residual, mesh: Mesh) -> np.ndarray:
+    """(h, w, 3) uint8: distance above, angle below, from three sides."""
+    rows = []
+    for values, largest in (
+        (np.abs(found.distance_mm), LARGEST_MM),
+        (found.angle_deg, LARGEST_DEG),
+    ):
+        known = np.isfinite(values)
+        pair = np.stack([np.where(known, values, 0), known], axis=1)
+        row = []
+        for side in SIDES_DEG:
+            seen, shown = from_side(mesh, pair, side)
+            image = display_error(shown[..., 0], largest)
+            image[seen & (shown[..., 1] < 0.5)] = GREY
+            image[~seen] = 255
+            row.append(image)
+        rows.append(np.concatenate(row, axis=1))
+    return np.concatenate(rows, axis=0)
+
+
+def from_side(
+    mesh: Mesh, values: np.ndarray, side_deg: float, side_px: int = SIDE_PX
+) -> tuple[np.ndarray, np.ndarray]:
+    """Per-vertex values as seen by parallel rays.
+
+    Args:
+        mesh: mm, its face looking along +z.
+        values: (n, c).
+        side_deg: turn about y; positive from the mesh's left.
+        side_px: of the picture.
+
+    Returns:
+        (h, w) bool where the mesh is, and (h, w, c) the values.
+    """
+    triangles = mesh.triangles()
+    turn = np.deg2rad(side_deg)
+    toward = np.array([np.sin(turn), 0.0, np.cos(turn)])
+    across = np.array([np.cos(turn), 0.0, -np.sin(turn)])
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    reach = 0.5 * float(np.linalg.norm(high - low))
+    at = (np.arange(side_px) + 0.5) / side_px * 2 - 1
+    start = 0.5 * (low + high) + 2 * reach * toward
+    start = start + 0.75 * reach * (at[None, :, None] * across - at[:, None, None] * [0, 1, 0])
+    flat = start.reshape(-1, 3)
+    hits = MeshRays(mesh.vertices, triangles).cast(flat, np.broadcast_to(-toward, flat.shape))
+    shown = interpolate(values, triangles, hits).reshape(side_px, side_px, -1)
+    return (hits.face >= 0).reshape(side_px, side_px), shown
+
+
+def residual_section(out: Path) -> Section | None:
+    """The report's section; None where nothing was registered."""
+    path = out / "work" / "registration" / "residual.png"
+    image = cv2.imread(str(path)) if path.is_file() else None
+    if image is None:
+        return None
+    said = (
+        f"Registered mesh against the scan from three sides: above the distance (brightest at "
+        f"{LARGEST_MM:g} mm), below the angle between both normals (brightest at {LARGEST_DEG:g} "
+        f"degrees). Grey: the scan has nothing there. Dark skin with thin bright lines at lids, "
+        f"lips and ears is as it should be; a bright patch is a place that did not follow."
+    )
+    picture = Picture(np.ascontiguousarray(image[..., ::-1]), said, "residual", lossless=True)
+    return Section("Registration", [picture])

@@ -1,0 +1,58 @@
+"""What registration left is measured, written and shown."""
+
+import numpy as np
+import pytest
+
+from lightstage.formats.mesh import Mesh
+from processing.registration.residual import (
+    Residual,
+    drawn,
+    residual,
+    residual_section,
+    write_residual,
+)
+from tests.processing.shapes import bumpy_ellipsoid
+
+
+def test_a_grown_mesh_is_as_far_as_it_grew_and_on_the_right_side():
+    scan = bumpy_ellipsoid()
+    middle = scan.vertices.mean(axis=0)
+    for factor in (0.97, 1.03):
+        grown = middle + factor * (scan.vertices - middle)
+        found = residual(scan, grown, scan.triangles())
+        radius = np.linalg.norm(scan.vertices - middle, axis=1)
+        assert (np.sign(found.distance_mm) == np.sign(1 - factor)).all()
+        assert np.abs(found.distance_mm).max() <= 0.03 * radius.max() + 1e-3
+        assert np.median(found.angle_deg) < 5
+    same = residual(scan, scan.vertices, scan.triangles())
+    assert np.abs(same.distance_mm).max() < 1e-3
+
+
+def test_what_the_scan_does_not_have_is_not_a_number():
+    whole = bumpy_ellipsoid()
+    front = whole.vertices[whole.triangles()].mean(axis=1)[:, 2] > 0
+    scan = Mesh(whole.vertices, whole.triangles()[front])
+    found = residual(scan, whole.vertices, whole.triangles())
+    back = whole.vertices[:, 2] < -30
+    assert np.isnan(found.distance_mm[back]).mean() > 0.9
+    assert np.isfinite(found.distance_mm[whole.vertices[:, 2] > 30]).all()
+    assert (np.isnan(found.distance_mm) == np.isnan(found.angle_deg)).all()
+
+
+def test_files_and_picture_show_where_it_is_off(tmp_path):
+    mesh = bumpy_ellipsoid()
+    distance = np.where(mesh.vertices[:, 1] > 0, 2.0, 0.0).astype(np.float32)
+    distance[mesh.vertices[:, 0] < -40] = np.nan
+    left = Residual(distance, np.abs(distance))
+    image = drawn(left, mesh)
+    half = image.shape[0] // 2
+    above, below = image[half // 2 - 60, 540].astype(int), image[half // 2 + 60, 540].astype(int)
+    assert np.abs(above - below).max() > 100
+    assert residual_section(tmp_path) is None
+    write_residual(tmp_path, left, mesh)
+    section = residual_section(tmp_path)
+    assert section is not None
+    assert section.parts[0].image.shape == image.shape
+    with np.load(tmp_path / "work" / "registration" / "residual.npz") as kept:
+        assert np.array_equal(kept["distance_mm"], distance, equal_nan=True)
+        assert kept["angle_deg"][0] == pytest.approx(left.angle_deg[0], nan_ok=True)
