@@ -10,7 +10,7 @@ import numpy as np
 
 from lightstage.formats.files import atomic_path
 from lightstage.formats.mesh import Mesh, vertex_normals
-from processing.rays import MeshRays, interpolate
+from processing.rays import Hits, MeshRays, interpolate
 from processing.registration.target import Target
 from processing.report import Picture, Section, display_error
 
@@ -92,18 +92,20 @@ def drawn(found: Residual, mesh: Mesh) -> np.ndarray:
 def from_side(
     mesh: Mesh, values: np.ndarray, side_deg: float, side_px: int = SIDE_PX
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Per-vertex values as seen by parallel rays.
+    """Per-vertex (n, c) values as `side_hits` sees them: (h, w) bool and (h, w, c)."""
+    hits = side_hits(mesh, side_deg, side_px)
+    shown = interpolate(values, mesh.triangles(), hits).reshape(side_px, side_px, -1)
+    return (hits.face >= 0).reshape(side_px, side_px), shown
+
+
+def side_hits(mesh: Mesh, side_deg: float, side_px: int) -> Hits:
+    """What parallel rays of a square picture meet, in row order.
 
     Args:
         mesh: mm, its face looking along +z.
-        values: (n, c).
         side_deg: turn about y; positive from the mesh's left.
         side_px: of the picture.
-
-    Returns:
-        (h, w) bool where the mesh is, and (h, w, c) the values.
     """
-    triangles = mesh.triangles()
     turn = np.deg2rad(side_deg)
     toward = np.array([np.sin(turn), 0.0, np.cos(turn)])
     across = np.array([np.cos(turn), 0.0, -np.sin(turn)])
@@ -113,9 +115,8 @@ def from_side(
     start = 0.5 * (low + high) + 2 * reach * toward
     start = start + 0.75 * reach * (at[None, :, None] * across - at[:, None, None] * [0, 1, 0])
     flat = start.reshape(-1, 3)
-    hits = MeshRays(mesh.vertices, triangles).cast(flat, np.broadcast_to(-toward, flat.shape))
-    shown = interpolate(values, triangles, hits).reshape(side_px, side_px, -1)
-    return (hits.face >= 0).reshape(side_px, side_px), shown
+    rays = MeshRays(mesh.vertices, mesh.triangles())
+    return rays.cast(flat, np.broadcast_to(-toward, flat.shape))
 
 
 def residual_section(out: Path) -> Section | None:

@@ -75,13 +75,17 @@ class Target:
         # A median is .6745 deviations; the mean of six neighbours has noise of its own.
         return float(np.median(np.abs(away - np.median(away)))) / (0.6745 * (1 + 1 / 6) ** 0.5)
 
-    def closest(self, points: np.ndarray) -> Closest:
-        """Closest points to (n, 3) queries."""
+    def on(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Triangle (n,) of `triangles` and weights (n, 3) of its corners, of the closest points."""
         query = open3d.core.Tensor(np.ascontiguousarray(points, np.float32))
         found = self._scene.compute_closest_points(query)
-        face = found["primitive_ids"].numpy().astype(np.int64)
         uv = found["primitive_uvs"].numpy().astype(float)
         weight = np.stack([1 - uv.sum(axis=1), uv[:, 0], uv[:, 1]], axis=1)
+        return found["primitive_ids"].numpy().astype(np.int64), weight
+
+    def closest(self, points: np.ndarray) -> Closest:
+        """Closest points to (n, 3) queries."""
+        face, weight = self.on(points)
         corner = self.triangles[face]
         # Recomputed in float64: Open3D's own point has float32's 1e-4 mm steps.
         point = np.einsum("nck,nc->nk", self.vertices[corner], weight)
