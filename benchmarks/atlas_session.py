@@ -74,7 +74,9 @@ def aligned(found: np.ndarray, truth: np.ndarray, inside: np.ndarray) -> tuple[n
         for a in (truth, found)
     ]
     start = np.zeros((*inside.shape, 2), np.float32)
-    flow = cv2.DISOpticalFlow.create(cv2.DISOpticalFlow_PRESET_MEDIUM).calc(*codes, start)
+    flow = cv2.DISOpticalFlow.create(cv2.DISOpticalFlow_PRESET_MEDIUM).calc(
+        codes[0], codes[1], start
+    )
     rows, columns = np.indices(inside.shape, np.float32)
     warped = cv2.remap(found, columns + flow[..., 0], rows + flow[..., 1], cv2.INTER_CUBIC)
     return np.asarray(warped), float(np.median(np.linalg.norm(flow[inside], axis=1)))
