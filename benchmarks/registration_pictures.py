@@ -20,11 +20,11 @@ from processing.registration.residual import residual, side_hits
 from processing.registration.stage import RegisterConfig, head_pose, register_mesh
 
 PEOPLE = {1: "neutral", 2: "smile", 3: "neutral", 4: "smile", 5: "smile"}
-SIDE_PX = 380
+SIDE_PX = 460
 SIDE_DEG = 25.0
 CHECKS = (36, 54)
 """Across and down the texture."""
-LINE = 0.045
+LINE = 0.06
 """Of a triangle's height, drawn dark."""
 LAMP = np.array([0.45, 0.5, 0.75])
 

@@ -33,6 +33,9 @@ class NonrigidConfig:
     """A round that moves no vertex farther ends its stiffness."""
     hold: float = 0.03
     """A match holds its vertex along the surface with this share of its pull onto it."""
+    settled_below_mm: float = 41.0
+    """Below this stiffness what has no match is held where it is with that share as well: coarse
+    stiffnesses have put it there, and fine ones would let it creep."""
     landmark_pull: float = 50.0
     """A landmark pulls so many times as hard as the plate resists: a point on a thin plate that
     lies on springs is held by 8 l^2, so the pull follows the stiffness l down."""
@@ -184,6 +187,11 @@ def _matched(
         plate.areas[chosen, None, None] * matrix,
         moved[chosen] + gap[:, None] * normal,
     )
+    if stiffness_mm < config.settled_below_mm:
+        # Holes and what lies beyond the scan's border are the plate's to bridge.
+        loose = np.flatnonzero(~(matches.follows & followed) & ~matches.closest.border)
+        held = config.hold * plate.areas[loose, None, None] * np.eye(3)
+        springs.add(loose, held, moved[loose])
     here = followed[matches.border]
     border = matches.border[here]
     # A border stands for a strip as wide as the stiffness.
