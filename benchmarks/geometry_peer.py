@@ -49,7 +49,7 @@ class Sgbm:
     """Parameters of OpenCV's matcher, as tuned; but for small components, which are dropped.
 
     Points were within .5 mm on most pixels with all of them kept, with 5 % of points more than
-    11 mm off: of several views' points each pixel takes the nearest.
+    11 mm off.
 
     Attributes:
         times: pictures are matched smaller by this factor.
@@ -168,9 +168,13 @@ def pair_points(
         mode=MODES[sgbm.mode],
     )
     top, bottom = (round(share * size[1]) for share in band)
+    rows = np.flatnonzero(warped[1][top:bottom].any(axis=1))
+    if not len(rows):
+        return np.zeros((0, 3)), 0
+    top, bottom = top + int(rows[0]), top + int(rows[-1]) + 1
     warped = [layer[top:bottom] for layer in warped]
-    # Disparities near the picture's edge need columns beyond it.
-    pad = count
+    # Disparities near the picture's edge need columns beyond it; they lie around 0.
+    pad = 16 + round(max(near, -far))
     left, right = (cv2.copyMakeBorder(w, 0, 0, pad, pad, cv2.BORDER_CONSTANT) for w in warped[::2])
     disparity = matcher.compute(left, right)[:, pad:-pad].astype(np.float32) / 16
     row, column = np.nonzero((disparity > far) & (warped[1] > 0))
@@ -183,15 +187,22 @@ def pair_points(
 
 
 def splat(points: np.ndarray, level: Level, index: int) -> np.ndarray:
-    """(h, w) inverse depth of points in one view at a level, the nearest point of each pixel."""
+    """(h, w) inverse depth of points in one view at a level: the median of each pixel's.
+
+    The nearest one would be too near by the points' noise.
+    """
     pose, (fx, fy, cx, cy) = level.poses[index], level.lenses[index]
     local = points @ pose[:, :3].T + pose[:, 3]
     height, width = level.masks.shape[1:]
     column = np.floor(fx * local[:, 0] / local[:, 2] + cx).astype(int)
     row = np.floor(fy * local[:, 1] / local[:, 2] + cy).astype(int)
     inside = (row >= 0) & (column >= 0) & (row < height) & (column < width)
-    out = np.zeros((height, width), np.float32)
-    np.maximum.at(out, (row[inside], column[inside]), 1 / local[inside, 2].astype(np.float32))
+    pixel, near = (row * width + column)[inside], (1 / local[inside, 2]).astype(np.float32)
+    order = np.lexsort((near, pixel))
+    which, first, count = np.unique(pixel[order], return_index=True, return_counts=True)
+    out = np.zeros(height * width, np.float32)
+    out[which] = near[order][first + count // 2]
+    out = out.reshape(height, width)
     out[~level.masks[index]] = 0
     return out
 
