@@ -18,7 +18,7 @@ SEED = 1
 USUAL = NonrigidConfig()
 SCHEDULES = {
     "usual": USUAL,
-    "two rounds a stiffness": dataclasses.replace(USUAL, iterations=2),
+    "three rounds a stiffness": dataclasses.replace(USUAL, iterations=3),
     "one round a stiffness": dataclasses.replace(USUAL, iterations=1),
     "every second stiffness": dataclasses.replace(USUAL, stiffness_mm=USUAL.stiffness_mm[::2]),
     "down to 2.5 mm": dataclasses.replace(USUAL, stiffness_mm=USUAL.stiffness_mm[:-2]),
