@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from lightstage.formats.session import Session
 from processing.decode.completing import Pair, Recipe, fill, pairs_of
 from processing.decode.diagnosis import Diagnosis, write_diagnosis
-from processing.decode.motion import Flow, PairMotion, solve_pair, warp
+from processing.decode.motion import Flow, solve_pair, warp
 from processing.decode.shrinking import free_cells, shrunk
 from processing.decode.sums import (
     ambient_ratio,
@@ -211,17 +210,17 @@ def _groups(
 def _align(view: View, pairs: Sequence[Pair], config: PrepareConfig, facts: dict[str, Any]) -> None:
     """Lay the photographs that moved upon the whole."""
     flows: dict[int, Flow] = {}
-
-    def motion_of(pair: Pair) -> PairMotion | None:
-        first, second, whole = (
-            mean_colour(view.small[n]) for n in (pair.first, pair.second, pair.whole)
+    for pair in pairs:
+        three = [mean_colour(view.small[n]) for n in (pair.first, pair.second, pair.whole)]
+        motion = solve_pair(
+            three[0],
+            three[1],
+            three[2],
+            view.free,
+            cell_px=view.cell_px,
+            px_per_mm=view.px_per_mm,
+            still_px=config.still_px,
         )
-        sizes = {"cell_px": view.cell_px, "px_per_mm": view.px_per_mm}
-        return solve_pair(first, second, whole, view.free, **sizes, still_px=config.still_px)
-
-    with ThreadPoolExecutor(2) as pool:
-        motions = list(pool.map(motion_of, pairs))
-    for pair, motion in zip(pairs, motions, strict=True):
         if motion is None:
             continue
         believed = motion.after < (1 - config.least_explained) * motion.before
