@@ -60,18 +60,26 @@ class Cost:
         return Cost(self.wall_s + other.wall_s, self.own_s + other.own_s, peak)
 
 
-def timed(call: Callable[[], object], times: int = 3, *, warm: bool = True) -> Cost:
-    """Least of some calls, after one that compiles unless compiled code is loaded anyway."""
-    if warm:
-        call()
+def timed(
+    call: Callable[[], object],
+    times: int = 3,
+    *,
+    warm: bool = True,
+    before: Callable[[], object] = lambda: None,
+) -> Cost:
+    """Least of some calls, after one that compiles unless compiled code is loaded anyway.
+
+    `before` runs ahead of each call and is not counted.
+    """
     walls, owns = [], []
-    for _ in range(times):
+    for _ in range(times + warm):
+        before()
         wall, own = time.perf_counter(), time.process_time()
         call()
         walls.append(time.perf_counter() - wall)
         owns.append(time.process_time() - own)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    return Cost(min(walls), min(owns), peak)
+    return Cost(min(walls[warm:]), min(owns[warm:]), peak)
 
 
 def naive(root: Path, out: Path, threads: int) -> Cost:
@@ -97,13 +105,12 @@ def decoded(root: Path, out: Path) -> Cost:
     del out
     opened = load_session(root)
     with tempfile.TemporaryDirectory() as name:
-        # A folder for each: what removing the last one takes is no part of the stage.
-        targets = (Path(name) / f"out{k}" for k in range(4))
-
-        def anew() -> None:
-            decode(opened, next(targets), DecodeConfig())
-
-        return timed(anew, 3)
+        target = Path(name) / "out"
+        # Removing what the last call left is no part of the stage.
+        return timed(
+            lambda: decode(opened, target, DecodeConfig()),
+            before=lambda: shutil.rmtree(target, ignore_errors=True),
+        )
 
 
 def maps_of(opened: Session, out: Path, method: str) -> PixelMaps:
