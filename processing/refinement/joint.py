@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from processing.lighting.interface import Interface
-from processing.lighting.lights import PatternLights, Shadows
+from processing.lighting.lights import PatternLights, Shadows, compiled
 from processing.lighting.lobe import fresnel_table
 from processing.refinement.joint_equations import Spread
 from processing.refinement.joint_kernels import Pixels, Solved, evidence_kernel, solve_kernel
@@ -169,14 +169,15 @@ def spread_of(noise: Noise, scattered: Scattered) -> Spread:
 def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps:
     """What `joint_light.gather` takes of the stage."""
     stray = lights.stray * lights.diffuse_share[:, None, None]
+    seen = compiled(lights, place.shadows)
     return Lamps(
-        visible=place.shadows.visible,
-        position=lights.position_mm.astype(np.float32),
-        radius=lights.radius_mm.astype(np.float32),
-        weight=lights.weight.astype(np.float32),
-        levels=lights.levels.astype(np.float32),
-        group_end=lights.group_end,
-        exponent=np.float32(lights.exponent),
+        visible=seen.visible,
+        position=seen.position,
+        radius=seen.radius,
+        weight=seen.weight,
+        levels=seen.levels,
+        group_end=seen.group_end,
+        exponent=seen.exponent,
         diffuse_share=lights.diffuse_share.astype(np.float32),
         mirrored=place.mirrored.astype(np.float32),
         stray=stray.astype(np.float32),
