@@ -12,17 +12,6 @@ FILL_WEIGHT = 0.02
 """The guess for unseen texels counts like a view of this weight, which feathers its rim."""
 
 
-def unit_towards(values: np.ndarray, normals: np.ndarray, best: np.ndarray) -> None:
-    """Make blended normals unit, in place; where little was seen they lean to the mesh's.
-
-    Args:
-        values: (k, 3) float32.
-        normals: (k, 3) float32 unit, the mesh's.
-        best: (k,) float32, the largest weight that any view has there.
-    """
-    _unit_towards(values, normals, best)
-
-
 def towards(
     values: np.ndarray,
     guess: np.ndarray,
@@ -110,7 +99,14 @@ def _sources(covered: np.ndarray, labels: np.ndarray, source: np.ndarray) -> Non
 
 
 @numba.njit(cache=True, parallel=True)
-def _unit_towards(values: np.ndarray, normals: np.ndarray, best: np.ndarray) -> None:
+def unit_towards(values: np.ndarray, normals: np.ndarray, best: np.ndarray) -> None:
+    """Make blended normals unit, in place; where little was seen they lean to the mesh's.
+
+    Args:
+        values: (k, 3) float32.
+        normals: (k, 3) float32 unit, the mesh's.
+        best: (k,) float32, the largest weight that any view has there.
+    """
     for k in numba.prange(len(values)):
         share = best[k] / (best[k] + FILL_WEIGHT)
         for turn in range(2):

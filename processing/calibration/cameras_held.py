@@ -9,7 +9,7 @@ import numpy as np
 
 from processing.calibration.boards import Sight
 from processing.calibration.cameras_fit import Adjusted, adjust
-from processing.calibration.cameras_world import onto
+from processing.calibration.cameras_world import four, onto
 
 PARTS = 4
 """Boards are left out in so many turns, each once."""
@@ -61,7 +61,7 @@ def held_out(
         fitted = adjust(left, corners_mm, cameras, found.boards, model=model, scale_px=scale_px)
         same = onto(fitted.cameras, cameras)
         for name, camera in fitted.cameras.items():
-            pose = np.vstack([camera.cam_from_world, [0, 0, 0, 1]]) @ same
+            pose = four(camera.cam_from_world) @ same
             places.setdefault(name, []).append(-pose[:3, :3].T @ pose[:3, 3])
         asked = [s for s in sights if s.shot in out and s.camera in kept]
         if not asked:
