@@ -21,7 +21,7 @@ from benchmarks.reflectance_people import SCALE
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
-from lightstage.rig import Rig
+from lightstage.rig import Camera, Rig
 from processing.frames.read import foreground_path
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import consistent_points
@@ -45,7 +45,9 @@ class Case:
         skin: the truth.
     """
 
-    def __init__(self, name: str, light: str, out: Path) -> None:
+    def __init__(
+        self, name: str, light: str, out: Path, cameras: tuple[Camera, ...] | None = None
+    ) -> None:
         """Add noise, separate.
 
         Args:
@@ -53,6 +55,7 @@ class Case:
             light: ``direct`` or ``reference``; ``frontal-direct`` and ``frontal-reference`` are the
                 three frontal views of the reflectance benchmarks, quicker to render.
             out: processed folder; what an earlier run left in it is used again.
+            cameras: None for those measured from boards.
         """
         known = person(name)
         if light.startswith("frontal-"):
@@ -61,7 +64,7 @@ class Case:
         else:
             path = session(known, light=light)
         true: Session = load_session(path)
-        cameras = measured().cameras
+        cameras = measured().cameras if cameras is None else cameras
         rig = Rig(true.rig.lights, tuple(c for c in cameras if c.id in true.camera_ids()))
         self.session = Session(true.root, true.file, rig)
         self.out = out

@@ -13,11 +13,9 @@ from lightstage.calibrations import command as calibrations_command
 from lightstage.capture import command as capture_command
 from lightstage.checks import check_session
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
-from lightstage.importing import import_session
+from lightstage.motion import command as import_command
 from lightstage.operator import command as operator_command
 from lightstage.patterns import command as patterns_command
-from lightstage.rig import load_rig
-from lightstage.session import read_calibration
 
 app = make_app("Drive the light stage: capture a session, check it, import one taken elsewhere.")
 capture_command.register(app)
@@ -25,6 +23,7 @@ calibration_command.register(app)
 operator_command.register(app)
 calibrations_command.register(app)
 patterns_command.register(app)
+import_command.register(app)
 
 
 @app.command("check")
@@ -44,26 +43,6 @@ def check_command(
         {"session": str(session), **dataclasses.asdict(report)},
         as_json,
     )
-
-
-@app.command("import")
-def import_command(
-    folder: Path = typer.Argument(help="Holds PATTERN/CAMERA.EXT (RAW, DNG or linear OpenEXR)."),
-    rig: Path = typer.Option(..., "--rig", help="rig.json: where lights and cameras stand."),
-    out: Path = typer.Option(..., "--out", help="The session's folder, new."),
-    subject: str = typer.Option("subject-1", help="Pseudonym of the person."),
-    expression: str = typer.Option("neutral"),
-    colour: Path | None = typer.Option(
-        None, help="A calibration folder, or a colour calibration alone."
-    ),
-    as_json: bool = JsonFlag,
-) -> None:
-    """Make a session of photographs taken elsewhere."""
-    the_rig = load_rig(rig)
-    calibration = None if colour is None else read_calibration(colour, the_rig)
-    with progress_bar("import") as progress:
-        frames = import_session(folder, the_rig, out, subject, expression, calibration, progress)
-    finish(f"{out}: {frames} frames imported", {"session": str(out), "frames": frames}, as_json)
 
 
 def main() -> None:

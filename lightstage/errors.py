@@ -40,6 +40,10 @@ class RigError(FormatError):
     """A rig whose lights or cameras cannot be used."""
 
 
+class MotionError(LightstageError):
+    """Photographs that do not tell where their cameras stood, or how large anything is."""
+
+
 class PatternError(LightstageError):
     """An unknown pattern, or one that the rig cannot show."""
 

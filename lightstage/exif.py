@@ -26,6 +26,9 @@ from lightstage.tiff import MAX_VALUE_BYTES, Directory, Reader, directories, dir
 EXPOSURE, F_NUMBER, ISO, ISO_SPEED = 33434, 33437, 34855, 34867
 TAKEN, OFFSET, SUBSECONDS = 36867, 36881, 37521
 MAKER_NOTE, USER_COMMENT, OWNER, BODY_SERIAL, DNG_SERIAL = 37500, 37510, 42032, 42033, 50735
+FOCAL, FOCAL_35MM, PLANE_X, PLANE_UNIT = 37386, 41989, 41486, 41488
+PLANE_UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0}
+"""FocalPlaneResolutionUnit: inch, centimetre, millimetre."""
 MAKE, MODEL, XMP, IPTC = 271, 272, 700, 33723
 NAMES = {
     315: "Artist",
@@ -68,6 +71,9 @@ class Exif:
         f_number: aperture.
         taken: DateTimeOriginal, without a zone unless the file tells it.
         private: names of the fields that may tell who or where; never what they say.
+        focal_mm: the lens's focal length.
+        focal_35mm_mm: the same for film 36 mm wide.
+        focal_plane_px_per_mm: pixels on a millimetre of the sensor.
     """
 
     make: str | None = None
@@ -78,6 +84,9 @@ class Exif:
     f_number: float | None = None
     taken: datetime.datetime | None = None
     private: tuple[str, ...] = ()
+    focal_mm: float | None = None
+    focal_35mm_mm: float | None = None
+    focal_plane_px_per_mm: float | None = None
 
 
 def read_exif(path: Path) -> Exif:
@@ -184,6 +193,7 @@ def _collect(parts: list[Directory]) -> Exif:
     iso = number(ISO)
     if iso == 65535:  # what does not fit in 16 bits stands in another field
         iso = number(ISO_SPEED) or iso
+    plane, unit = number(PLANE_X), number(PLANE_UNIT)
     return Exif(
         make=text(MAKE, kind="picture"),
         model=text(MODEL, kind="picture"),
@@ -191,6 +201,11 @@ def _collect(parts: list[Directory]) -> Exif:
         iso=None if iso is None else round(iso),
         exposure_s=number(EXPOSURE),
         f_number=number(F_NUMBER),
+        focal_mm=number(FOCAL),
+        focal_35mm_mm=number(FOCAL_35MM),
+        focal_plane_px_per_mm=None
+        if plane is None
+        else plane / PLANE_UNITS_MM.get(round(unit or 2), 25.4),
         taken=_moment(text(TAKEN), text(SUBSECONDS), text(OFFSET)),
         private=tuple(dict.fromkeys(_private(parts))),
     )

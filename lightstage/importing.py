@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from lightstage.cameras.camera import CardFile
@@ -12,28 +14,30 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import fsync_path, sha256_file
+from lightstage.formats.landmarks import read_points_px, write_points_px
 from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.photograph import identify_file
 from lightstage.rig import Rig
 from lightstage.session import Carried, SessionPlan, SessionWriter, check_pseudonym, require_new
 
 
-def find_photographs(folder: Path, rig: Rig) -> dict[str, dict[str, Path]]:
+def find_photographs(
+    folder: Path, rig: Rig, cameras: Sequence[str] | None = None
+) -> dict[str, dict[str, Path]]:
     """Photographs of a folder: pattern to camera to file, patterns in a sequence's usual order.
 
     Args:
         folder: holds PATTERN/CAMERA.EXT, or frames/PATTERN/CAMERA.EXT.
         rig: whose cameras and lights the names mean.
+        cameras: ids, where the rig's cameras are not known yet.
 
     Raises:
         FormatError, PatternError: every unknown pattern or camera, doubled or missing photograph,
             in one message.
     """
     problems: list[LightstageError] = []
-    top = folder / "frames" if (folder / "frames").is_dir() else folder
-    if not top.is_dir():
-        raise FormatError(folder, found="no such folder", expected="PATTERN/CAMERA.EXT in it")
-    ids = [camera.id for camera in rig.cameras]
+    top = _top(folder)
+    ids = [camera.id for camera in rig.cameras] if cameras is None else list(cameras)
     found: dict[str, dict[str, Path]] = {}
     for place in sorted(path for path in top.iterdir() if path.is_dir()):
         try:
@@ -71,6 +75,39 @@ def find_photographs(folder: Path, rig: Rig) -> dict[str, dict[str, Path]]:
     return {name: found[name] for name in order}
 
 
+def named_cameras(folder: Path) -> list[str]:
+    """Cameras that a folder's photographs are named after, in the order of their numbers.
+
+    Raises:
+        FormatError: no such folder.
+    """
+    names = {
+        file.stem
+        for place in _top(folder).iterdir()
+        if place.is_dir()
+        for file in place.iterdir()
+        if not file.name.startswith(".")
+    }
+    return sorted(names, key=lambda name: (re.sub(r"\d+", _padded, name), name))
+
+
+def brightest_pattern(patterns: Sequence[str], rig: Rig) -> str:
+    """The pattern that lights most: that in which cameras are looked for."""
+    return max(patterns, key=lambda name: float(pattern_levels(name, rig).sum()))
+
+
+def _padded(digits: re.Match[str]) -> str:
+    return digits[0].zfill(12)
+
+
+def _top(folder: Path) -> Path:
+    """The folder that holds the patterns' folders."""
+    top = folder / "frames" if (folder / "frames").is_dir() else folder
+    if not top.is_dir():
+        raise FormatError(folder, found="no such folder", expected="PATTERN/CAMERA.EXT in it")
+    return top
+
+
 def import_session(
     folder: Path,
     rig: Rig,
@@ -78,6 +115,7 @@ def import_session(
     subject: str,
     expression: str,
     calibration: Carried | None = None,
+    landmarks: Path | None = None,
     progress: ProgressCallback = quiet,
 ) -> int:
     """Make a session of photographs taken elsewhere; all of it appears at once, or nothing.
@@ -89,6 +127,7 @@ def import_session(
         subject: pseudonym.
         expression: such as ``neutral``.
         calibration: as read by session.read_calibration.
+        landmarks: landmarks.json, to be kept with the session.
         progress: called with photographs kept and wanted.
 
     Returns:
@@ -101,6 +140,7 @@ def import_session(
     check_pseudonym(subject, "subject")
     check_pseudonym(expression, "expression")
     require_new(out)
+    marks = None if landmarks is None else read_points_px(landmarks)
     found = find_photographs(folder, rig)
     total = sum(len(files) for files in found.values())
     beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
@@ -116,6 +156,8 @@ def import_session(
             writer.end()
         finally:
             writer.close()
+        if marks is not None:
+            write_points_px(marks, beside / "landmarks.json")
         os.replace(beside, out)
         fsync_path(out.parent)
     finally:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError
+from lightstage.formats.cameras import NAME as CAMERAS_NAME
 from lightstage.formats.files import check_schema, read_json
 from lightstage.formats.lights import read_measured_lights
 from lightstage.formats.scale import chart_levels
@@ -67,7 +68,7 @@ def carried_paths(colour: Mapping[str, Any] | None, beside: Mapping[str, bytes])
     """What session.json says under ``calibration``: kind to path in the session."""
     kinds = {} if colour is None else {"colour": COLOUR_PATH}
     folder = Path(COLOUR_PATH).parent.as_posix()
-    for kind, name in (("flats", FLATS_NAME), ("lights", LIGHTS_NAME)):
+    for kind, name in (("flats", FLATS_NAME), ("lights", LIGHTS_NAME), ("cameras", CAMERAS_NAME)):
         if name in beside:
             kinds[kind] = f"{folder}/{name}"
     return kinds

@@ -9,6 +9,7 @@ from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.board import BoardConfig
+from lightstage.formats.cameras import NAME, SCHEMA
 from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_folder, write_json
 from lightstage.rig import save_rig
@@ -17,9 +18,6 @@ from processing.calibration.cameras import CamerasConfig, MeasuredCameras, measu
 from processing.calibration.folder import SHOTS_NAME, Source
 from processing.errors import ProcessingError
 from processing.records import versions
-
-SCHEMA = "lightstage.cameras/1"
-NAME = "cameras.json"
 
 
 @dataclasses.dataclass(frozen=True)

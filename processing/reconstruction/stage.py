@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.cameras import read_session_cameras, said_approximate
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
@@ -204,7 +205,8 @@ def reconstruct_views(
 
 def _warnings(session: Session, views: list[View], poses: PoseReport) -> list[str]:
     empty = [view.camera.id for view in views if not np.isfinite(view.textures).any()]
-    said = [f"{camera} shows nothing and was not used" for camera in empty]
+    said = said_approximate(read_session_cameras(session))
+    said += [f"{camera} shows nothing and was not used" for camera in empty]
     known = {view.camera.id for view in views}
     said += [f"{c.id} has no photographs" for c in session.rig.cameras if c.id not in known]
     said += [

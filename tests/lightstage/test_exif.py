@@ -99,7 +99,15 @@ def test_what_the_simulated_camera_writes_is_read_back(tmp_path):
     counts = np.full((32, 48), 700, np.uint16)
     found = read(tmp_path, dng.dng_bytes(counts, sensor, exif))
     taken = datetime.datetime(2000, 1, 1, 12, tzinfo=datetime.UTC)
-    assert found == Exif("Nikon", "Nikon DSC D750", "6012399", 200, 1 / 40, 11.0, taken, ())
+    assert found == Exif("Nikon", "Nikon DSC D750", "6012399", 200, 1 / 40, 11.0, taken, (), 60.0)
+
+
+@pytest.mark.parametrize(("unit", "px_per_mm"), [(2, 4000 / 25.4), (3, 400.0), (4, 4000.0)])
+def test_focal_lengths_and_the_sensor_s_pixels_are_read(tmp_path, unit, px_per_mm):
+    exif = CAMERA | {37386: (5, [850, 10]), 41989: (3, [127]), 41486: (5, [4000, 1])}
+    found = read(tmp_path, tiff(NIKON, exif | {41488: (3, [unit])}))
+    assert (found.focal_mm, found.focal_35mm_mm) == (85.0, 127.0)
+    assert found.focal_plane_px_per_mm == pytest.approx(px_per_mm)
 
 
 def test_a_dng_by_another_hand_tells_only_what_stands_in_it(tmp_path):

@@ -1,0 +1,1 @@
+"""Cameras found from the photographs themselves (structure from motion)."""

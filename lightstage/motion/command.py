@@ -1,0 +1,123 @@
+"""`lightstage import`: photographs taken elsewhere, with a rig or without one."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from lightstage.commands import JsonFlag, finish, progress_bar
+from lightstage.errors import ConfigError
+from lightstage.formats.cameras import NAME
+from lightstage.importing import (
+    brightest_pattern,
+    find_photographs,
+    import_session,
+    named_cameras,
+)
+from lightstage.motion.cameras import FoundCameras, find_cameras
+from lightstage.motion.lengths import Length, parse_length
+from lightstage.motion.points import read_clicks
+from lightstage.rig import Rig, default_rig, load_rig
+from lightstage.session import Carried, read_calibration, require_new
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command `import` to an application."""
+    app.command("import")(import_command)
+
+
+def import_command(
+    folder: Path = typer.Argument(help="Holds PATTERN/CAMERA.EXT (RAW, DNG or linear OpenEXR)."),
+    rig: Path | None = typer.Option(
+        None, "--rig", help="rig.json: where lights and cameras stand. Without: see --length."
+    ),
+    out: Path = typer.Option(..., "--out", help="The session's folder, new."),
+    subject: str = typer.Option("subject-1", help="Pseudonym of the person."),
+    expression: str = typer.Option("neutral"),
+    colour: Path | None = typer.Option(
+        None, help="A calibration folder, or a colour calibration alone."
+    ),
+    landmarks: Path | None = typer.Option(
+        None, help="landmarks.json of these photographs; kept in the session."
+    ),
+    length: list[str] = typer.Option(
+        [],
+        help="Without --rig: FIRST:SECOND=MM between two cameras' lenses, two points of --points "
+        "or two landmarks (0 to 67), such as cam0:cam3=952.6. May be given several times.",
+    ),
+    points: Path | None = typer.Option(None, help="Without --rig: points.json, clicked points."),
+    front: str | None = typer.Option(
+        None,
+        help="Without --rig and landmarks: the camera before the face "
+        "[the one in the middle of all].",
+    ),
+    lights: Path | None = typer.Option(
+        None, help="Without --rig: rig.json whose lights are taken [the default rig's]."
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Make a session of photographs taken elsewhere.
+
+    Without --rig, cameras are found from the photographs themselves, and are approximate.
+    """
+    require_new(out)
+    found: FoundCameras | None = None
+    if rig is not None:
+        given = {"--length": length, "--points": points, "--front": front, "--lights": lights}
+        unused = [name for name, value in given.items() if value]
+        if unused:
+            raise ConfigError(
+                ", ".join(unused), found="together with --rig", expected="one or the other"
+            )
+        the_rig = load_rig(rig)
+    else:
+        lengths = [parse_length(text) for text in length]
+        found = _found(folder, lengths, landmarks, points, front, lights)
+        the_rig = found.rig
+        for warning in found.warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+    carried = Carried() if colour is None else read_calibration(colour, the_rig)
+    if found is not None:
+        data = json.dumps(found.facts, indent=2).encode() + b"\n"
+        carried = dataclasses.replace(carried, beside={**carried.beside, NAME: data})
+    with progress_bar("import") as progress:
+        frames = import_session(
+            folder, the_rig, out, subject, expression, carried, landmarks, progress
+        )
+    facts: dict[str, Any] = {"session": str(out), "frames": frames}
+    said = ""
+    if found is not None:
+        facts |= {"cameras": found.facts, "warnings": found.warnings}
+        said = (
+            f"; {len(the_rig.cameras)} cameras found from the photographs, approximate: "
+            f"{found.facts['residual_px']:.2f} px (mean), {found.facts['points']} points"
+        )
+    finish(f"{out}: {frames} frames imported{said}", facts, as_json)
+
+
+def _found(
+    folder: Path,
+    lengths: list[Length],
+    landmarks: Path | None,
+    points: Path | None,
+    front: str | None,
+    lights: Path | None,
+) -> FoundCameras:
+    stage = default_rig() if lights is None else load_rig(lights)
+    photographs = find_photographs(folder, stage, named_cameras(folder))
+    chosen = brightest_pattern(list(photographs), Rig(stage.lights, ()))
+    with progress_bar("cameras") as progress:
+        return find_cameras(
+            photographs[chosen],
+            stage.lights,
+            lengths,
+            clicks=None if points is None else read_clicks(points),
+            landmarks=None if landmarks is None else read_clicks(landmarks),
+            front=front,
+            progress=progress,
+        )

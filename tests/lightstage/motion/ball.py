@@ -1,0 +1,47 @@
+"""A textured ball on a black ground, photographed from known places."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.formats.exr import write_exr
+from lightstage.rig import Camera, default_rig
+
+RADIUS_MM = 90.0
+
+
+def cameras(ids: tuple[int, ...] = (0, 1, 2, 5, 6), factor: float = 0.1) -> list[Camera]:
+    """Cameras of the default rig with few pixels."""
+    rig = default_rig().scaled(factor)
+    return [rig.camera(f"cam{k}") for k in ids]
+
+
+def photograph(camera: Camera, seed: int = 3, noise: float = 0.001) -> np.ndarray:
+    """(h, w, 3) linear light of the ball under light from everywhere; blobs of 2 to 30 mm on it."""
+    origin, rays = camera.pixel_rays()
+    along = rays @ origin
+    root = along**2 - (origin @ origin - RADIUS_MM**2)
+    hit = (root > 0) & (along < 0)
+    distance = np.where(hit, -along - np.sqrt(np.maximum(root, 0)), 0)
+    points = origin + rays * distance[..., None]
+    rng = np.random.default_rng(seed)
+    value = np.full(points.shape[:2], 0.5)
+    for _ in range(60):
+        length = np.exp(rng.uniform(np.log(5.0), np.log(40.0)))
+        direction = rng.normal(size=3)
+        wave = 2 * np.pi / length * direction / np.linalg.norm(direction)
+        value += 0.03 * np.sin(points @ wave + rng.uniform(0, 2 * np.pi))
+    light = np.where(hit, np.clip(value, 0.02, 1), 0)[..., None] * np.array([1.0, 0.8, 0.6])
+    camera_number = int(camera.id.removeprefix("cam"))
+    light += np.random.default_rng([seed, camera_number]).normal(0, noise, light.shape)
+    return light.astype(np.float32)
+
+
+def put(folder: Path, cams: list[Camera], patterns: tuple[str, ...] = ("full",)) -> dict[str, Path]:
+    """Write PATTERN/CAMERA.exr; the first pattern's photographs by camera."""
+    for pattern in patterns:
+        for camera in cams:
+            write_exr(folder / pattern / f"{camera.id}.exr", photograph(camera))
+    return {camera.id: folder / patterns[0] / f"{camera.id}.exr" for camera in cams}
