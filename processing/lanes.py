@@ -48,7 +48,7 @@ def _place(context: Any, builder: Any, signature: Any, args: Any) -> Any:
 
 @intrinsic
 def load(typing_context: Any, array: Any, first: Any) -> Any:
-    """The eight numbers of a flat float32 array from an index on (not checked)."""
+    """The eight numbers of a C-contiguous float32 array from a flat index on (not checked)."""
     del typing_context, first
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -59,7 +59,7 @@ def load(typing_context: Any, array: Any, first: Any) -> Any:
 
 @intrinsic
 def store(typing_context: Any, array: Any, first: Any, value: Any) -> Any:
-    """Write eight numbers into a flat float32 array from an index on (not checked)."""
+    """Write eight numbers into a C-contiguous float32 array from a flat index on (not checked)."""
     del typing_context, first, value
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:

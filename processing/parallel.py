@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 T = TypeVar("T")
+P = ParamSpec("P")
 
 BUDGET_BYTES = 5 * 2**29
 """What the views that are worked on at once may take together: 2.5 GiB."""
@@ -40,8 +41,38 @@ def over_views(
                 while rest and len(waiting) < at_once:
                     camera = rest.pop(0)
                     waiting.append((camera, pool.submit(work, camera)))
-                camera, future = waiting.pop(0)
-                yield camera, future.result()
+                # No name may hold a result here: it is let go when the caller lets it go.
+                yield waiting[0][0], waiting.pop(0)[1].result()
         finally:
             for _, future in waiting:
                 future.cancel()
+
+
+class Behind:
+    """Work done while its giver goes on, in the order given; a with block ends when all is done.
+
+    An error of it is raised by a later `do`, or at the end; what has not begun then is left out.
+    """
+
+    def __init__(self, most: int) -> None:
+        """At most so many at once, the giver waits where more are asked for."""
+        self._most = most
+        self._pool = ThreadPoolExecutor(most)
+        self._waiting: list[Future[object]] = []
+
+    def __enter__(self) -> Behind:
+        return self
+
+    def do(self, work: Callable[P, object], *args: P.args, **more: P.kwargs) -> None:
+        """Begin, after the oldest has ended where as many as may be are under way."""
+        if len(self._waiting) == self._most:
+            self._waiting.pop(0).result()
+        self._waiting.append(self._pool.submit(work, *args, **more))
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        del rest
+        try:
+            while kind is None and self._waiting:
+                self._waiting.pop(0).result()
+        finally:
+            self._pool.shutdown(cancel_futures=True)

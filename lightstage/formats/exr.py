@@ -9,7 +9,7 @@ import OpenEXR
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path
-from lightstage.formats.half import float_from_half, half_from_float
+from lightstage.formats.half import float_from_half, half_from_float, is_finite
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 
@@ -36,11 +36,7 @@ def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
     with np.errstate(over="ignore"):
         pixels = np.ascontiguousarray(pixels, np.float32)
     if half:
-        pixels, fits = half_from_float(pixels)
-        if not fits:
-            raise FormatError(
-                path, found="values above 65504", expected="values that half can hold"
-            )
+        pixels = _narrowed(pixels, path)
     channels = {"Y": pixels} if pixels.ndim == 2 else {"RGB": pixels}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic_path(path) as beside, OpenEXR.File(header, channels) as file:
@@ -61,6 +57,49 @@ def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:
     Raises:
         FormatError: missing, truncated, other channels than R G B or Y, or not finite.
     """
+    stored = _stored(path)
+    if stored.dtype == np.float16:
+        image, whole = float_from_half(stored)
+    else:
+        image = np.array(stored, np.float32, order="C")
+        whole = not finite or bool(np.isfinite(image).all())
+    if finite and not whole:
+        require_finite(image, path)
+    return image
+
+
+def read_half_exr(path: Path) -> np.ndarray:
+    """Read a picture as it is stored, in half floats: half the memory of `read_exr`.
+
+    Args:
+        path: the file; wider numbers are rounded.
+
+    Returns:
+        (h, w, 3) or (h, w) float16, finite.
+
+    Raises:
+        FormatError: as `read_exr`, or beyond what half floats hold.
+    """
+    stored = _stored(path)
+    if stored.dtype == np.float16:
+        half = np.ascontiguousarray(stored)
+        if not is_finite(half):
+            require_finite(half, path)
+        return half
+    wide = np.array(stored, np.float32, order="C")
+    require_finite(wide, path)
+    return _narrowed(wide, path)
+
+
+def _narrowed(image: np.ndarray, where: Path) -> np.ndarray:
+    half, fits = half_from_float(image)
+    if not fits:
+        raise FormatError(where, found="values above 65504", expected="values that half can hold")
+    return half
+
+
+def _stored(path: Path) -> np.ndarray:
+    """The channels R G B or Y as the file has them."""
     if not path.is_file():
         raise FormatError(path, found="no such file", expected="an OpenEXR picture")
     with path.open("rb") as handle:
@@ -82,15 +121,8 @@ def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:
     key = "RGB" if "RGB" in pixels else "RGBA" if "RGBA" in pixels else "Y"
     if key not in pixels:
         raise FormatError(path, found=f"channels {names}", expected="R G B or Y")
-    stored = pixels[key][:, :, :3] if pixels[key].ndim == 3 else pixels[key]
-    if stored.dtype == np.float16:
-        image, whole = float_from_half(stored)
-    else:
-        image = np.array(stored, np.float32, order="C")
-        whole = not finite or bool(np.isfinite(image).all())
-    if finite and not whole:
-        require_finite(image, path)
-    return image
+    found: np.ndarray = pixels[key]
+    return found[:, :, :3] if found.ndim == 3 else found
 
 
 def require_finite(image: np.ndarray, where: str | Path) -> None:

@@ -83,6 +83,24 @@ def half_from_float(values: np.ndarray) -> tuple[np.ndarray, bool]:
     return out.view(np.float16), large == 0
 
 
+def is_finite(half: np.ndarray) -> bool:
+    """Whether no value is NaN or infinite.
+
+    Args:
+        half: float16 of any shape, C-contiguous.
+    """
+    return bool(_special(half.view(np.uint16).reshape(-1)) == 0)
+
+
+@njit(cache=True, nogil=True)
+def _special(bits: np.ndarray) -> int:
+    """How many are not finite."""
+    special = 0
+    for i in range(len(bits)):
+        special += (bits[i] & _SPECIAL) == _SPECIAL
+    return special
+
+
 @njit(cache=True, nogil=True)
 def _widen(bits: np.ndarray, out: np.ndarray) -> int:
     """Fill `out`; how many are not finite."""

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from lightstage.errors import FormatError
-from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.exr import read_exr, read_half_exr, write_exr
 from lightstage.formats.files import atomic_path
 
 
@@ -87,6 +87,10 @@ class ProcessedFolder:
         """Read a view's map: (h, w) or (h, w, 3) float32, finite."""
         return read_map(self.view_path(camera, name), name)
 
+    def read_half_view(self, camera: str, name: str) -> np.ndarray:
+        """Read a view's map: (h, w) or (h, w, 3) float16, finite."""
+        return read_map(self.view_path(camera, name), name, half=True)
+
     def write_mask(self, camera: str, mask: np.ndarray) -> Path:
         """Write a view's (h, w) bool mask as PNG."""
         with atomic_path(self.mask_path(camera)) as beside:
@@ -118,10 +122,14 @@ def write_map(path: Path, name: str, image: np.ndarray) -> Path:
     return write_exr(path, image, half=spec.half)
 
 
-def read_map(path: Path, name: str) -> np.ndarray:
-    """Read one map; FormatError when it is missing, has NaN, or other channels than its name's."""
+def read_map(path: Path, name: str, *, half: bool = False) -> np.ndarray:
+    """Read one map, as float32 or as half floats.
+
+    Raises:
+        FormatError: it is missing, has NaN, or other channels than its name's.
+    """
     spec = _spec(name)
-    image = read_exr(path, finite=True)
+    image = read_half_exr(path) if half else read_exr(path, finite=True)
     if (1 if image.ndim == 2 else image.shape[2]) != spec.channels:
         raise FormatError(path, found=f"shape {image.shape}", expected=f"{spec.channels} channels")
     return image

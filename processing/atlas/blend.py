@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from processing.atlas.sampling import accumulate, low_band, weigh_up
+from processing.atlas.sampling import Sharing, accumulate, low_band, weigh_up
 from processing.atlas.weights import ViewSamples, WeightConfig
 
 
@@ -33,50 +33,27 @@ class Blender:
 
         Args:
             best: (n,) float32, the largest weight that any view has at each texel.
-            views: their samples; those that no pixel serves get the weight 0.
+            views: their samples; those that no pixel serves are passed over.
             config: settings.
         """
-        self._config, self._best, self._views = config, best, views
+        self._band_mm, self._views = config.band_mm, views
+        self._sharing = Sharing(best, config.detail_power, config.detail_least)
         self._total = np.zeros((len(best), 2), np.float32)
         for samples in views:
-            weigh_up(
-                samples.usable,
-                samples.slot,
-                samples.pixel,
-                samples.weight,
-                best,
-                config.detail_power,
-                config.detail_least,
-                self._total,
-            )
+            weigh_up(samples.reading, self._sharing, self._total)
 
     def add(self, view: int, image: np.ndarray, out: np.ndarray) -> None:
-        """Add one view's map to the blended one.
+        """Add one view's maps to the blended ones.
 
         Args:
             view: which of the views.
-            image: (h, w) or (h, w, c) float32.
-            out: (n, c) float32, zero before the first view; when all are added it holds the
+            image: (h, w, d) of `side_by_side`, the view's window of all maps.
+            out: (n, d) float32, zero before the first view; when all are added it holds the
                 blended values, and 0 where no view sees the texel.
         """
         samples = self._views[view]
-        if not len(samples.slot):
+        if not len(samples.reading.slot):
             return
-        image = np.ascontiguousarray(image, np.float32).reshape(*image.shape[:2], -1)
-        sigma = max(self._config.band_mm / samples.footprint_mm, 0.5)
-        low = low_band(image, samples.usable, sigma)
-        accumulate(
-            image,
-            samples.usable,
-            low.sums,
-            low.counts,
-            low.step,
-            samples.slot,
-            samples.pixel,
-            samples.weight,
-            self._best,
-            self._config.detail_power,
-            self._config.detail_least,
-            self._total,
-            out,
-        )
+        sigma = max(self._band_mm / samples.footprint_mm, 0.5)
+        low = low_band(image, samples.reading.usable, sigma)
+        accumulate(image, low, samples.reading, self._sharing, self._total, out)

@@ -7,7 +7,7 @@ import dataclasses
 import numba
 import numpy as np
 
-from processing.atlas.weights import ViewSamples
+from processing.atlas.sampling import Reading
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,9 +31,9 @@ class Seen:
             np.zeros(texels, np.float32), np.full(texels, -1, np.int16), np.zeros(texels, np.int16)
         )
 
-    def add(self, samples: ViewSamples, index: int) -> None:
+    def add(self, reading: Reading, index: int) -> None:
         """Enter a view; of views with the same weight the first one stays."""
-        _note(samples.slot, samples.weight, index, self.best, self.heaviest, self.count)
+        _note(reading.slot, reading.weight, index, self.best, self.heaviest, self.count)
 
 
 @numba.njit(cache=True, parallel=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,11 @@ from processing.atlas.blend import BlendConfig, Blender
 from processing.atlas.fill import BY_DIFFUSION, MeshFill, mirrored_vertices
 from processing.atlas.finish import gutter_sources, picture, towards, unit_towards
 from processing.atlas.geometry import Geometry
+from processing.atlas.sampling import room, side_by_side
 from processing.atlas.seen import Seen
-from processing.atlas.weights import Texels, ViewSamples, view_samples
+from processing.atlas.weights import Sampler, Texels, ViewSamples
 from processing.errors import AtlasError
+from processing.parallel import Behind, over_views
 from processing.registration.target import Target
 
 BLENDED = (
@@ -35,6 +38,8 @@ NORMALS = ("diffuse_normal", "specular_normal")
 OPTIONAL = ("roughness",)
 """Blended where every view has it."""
 MOST_OVERLAP = 0.01
+AHEAD = 2
+"""Views that are read, or maps that are written, while others are worked on."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,7 +106,7 @@ def atlas(
         if name not in OPTIONAL
         or all(folder.view_path(camera.id, name).is_file() for camera in cameras.values())
     ]
-    total = len(cameras) * (1 + len(names))
+    total = 2 * len(cameras) + len(names)
     shape = Geometry.of(mesh, config.rows)
     flat = shape.tiles.flat
     texels = Texels.of(
@@ -110,25 +115,25 @@ def atlas(
         shape.at(_trust(folder, shape, config))[:, 0],
         shape.tiles.start,
     )
-    views: list[ViewSamples] = []
+    views: dict[str, ViewSamples] = {}
     seen = Seen.none(len(flat))
     middle = shape.vertices.mean(axis=0)
     finest = min(np.linalg.norm(c.centre_mm - middle) / c.fx_px for c in cameras.values())
-    for index, camera in cameras.items():
-        found = view_samples(
-            camera,
-            shape.vertices,
-            shape.triangles,
-            texels,
-            folder.read_view(camera.id, "confidence"),
-            folder.read_mask(camera.id),
-            folder.read_view(camera.id, "diffuse_normal"),
-            float(finest),
-            config.blend.weights,
-        )
-        seen.add(found, index)
-        views.append(found)
+    sampler = Sampler(shape.vertices, shape.triangles, texels, float(finest), config.blend.weights)
+    given = over_views(
+        lambda camera: (
+            folder.read_view(camera, "confidence"),
+            folder.read_mask(camera),
+            folder.read_half_view(camera, "diffuse_normal"),
+        ),
+        [camera.id for camera in cameras.values()],
+        AHEAD,
+    )
+    for (index, camera), (_, maps) in zip(cameras.items(), given, strict=True):
+        views[camera.id] = sampler.look(camera, *maps)
+        seen.add(views[camera.id].reading, index)
         progress(len(views), total)
+    del sampler, maps
     best = seen.best
     if not best.any():
         raise AtlasError(
@@ -137,43 +142,72 @@ def atlas(
             expected="masks and confidences above 0 on it",
             hint="Do rig.json and the mesh share world coordinates?",
         )
-    gutter = gutter_sources(shape.raster.face >= 0, config.gutter_px)
-    size = shape.raster.face.shape
+    facts = _facts(shape, config, best, list(views.values()))
+    with Behind(AHEAD) as behind:
+        gutter = gutter_sources(shape.raster.face >= 0, config.gutter_px)
+        size = shape.raster.face.shape
 
-    def write(name: str, values: np.ndarray) -> None:
-        outside = -1.0 if name == "view" else 0.0
-        folder.write_atlas(name, picture(values, size, flat, gutter, outside))
+        def write(name: str, values: np.ndarray) -> None:
+            outside = -1.0 if name == "view" else 0.0
+            behind.do(folder.write_atlas, name, picture(values, size, flat, gutter, outside))
 
-    write("position", texels.positions)
-    write("view", seen.heaviest)
-    write("confidence", best)
-    write("coverage", seen.count)
-    facts = _facts(shape, config, best, views)
-    normals = texels.normals
-    del texels, seen
-    mirror = mirrored_vertices(template.mesh.vertices, config.mirror_mm)
-    fill = MeshFill(shape.vertices, shape.triangles, shape.raster, flat, best, mirror)
-    kind = np.round(shape.at(fill.kind[:, None].astype(float)))[:, 0]
-    write("filled", np.where(best > 0, 0, np.clip(kind, 1, BY_DIFFUSION)))
-    del kind
-    blender = Blender(best, views, config.blend)
-    for number, name in enumerate(names, 1):
-        values = np.zeros((len(flat), MAPS[name].channels), np.float32)
-        for view, camera in enumerate(cameras.values()):
-            if len(views[view].slot):
-                blender.add(view, folder.read_view(camera.id, name), values)
-            progress(number * len(cameras) + view + 1, total)
-        if name in NORMALS:
-            # Unseen texels have the mesh's own normal.
-            unit_towards(values, normals, best)
-        else:
-            guess = fill.vertex_values(values)
-            towards(values, guess, shape.raster, shape.triangles, flat, best)
-        write(name, values)
-        if name == "specular_normal":
-            write("tangent_normal", shape.tangent(values))
+        write("position", texels.positions)
+        write("view", seen.heaviest)
+        write("confidence", best)
+        write("coverage", seen.count)
+        del texels, seen
+        mirror = mirrored_vertices(template.mesh.vertices, config.mirror_mm)
+        fill = MeshFill(shape.vertices, shape.triangles, shape.raster, flat, best, mirror)
+        kind = np.round(shape.at(fill.kind[:, None].astype(float)))[:, 0]
+        write("filled", np.where(best > 0, 0, np.clip(kind, 1, BY_DIFFUSION)))
+        del kind
+        values = _blended(
+            folder, views, names, best, config, lambda n: progress(n + len(cameras), total)
+        )
+        views.clear()
+        normals = shape.normals()
+        first = 0
+        for number, name in enumerate(names, 1):
+            own = values[:, first : first + MAPS[name].channels]
+            first += MAPS[name].channels
+            if name in NORMALS:
+                # Unseen texels have the mesh's own normal.
+                unit_towards(own, normals, best)
+            else:
+                towards(own, fill.vertex_values(own), shape.raster, shape.triangles, flat, best)
+            write(name, own)
+            if name == "specular_normal":
+                write("tangent_normal", shape.tangent(own))
+            progress(total - len(names) + number, total)
     written = ["tangent_normal"] if "specular_normal" in names else []
     return {**facts, "maps": [*names, *written]}
+
+
+def _blended(
+    folder: ProcessedFolder,
+    views: dict[str, ViewSamples],
+    names: list[str],
+    best: np.ndarray,
+    config: AtlasConfig,
+    done: Callable[[int], None],
+) -> np.ndarray:
+    """(k, d) float32 blended values of some maps, their channels one after the other."""
+    channels = sum(MAPS[name].channels for name in names)
+    values = np.zeros((len(best), room(channels)), np.float32)
+    blender = Blender(best, list(views.values()), config.blend)
+    place = {camera: number for number, camera in enumerate(views)}
+
+    def side(camera: str) -> np.ndarray:
+        window = views[camera].window
+        pictures = (folder.read_half_view(camera, name)[window] for name in names)
+        return side_by_side(pictures, channels)
+
+    looking = [camera for camera, samples in views.items() if len(samples.reading.slot)]
+    for count, (camera, image) in enumerate(over_views(side, looking, AHEAD), 1):
+        blender.add(place[camera], image, values)
+        del image
+        done(count)
+    return values
 
 
 def _registered(folder: ProcessedFolder, template: Template) -> Mesh:
@@ -240,7 +274,7 @@ def _facts(
         "views": len(views),
         "covered_share": len(flat) / shape.raster.face.size,
         "seen_share": float(seen.mean()),
-        "views_per_seen_texel": float(sum(len(v.slot) for v in views) / seen.sum()),
+        "views_per_seen_texel": float(sum(len(v.reading.slot) for v in views) / seen.sum()),
         "tiles_looked_at_share": sum(v.tiles for v in views)
         / (len(views) * (len(shape.tiles.start) - 1)),
         "texel_mm_median": shape.texel_mm_median(seen),

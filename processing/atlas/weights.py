@@ -7,13 +7,16 @@ import dataclasses
 import numba
 import numpy as np
 
+from lightstage.formats.half import as_float
 from lightstage.rig import Camera
-from processing.atlas.sampling import readable
+from processing.atlas.sampling import Reading, readable
 from processing.atlas.tiles import TileBounds, bound
 from processing.atlas.visibility import depth_buffer, silhouette_distance
 
 LEAST_WEIGHT = 1e-6
 """Texels of less weight count as not seen."""
+FRAME_PX = 2
+"""Around what may be read: one for neighbours, one that is surely outside."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,111 +72,153 @@ class ViewSamples:
     """What one view sees of the atlas; one entry a seen texel.
 
     Attributes:
-        slot: (k,) int32, position in the list of covered texels.
-        pixel: (k, 2) float32 where the texel lies in the picture (first pixel's centre at 0.5).
-        weight: (k,) float32 in 0..1.
-        usable: (h, w) uint8 of `sampling.readable`, pixels that may be read.
+        window: rows and columns of the view's maps that are ever read.
+        reading: where in that window.
         footprint_mm: width of a pixel on the surface.
         tiles: how many tiles were looked at; the others cannot face the view.
     """
 
-    slot: np.ndarray
-    pixel: np.ndarray
-    weight: np.ndarray
-    usable: np.ndarray
+    window: tuple[slice, slice]
+    reading: Reading
     footprint_mm: float
     tiles: int = 0
 
 
-def view_samples(
-    camera: Camera,
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    texels: Texels,
-    confidence: np.ndarray,
-    mask: np.ndarray,
-    measured: np.ndarray,
-    finest_mm: float,
-    config: WeightConfig,
-) -> ViewSamples:
-    """Which texels a view sees and with what weight.
+class Sampler:
+    """Looks at the atlas's texels through one view after the other."""
 
-    The weight is cos^2 of the viewing angle x resolution (the pixel's area on a facing surface
-    against the finest view's) x the view's own confidence x the distance to its silhouettes x the
-    trust in the surface there x the agreement of measured and mesh normal.
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        triangles: np.ndarray,
+        texels: Texels,
+        finest_mm: float,
+        config: WeightConfig,
+    ) -> None:
+        """Keep what all views share.
+
+        Args:
+            vertices: (n, 3) mm, the mesh that occludes.
+            triangles: (t, 3).
+            texels: where the atlas's texels are.
+            finest_mm: width of a pixel at the head's middle in the finest view.
+            config: settings.
+        """
+        self._vertices, self._triangles, self._texels = vertices, triangles, texels
+        self._finest_mm, self._config = finest_mm, config
+        # Filled anew for every view: one as long as needed would be cleared by the system first.
+        count = len(texels.positions)
+        self._slot = np.empty(count, np.int32)
+        self._pixel = np.empty((count, 2), np.float32)
+        self._weight = np.empty(count, np.float32)
+
+    def look(
+        self, camera: Camera, confidence: np.ndarray, mask: np.ndarray, measured: np.ndarray
+    ) -> ViewSamples:
+        """Which texels a view sees and with what weight.
+
+        The weight is cos^2 of the viewing angle x resolution (the pixel's area on a facing surface
+        against the finest view's) x the view's own confidence x the distance to its silhouettes x
+        the trust in the surface there x the agreement of measured and mesh normal.
+
+        Args:
+            camera: the view.
+            confidence: (h, w) float32, the view's.
+            mask: (h, w) bool, the face.
+            measured: (h, w, 3) float16, the view's normals.
+        """
+        config, texels = self._config, self._texels
+        usable = mask & (confidence > 0)
+        window = window_of(usable)
+        usable = np.ascontiguousarray(usable[window])
+        tiles = texels.bounds.seen_from(camera.centre_mm, config.least_cos)
+        if not len(tiles) or not usable.any():
+            none = np.zeros((0, 2), np.float32)
+            nothing = Reading(usable.view(np.uint8), none[:, 0].astype(np.int32), none, none[:, 0])
+            return ViewSamples(window, nothing, 1.0)
+        camera = dataclasses.replace(
+            camera,
+            cx_px=camera.cx_px - window[1].start,
+            cy_px=camera.cy_px - window[0].start,
+            width_px=usable.shape[1],
+            height_px=usable.shape[0],
+        )
+        depth = depth_buffer(camera, self._vertices, self._triangles)
+        seen = usable & np.isfinite(depth)
+        distance_mm = float(np.median(depth[seen])) if seen.any() else 1.0
+        footprint = distance_mm / camera.fx_px
+        edge = silhouette_distance(depth, usable, max(config.jump_mm, 8 * footprint))
+        quality = np.zeros_like(edge)
+        _feather(
+            edge,
+            np.ascontiguousarray(confidence[window]),
+            config.erode_px,
+            footprint / config.feather_mm,
+            quality,
+        )
+        doubt, disbelief = np.cos(np.deg2rad([config.doubt_deg, config.disbelief_deg]))
+        counts = np.zeros(len(tiles), np.int64)
+        _weigh(
+            tiles,
+            texels.start,
+            np.asarray(camera.cam_from_world, np.float64),
+            np.asarray(camera.centre_mm, np.float64),
+            np.array(
+                [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.dist], np.float64
+            ),
+            texels.positions,
+            texels.normals,
+            texels.trust,
+            depth,
+            quality,
+            np.ascontiguousarray(measured[window], np.float16).view(np.uint16),
+            np.array(
+                [
+                    config.least_cos,
+                    config.bias_mm,
+                    config.bias_px,
+                    doubt,
+                    disbelief,
+                    self._finest_mm,
+                ]
+            ),
+            self._slot,
+            self._pixel,
+            self._weight,
+            counts,
+        )
+        ends = np.cumsum(counts)
+        total = int(ends[-1])
+        reading = Reading(
+            # What is not read sharply must not be read through the blur either.
+            readable(usable & (edge > 0)),
+            np.empty(total, np.int32),
+            np.empty((total, 2), np.float32),
+            np.empty(total, np.float32),
+        )
+        first = texels.start[tiles]
+        _gather(first, counts, ends, self._slot, reading.slot)
+        _gather(first, counts, ends, self._pixel, reading.pixel)
+        _gather(first, counts, ends, self._weight, reading.weight)
+        return ViewSamples(window, reading, footprint, len(tiles))
+
+
+def window_of(usable: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns around what is usable, with a frame of two that is not where there is one.
+
+    Nothing outside it can be nearer to a usable pixel than the frame is.
 
     Args:
-        camera: the view.
-        vertices: (n, 3) mm, the mesh that occludes.
-        triangles: (t, 3).
-        texels: where the atlas's texels are.
-        confidence: (h, w) the view's.
-        mask: (h, w) bool, the face.
-        measured: (h, w, 3) the view's normals.
-        finest_mm: width of a pixel at the head's middle in the finest view.
-        config: settings.
-
-    Returns:
-        ViewSamples.
+        usable: (h, w) bool.
     """
-    usable = mask & (confidence > 0)
-    tiles = texels.bounds.seen_from(camera.centre_mm, config.least_cos)
-    if not len(tiles) or not usable.any():
-        none = np.zeros((0, 2), np.float32)
-        return ViewSamples(none[:, 0].astype(np.int32), none, none[:, 0], readable(usable), 1.0, 0)
-    depth = depth_buffer(camera, vertices, triangles)
-    seen = usable & np.isfinite(depth)
-    distance_mm = float(np.median(depth[seen])) if seen.any() else 1.0
-    footprint = distance_mm / camera.fx_px
-    edge = silhouette_distance(depth, usable, max(config.jump_mm, 8 * footprint))
-    quality = np.zeros_like(edge)
-    _feather(edge, confidence, config.erode_px, footprint / config.feather_mm, quality)
-    doubt, disbelief = np.cos(np.deg2rad([config.doubt_deg, config.disbelief_deg]))
-    weight = np.zeros(len(texels.positions), np.float32)
-    pixel = np.empty((len(weight), 2), np.float32)
-    counts = np.zeros(len(tiles), np.int64)
-    lens = np.array(
-        [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.dist], np.float64
+    rows, columns = np.flatnonzero(usable.any(axis=1)), np.flatnonzero(usable.any(axis=0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    height, width = usable.shape
+    return (
+        slice(max(int(rows[0]) - FRAME_PX, 0), min(int(rows[-1]) + 1 + FRAME_PX, height)),
+        slice(max(int(columns[0]) - FRAME_PX, 0), min(int(columns[-1]) + 1 + FRAME_PX, width)),
     )
-    _weigh(
-        tiles,
-        texels.start,
-        np.asarray(camera.cam_from_world, np.float64),
-        np.asarray(camera.centre_mm, np.float64),
-        lens,
-        texels.positions,
-        texels.normals,
-        texels.trust,
-        depth,
-        quality,
-        np.ascontiguousarray(measured, np.float32),
-        np.array([config.least_cos, config.bias_mm, config.bias_px, doubt, disbelief, finest_mm]),
-        weight,
-        pixel,
-        counts,
-    )
-    ends = np.cumsum(counts)
-    total = int(ends[-1])
-    samples = ViewSamples(
-        np.empty(total, np.int32),
-        np.empty((total, 2), np.float32),
-        np.empty(total, np.float32),
-        # What is not read sharply must not be read through the blur either.
-        readable(usable & (edge > 0)),
-        footprint,
-        len(tiles),
-    )
-    _gather(
-        tiles,
-        texels.start,
-        ends - counts,
-        weight,
-        pixel,
-        samples.slot,
-        samples.pixel,
-        samples.weight,
-    )
-    return samples
 
 
 @numba.njit(cache=True, parallel=True)
@@ -190,25 +235,12 @@ def _feather(
 
 @numba.njit(cache=True, parallel=True)
 def _gather(
-    tiles: np.ndarray,
-    start: np.ndarray,
-    first: np.ndarray,
-    weight: np.ndarray,
-    pixel: np.ndarray,
-    slot: np.ndarray,
-    found_pixel: np.ndarray,
-    found_weight: np.ndarray,
+    first: np.ndarray, counts: np.ndarray, ends: np.ndarray, tiled: np.ndarray, out: np.ndarray
 ) -> None:
-    """The texels of some weight, one after the other."""
-    for i in numba.prange(len(tiles)):
-        at = first[i]
-        for k in range(start[tiles[i]], start[tiles[i] + 1]):
-            if weight[k] > LEAST_WEIGHT:
-                slot[at] = k
-                found_pixel[at, 0] = pixel[k, 0]
-                found_pixel[at, 1] = pixel[k, 1]
-                found_weight[at] = weight[k]
-                at += 1
+    """What tiles hold from their first places on, one after the other."""
+    for i in numba.prange(len(first)):
+        count = counts[i]
+        out[ends[i] - count : ends[i]] = tiled[first[i] : first[i] + count]
 
 
 @numba.njit(cache=True, parallel=True)
@@ -225,15 +257,17 @@ def _weigh(
     quality: np.ndarray,
     measured: np.ndarray,
     limits: np.ndarray,
-    weight: np.ndarray,
+    slot: np.ndarray,
     pixel: np.ndarray,
+    weight: np.ndarray,
     counts: np.ndarray,
 ) -> None:
-    """Fill weight and pixel of some tiles' texels, and how many of them have any weight."""
+    """Texels of some weight, each tile's from its first place on, and how many a tile has."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
     least_cos, bias_mm, bias_px, doubt, disbelief, finest = limits
     height, width = depth.shape
     for i in numba.prange(len(tiles)):
+        at = start[tiles[i]]
         for k in range(start[tiles[i]], start[tiles[i] + 1]):
             if not trust[k] > 0:
                 continue
@@ -265,13 +299,15 @@ def _weigh(
             if z > depth[row, column] + bias_mm + bias_px * footprint * slope:
                 continue
             agreement = (
-                measured[row, column, 0] * normals[k, 0]
-                + measured[row, column, 1] * normals[k, 1]
-                + measured[row, column, 2] * normals[k, 2]
+                as_float(measured[row, column, 0]) * normals[k, 0]
+                + as_float(measured[row, column, 1]) * normals[k, 1]
+                + as_float(measured[row, column, 2]) * normals[k, 2]
             )
             believed = min(max((agreement - disbelief) / (doubt - disbelief), 0.0), 1.0)
             sharp = min(1.0, (finest / footprint) ** 2)
-            weight[k] = cosine * cosine * sharp * good * trust[k] * believed
-            pixel[k, 0] = u
-            pixel[k, 1] = v
-            counts[i] += weight[k] > LEAST_WEIGHT
+            here = np.float32(cosine * cosine * sharp * good * trust[k] * believed)
+            if here > LEAST_WEIGHT:
+                slot[at], weight[at] = k, here
+                pixel[at, 0], pixel[at, 1] = u, v
+                at += 1
+        counts[i] = at - start[tiles[i]]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lightstage.errors import FormatError
-from lightstage.formats.exr import read_exr, require_finite, write_exr
+from lightstage.formats.exr import read_exr, read_half_exr, require_finite, write_exr
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (1, 1), (1, 9, 3)])
@@ -94,3 +94,31 @@ def test_other_channels_are_refused(tmp_path):
 
 def test_finite_arrays_pass():
     require_finite(np.zeros((2, 2)), "x")
+
+
+def test_half_floats_are_read_as_they_are_stored_and_wider_numbers_rounded(tmp_path):
+    image = np.random.default_rng(0).normal(size=(20, 31, 3)).astype(np.float32)
+    for half in (True, False):
+        path = write_exr(tmp_path / f"{half}.exr", image, half=half)
+        found = read_half_exr(path)
+        assert found.dtype == np.float16
+        assert found.flags.c_contiguous
+        assert np.array_equal(found, image.astype(np.float16))
+    flat = write_exr(tmp_path / "flat.exr", image[..., 0])
+    assert read_half_exr(flat).shape == (20, 31)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e6])
+def test_half_floats_that_are_not_finite_are_refused(tmp_path, wrong):
+    image = np.ones((4, 5), np.float32)
+    image[2, 3] = wrong
+    path = write_exr(tmp_path / "wide.exr", image, half=False)
+    with pytest.raises(FormatError, match=r"wide\.exr"):
+        read_half_exr(path)
+    if wrong != 1e6:
+        # Written by another program: ours writes no half picture with infinities.
+        stored = {"Y": image.astype(np.float16)}
+        with OpenEXR.File({"type": OpenEXR.scanlineimage}, stored) as file:
+            file.write(str(tmp_path / "half.exr"))
+        with pytest.raises(FormatError, match=r"element \(2, 3\)"):
+            read_half_exr(tmp_path / "half.exr")

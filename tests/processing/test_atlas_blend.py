@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from lightstage.formats.mesh import vertex_normals
-from processing.atlas.blend import BlendConfig, Blender
-from processing.atlas.sampling import SHARPNESS, low_band, readable
+from processing.atlas.blend import BlendConfig
+from processing.atlas.sampling import SHARPNESS, low_band, room, side_by_side
 from processing.atlas.visibility import depth_buffer, silhouette_distance
-from processing.atlas.weights import Texels, ViewSamples, WeightConfig, view_samples
+from processing.atlas.weights import Texels
 from processing.rays import MeshRays, interpolate
+from tests.processing.atlas_samples import blended, look, samples_of
 from tests.processing.shapes import bumpy_ellipsoid, camera
 
 
@@ -57,24 +58,24 @@ def test_silhouette_distance_counts_from_jumps_holes_and_the_border():
 @given(
     seed=st.integers(0, 10**6),
     sigma=st.floats(0.5, 12),
-    scale=st.sampled_from([1e-6, 1e-3, 1.0, 1e3, 1e6]),
+    scale=st.sampled_from([1e-4, 1e-2, 1.0, 1e2, 6e4]),
 )
 def test_the_low_band_keeps_constants_and_never_reads_outside(seed, sigma, scale):
     rng = np.random.default_rng(seed)
     mask = rng.uniform(size=(24, 30)) > 0.5
-    image = np.full((24, 30, 2), scale, np.float32)
-    image[~mask] = [np.nan, -1e9]
-    found = low_band(image, mask, sigma)
+    image = np.full((24, 30, 2), scale, np.float16)
+    image[~mask] = [np.nan, -6e4]
+    found = low_band(image.view(np.uint16), mask, sigma)
     read = found.counts > 1e-5
     assert read.any()
-    assert np.allclose(found.sums[read] / found.counts[read, None], scale, rtol=1e-3)
+    assert np.allclose(found.sums[read] / found.counts[read, None], image[mask][0], rtol=1e-3)
 
 
 @pytest.mark.parametrize("sigma", [3.0, 8.0, 17.0])
 def test_the_low_band_is_the_gaussian_blur_of_the_whole_picture(sigma):
     rng = np.random.default_rng(0)
-    image = rng.normal(size=(160, 200, 1)).astype(np.float32)
-    found = low_band(image, np.ones((160, 200), bool), sigma)
+    image = rng.normal(size=(160, 200, 1)).astype(np.float16)
+    found = low_band(image.view(np.uint16), np.ones((160, 200), bool), sigma)
     blur = gaussian_filter(image[..., 0].astype(float), sigma, mode="constant")
     ones = gaussian_filter(np.ones((160, 200)), sigma, mode="constant")
     height, width = found.counts.shape
@@ -86,27 +87,6 @@ def test_the_low_band_is_the_gaussian_blur_of_the_whole_picture(sigma):
     margin = int(sigma / found.step) + 1
     inner = (slice(margin, -margin), slice(margin, -margin))
     assert np.sqrt(np.mean(error[inner] ** 2)) < 0.1 * np.std(blur)
-
-
-def samples_of(pixel, weight, shape=(20, 20), usable=None):
-    return ViewSamples(
-        np.arange(len(pixel), dtype=np.int32),
-        np.asarray(pixel, np.float32),
-        np.asarray(weight, np.float32),
-        readable(np.ones(shape, bool) if usable is None else usable),
-        1.0,
-    )
-
-
-def blended(count, views, best=None, config=None):
-    """(count, c) of [(samples, picture)], the skip of detail off unless `best` is given."""
-    samples = [one for one, _ in views]
-    none = np.zeros(count, np.float32)
-    blender = Blender(none if best is None else best, samples, config or BlendConfig())
-    out = np.zeros((count, views[0][1].shape[2]), np.float32)
-    for index, (_, picture) in enumerate(views):
-        blender.add(index, picture, out)
-    return out
 
 
 def spline(t):
@@ -142,7 +122,7 @@ def sampled(image, usable, x, y):
 @given(seed=st.integers(0, 10**6))
 def test_sampling_agrees_with_its_plain_twin(seed):
     rng = np.random.default_rng(seed)
-    image = rng.normal(size=(20, 20, 1)).astype(np.float32)
+    image = rng.normal(size=(20, 20, 1)).astype(np.float16)
     usable = rng.uniform(size=(20, 20)) > rng.choice([0.02, 0.3])
     image[~usable] = np.nan
     pixel = rng.uniform(-1, 21, size=(50, 2)).astype(np.float32)
@@ -154,19 +134,19 @@ def test_sampling_agrees_with_its_plain_twin(seed):
 
 
 def test_a_pixel_centre_reads_exactly_that_pixel():
-    image = np.arange(400, dtype=np.float32).reshape(20, 20, 1)
+    image = np.arange(400, dtype=np.float16).reshape(20, 20, 1)
     found = blended(2, [(samples_of([[3.5, 7.5], [19.5, 19.5]], [1, 1]), image)])
     assert found[:, 0].tolist() == pytest.approx([7 * 20 + 3, 399], abs=1e-3)
 
 
 def test_low_frequencies_are_averaged_and_detail_comes_from_the_best_view():
     rng = np.random.default_rng(0)
-    detail = rng.normal(size=(20, 20, 1)).astype(np.float32)
+    detail = rng.normal(size=(20, 20, 1)).astype(np.float16)
     pixel = np.stack(np.meshgrid(np.arange(5, 15) + 0.5, np.arange(5, 15) + 0.5), -1).reshape(-1, 2)
     config = dataclasses.replace(BlendConfig(), band_mm=2.0)
     views = [
         (samples_of(pixel, np.full(len(pixel), 0.9)), 1.0 + detail),
-        (samples_of(pixel, np.full(len(pixel), 0.3)), np.full((20, 20, 1), 2, np.float32)),
+        (samples_of(pixel, np.full(len(pixel), 0.3)), np.full((20, 20, 1), 2, np.float16)),
     ]
     found = blended(len(pixel), views, config=config)[:, 0]
     inside = detail[5:15, 5:15, 0].ravel()
@@ -177,7 +157,7 @@ def test_low_frequencies_are_averaged_and_detail_comes_from_the_best_view():
 
 def test_texels_without_a_view_stay_zero_and_tiny_weights_stay_finite():
     samples = samples_of([[5, 5], [6, 6]], [1.0, 2e-6])
-    found = blended(3, [(samples, np.full((20, 20, 1), 4, np.float32))])[:, 0]
+    found = blended(3, [(samples, np.full((20, 20, 1), 4, np.float16))])[:, 0]
     assert found == pytest.approx([4, 4, 0], abs=1e-3)
 
 
@@ -203,24 +183,15 @@ def test_a_view_whose_normals_are_wrong_is_not_believed():
     triangles = mesh.triangles()
     normals = vertex_normals(mesh.vertices, triangles).astype(np.float32)
     cam = camera("a", 0)
-    shape = (cam.height_px, cam.width_px)
     weights = {}
     for tilt_deg in (0, 20, 60):
         c, s = np.cos(np.deg2rad(tilt_deg)), np.sin(np.deg2rad(tilt_deg))
         tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-        found = view_samples(
-            cam,
-            mesh.vertices,
-            triangles,
-            texels_of(mesh, normals),
-            np.ones(shape, np.float32),
-            np.ones(shape, bool),
-            measured_normals(cam, mesh) @ tilt.T,
-            1e9,
-            WeightConfig(),
+        found = look(
+            cam, mesh, texels_of(mesh, normals), measured_normals(cam, mesh) @ tilt.T, finest=1e9
         )
         weights[tilt_deg] = np.zeros(len(normals))
-        weights[tilt_deg][found.slot] = found.weight
+        weights[tilt_deg][found.reading.slot] = found.reading.weight
     # The tilt is about x: normals without an x part turn by all of it.
     top = (np.abs(normals[:, 0]) < 0.2) & (mesh.vertices[:, 2] > 60)
     assert weights[20][top].sum() > 0.9 * weights[0][top].sum() > 0
@@ -232,53 +203,35 @@ def test_views_see_only_what_faces_them_and_is_not_hidden():
     triangles = mesh.triangles()
     normals = vertex_normals(mesh.vertices, triangles)
     cam = camera("a", 50)
-    shape = (cam.height_px, cam.width_px)
-    found = view_samples(
-        cam,
-        mesh.vertices,
-        triangles,
-        texels_of(mesh, normals),
-        np.ones(shape, np.float32),
-        np.ones(shape, bool),
-        measured_normals(cam, mesh),
-        1e9,
-        WeightConfig(),
-    )
+    found = look(cam, mesh, texels_of(mesh, normals), measured_normals(cam, mesh), finest=1e9)
     truth = MeshRays(mesh.vertices, triangles).visible(
         mesh.vertices, normals, cam.centre_mm[None], offset_mm=3.0
     )[:, 0]
     seen = np.zeros(len(normals), bool)
-    seen[found.slot] = True
+    seen[found.reading.slot] = True
     assert not seen[~truth].any()
     toward = cam.centre_mm - mesh.vertices
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     cosine = np.einsum("nk,nk->n", toward, normals)
     assert seen[truth & (cosine > 0.4)].mean() > 0.95
     # Straight and far from silhouettes the weight is cos^2.
-    best = found.weight.argmax()
-    assert found.weight[best] == pytest.approx(cosine[found.slot[best]] ** 2, rel=1e-3)
+    best = found.reading.weight.argmax()
+    assert found.reading.weight[best] == pytest.approx(
+        cosine[found.reading.slot[best]] ** 2, rel=1e-3
+    )
 
 
 def test_no_trust_or_no_confidence_means_no_sample():
     mesh = bumpy_ellipsoid()
-    triangles = mesh.triangles()
-    normals = vertex_normals(mesh.vertices, triangles).astype(np.float32)
+    normals = vertex_normals(mesh.vertices, mesh.triangles()).astype(np.float32)
     cam = camera("a", 0)
-    shape = (cam.height_px, cam.width_px)
+    nothing = np.zeros((cam.height_px, cam.width_px), np.float32)
     ones = np.ones(len(normals), np.float32)
-    for trust, confidence in ((0 * ones, np.ones(shape)), (ones, np.zeros(shape))):
-        found = view_samples(
-            cam,
-            mesh.vertices,
-            triangles,
-            texels_at(mesh.vertices, normals, trust),
-            confidence.astype(np.float32),
-            np.ones(shape, bool),
-            measured_normals(cam, mesh),
-            1e9,
-            WeightConfig(),
-        )
-        assert len(found.slot) == 0
+    for trust, confidence in ((0 * ones, None), (ones, nothing)):
+        texels = texels_at(mesh.vertices, normals, trust)
+        measured = measured_normals(cam, mesh)
+        found = look(cam, mesh, texels, measured, confidence=confidence, finest=1e9)
+        assert len(found.reading.slot) == 0
 
 
 def test_threads_do_not_change_the_result():
@@ -287,25 +240,15 @@ def test_threads_do_not_change_the_result():
     normals = vertex_normals(mesh.vertices, mesh.triangles()).astype(np.float32)
     cam = camera("a", 20)
     shape = (cam.height_px, cam.width_px)
-    image = rng.normal(size=(*shape, 3)).astype(np.float32)
+    image = rng.normal(size=(*shape, 3)).astype(np.float16)
     measured = measured_normals(cam, mesh)
     kept = numba.get_num_threads()
     found = []
     try:
         for threads in (1, min(2, kept)):
             numba.set_num_threads(threads)
-            samples = view_samples(
-                cam,
-                mesh.vertices,
-                mesh.triangles(),
-                texels_of(mesh, normals),
-                np.ones(shape, np.float32),
-                np.ones(shape, bool),
-                measured,
-                1.0,
-                WeightConfig(),
-            )
-            found.append((samples.weight, blended(len(normals), [(samples, image)])))
+            samples = look(cam, mesh, texels_of(mesh, normals), measured)
+            found.append((samples.reading.weight, blended(len(normals), [(samples, image)])))
     finally:
         numba.set_num_threads(kept)
     assert len(found[0][0]) > 300
@@ -313,45 +256,71 @@ def test_threads_do_not_change_the_result():
         assert np.array_equal(one, two)
 
 
+def test_what_lies_outside_the_window_changes_nothing():
+    mesh = bumpy_ellipsoid()
+    normals = vertex_normals(mesh.vertices, mesh.triangles()).astype(np.float32)
+    cam = camera("a", 20, dist=True)
+    mask = np.zeros((cam.height_px, cam.width_px), bool)
+    mask[70:170, 40:150] = True
+    texels, measured = texels_of(mesh, normals), measured_normals(cam, mesh)
+    image = np.random.default_rng(1).normal(size=(*mask.shape, 3)).astype(np.float16)
+    found = look(cam, mesh, texels, measured, mask=mask)
+    assert found.window == (slice(68, 172), slice(38, 152))
+    with pytest.MonkeyPatch.context() as patch:
+        whole = (slice(0, cam.height_px), slice(0, cam.width_px))
+        patch.setattr("processing.atlas.weights.window_of", lambda _: whole)
+        every = look(cam, mesh, texels, measured, mask=mask)
+    assert len(found.reading.slot) > 100
+    assert np.array_equal(found.reading.slot, every.reading.slot)
+    assert np.allclose(found.reading.weight, every.reading.weight, rtol=1e-6)
+    inside = np.add(found.reading.pixel, (38, 68))
+    assert np.allclose(inside, every.reading.pixel, atol=1e-4)
+    merged = [blended(len(normals), [(one, image)]) for one in (found, every)]
+    assert np.abs(merged[0] - merged[1]).max() < 1e-3
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), depths=st.lists(st.sampled_from([1, 3]), min_size=1, max_size=8))
+def test_maps_read_together_are_what_they_are_one_by_one(seed, depths):
+    rng = np.random.default_rng(seed)
+    usable = rng.uniform(size=(20, 20)) > rng.choice([0.02, 0.3])
+    pixel = rng.uniform(-1, 21, size=(50, 2)).astype(np.float32)
+    samples = samples_of(pixel, rng.uniform(0.1, 1, 50), usable=usable)
+    maps = [rng.normal(size=(20, 20, depth)).astype(np.float16) for depth in depths]
+    alone = [blended(50, [(samples, one)]) for one in maps]
+    together = blended(50, [(samples, np.concatenate(maps, axis=2))])
+    assert np.array_equal(np.concatenate(alone, axis=1), together)
+    flat = [one[..., 0] if one.shape[2] == 1 else one for one in maps]
+    packed = side_by_side(flat, sum(depths))
+    assert packed.shape[2] == room(sum(depths)) >= sum(depths)
+    assert np.array_equal(packed[..., : sum(depths)], np.concatenate(maps, axis=2).view(np.uint16))
+    assert not packed[..., sum(depths) :].any()
+
+
 def test_projection_through_distortion_is_the_cameras_own():
     mesh = bumpy_ellipsoid()
     normals = vertex_normals(mesh.vertices, mesh.triangles()).astype(np.float32)
     cam = camera("b", -30, 10, dist=True)
-    shape = (cam.height_px, cam.width_px)
     places = mesh.vertices.astype(np.float32)
-    samples = view_samples(
+    samples = look(
         cam,
-        mesh.vertices,
-        mesh.triangles(),
+        mesh,
         texels_at(places, normals, np.ones(len(normals), np.float32)),
-        np.ones(shape, np.float32),
-        np.ones(shape, bool),
         measured_normals(cam, mesh),
-        1.0,
-        WeightConfig(),
     )
-    assert len(samples.slot) > 300
-    truth, _ = cam.project(places[samples.slot])
-    assert np.abs(samples.pixel - truth).max() < 1e-3
+    assert len(samples.reading.slot) > 300
+    truth, _ = cam.project(places[samples.reading.slot])
+    assert np.abs(samples.reading.pixel - truth).max() < 1e-3
 
 
 def test_a_view_from_farther_away_counts_less():
     mesh = bumpy_ellipsoid()
     normals = vertex_normals(mesh.vertices, mesh.triangles()).astype(np.float32)
     cam = camera("a", 0)
-    shape = (cam.height_px, cam.width_px)
     heaviest = []
     for finest in (1e9, 0.4):  # its own pixels are 0.7 to 0.8 mm wide
-        found = view_samples(
-            cam,
-            mesh.vertices,
-            mesh.triangles(),
-            texels_of(mesh, normals),
-            np.ones(shape, np.float32),
-            np.ones(shape, bool),
-            measured_normals(cam, mesh),
-            finest,
-            WeightConfig(),
+        found = look(
+            cam, mesh, texels_of(mesh, normals), measured_normals(cam, mesh), finest=finest
         )
-        heaviest.append(found.weight.max())
+        heaviest.append(found.reading.weight.max())
     assert 0.2 < heaviest[1] / heaviest[0] < 0.4

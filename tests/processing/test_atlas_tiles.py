@@ -7,12 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import vertex_normals
-from processing.atlas.sampling import readable
 from processing.atlas.tiles import bound, tiled
-from processing.atlas.weights import Texels, ViewSamples, WeightConfig, view_samples
+from processing.atlas.weights import Texels
 from processing.rays import MeshRays, interpolate
+from tests.processing.atlas_samples import blended, look, samples_of
 from tests.processing.shapes import bumpy_ellipsoid, camera
-from tests.processing.test_atlas_blend import blended
 
 
 @settings(max_examples=30, deadline=None)
@@ -78,34 +77,22 @@ def test_skipped_tiles_change_no_sample():
     wide = np.full(len(texels.start) - 1, np.pi)
     every = dataclasses.replace(texels, bounds=dataclasses.replace(texels.bounds, spread_rad=wide))
     found = [
-        view_samples(
-            cam,
-            mesh.vertices,
-            triangles,
-            some,
-            np.ones(shape, np.float32),
-            np.ones(shape, bool),
-            interpolate(normals, triangles, hits).reshape(*shape, 3),
-            1.0,
-            WeightConfig(),
-        )
+        look(cam, mesh, some, interpolate(normals, triangles, hits).reshape(*shape, 3))
         for some in (texels, every)
     ]
     assert found[0].tiles < 0.8 * found[1].tiles
-    assert len(found[0].slot) > 300
+    assert len(found[0].reading.slot) > 300
     for name in ("slot", "pixel", "weight"):
-        assert np.array_equal(getattr(found[0], name), getattr(found[1], name))
+        assert np.array_equal(getattr(found[0].reading, name), getattr(found[1].reading, name))
 
 
 def test_detail_of_views_that_hardly_count_is_skipped_below_what_half_floats_tell():
     rng = np.random.default_rng(1)
     weights = rng.uniform(0.001, 1, size=(4, 300)).astype(np.float32)
-    pictures = (0.4 + 0.1 * rng.normal(size=(4, 40, 40, 3))).astype(np.float32)
+    pictures = (0.4 + 0.1 * rng.normal(size=(4, 40, 40, 3))).astype(np.float16)
     pixel = rng.uniform(4, 36, size=(300, 2)).astype(np.float32)
-    usable = readable(np.ones((40, 40), bool))
-    slot = np.arange(300, dtype=np.int32)
     views = [
-        (ViewSamples(slot, pixel, weight, usable, 1.0), picture)
+        (samples_of(pixel, weight, (40, 40)), picture)
         for weight, picture in zip(weights, pictures, strict=True)
     ]
     found = [blended(300, views, best) for best in (None, weights.max(axis=0))]
