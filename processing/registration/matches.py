@@ -18,6 +18,9 @@ class GateConfig:
     share: float = 0.7
     """A closest point farther than this share of the stiffness does not count."""
     least_mm: float = 3.0
+    far_share: float = 0.7
+    """... nor than this share of the way to the nearest landmark: pose and coarse stiffnesses bring
+    what is far from all of them, the neck, only roughly to its place."""
     normal_deg: float = 60.0
     """Nor does one whose normal is farther than this from the vertex's."""
     borders: bool = True
@@ -51,7 +54,12 @@ class Matcher:
     """Closest points of one mesh on one scan, gated."""
 
     def __init__(
-        self, triangles: np.ndarray, target: Target, hidden: np.ndarray, config: GateConfig
+        self,
+        triangles: np.ndarray,
+        target: Target,
+        hidden: np.ndarray,
+        config: GateConfig,
+        far_mm: np.ndarray | None = None,
     ) -> None:
         """Prepare.
 
@@ -60,7 +68,10 @@ class Matcher:
             target: the scan.
             hidden: (n,) bool, vertices inside cavities.
             config: settings.
+            far_mm: (n,) from each vertex to the nearest landmark; zero by default.
         """
+        far = np.zeros(len(hidden)) if far_mm is None else far_mm
+        self._least_mm = np.maximum(config.least_mm, config.far_share * far)
         self._triangles, self._target, self._config = triangles, target, config
         self._hidden = hidden
         self._rim = np.flatnonzero(border_vertices(triangles, len(hidden)))
@@ -72,7 +83,7 @@ class Matcher:
         config = self._config
         closest = self._target.closest(vertices)
         facing = np.einsum("nk,nk->n", vertex_normals(vertices, self._triangles), closest.normal)
-        gate = max(config.share * stiffness_mm, config.least_mm)
+        gate = np.maximum(config.share * stiffness_mm, self._least_mm)
         follows = (closest.distance_mm < gate) & ~closest.border
         follows &= facing > np.cos(np.deg2rad(config.normal_deg))
         inside = np.flatnonzero(follows & self._hidden)

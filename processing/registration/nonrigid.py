@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lightstage.commands import ProgressCallback, quiet
 from processing.registration.contradictions import contradicted
@@ -119,7 +120,13 @@ def fit_nonrigid(
     """
     none = np.zeros(len(rest), bool)
     plate = Plate(rest, triangles, config.plate)
-    matcher = Matcher(triangles, target, none if hidden is None else hidden, config.gate)
+    matcher = Matcher(
+        triangles,
+        target,
+        none if hidden is None else hidden,
+        config.gate,
+        cKDTree(rest[landmark_vertices]).query(rest)[0] if len(landmark_vertices) else None,
+    )
     allowed = ~none if free is None else ~free
     stiff = none if intricate is None else intricate
     offset = landmarks_mm - rest[landmark_vertices]

@@ -128,6 +128,43 @@ def test_borders_follow_borders_but_not_a_cut_through_the_middle():
     assert len(off.match(mesh.vertices, 20.0).border) == 0
 
 
+def test_the_gate_widens_with_the_way_to_the_nearest_landmark():
+    mesh = ellipsoid()
+    away = Mesh(1.15 * mesh.vertices, mesh.faces)
+    hidden = np.zeros(len(mesh.vertices), bool)
+    far = np.linspace(0.0, 60.0, len(hidden))
+    matcher = Matcher(mesh.triangles(), Target(away), hidden, GateConfig(), far)
+    found = matcher.match(mesh.vertices, 2.5)
+    wide = found.closest.distance_mm < np.maximum(3.0, 0.7 * far)
+    assert np.array_equal(found.follows, wide)
+    assert 0 < wide.sum() < len(wide)
+    narrow = Matcher(mesh.triangles(), Target(away), hidden, GateConfig())
+    assert not narrow.match(mesh.vertices, 2.5).follows.any()
+
+
+def leaning(share):
+    """A head on a neck that the scan leans forward; worst distance of the neck to the scan, mm."""
+    template = ellipsoid_template()
+    rest = template.mesh.vertices * [1, 2, 1]
+    truth = rest.copy()
+    truth[:, 2] += 0.7 * np.clip(-40 - rest[:, 1], 0, None)
+    marks = template.landmarks[rest[template.landmarks, 1] > 0]
+    found = fit_nonrigid(
+        rest,
+        template.mesh.triangles(),
+        Target(refined(template.mesh.with_vertices(truth))),
+        marks,
+        truth[marks],
+        NonrigidConfig(gate=GateConfig(far_share=share)),
+    )
+    return np.quantile(found.distance_mm[rest[:, 1] < -60], 0.95)
+
+
+def test_a_neck_that_leans_far_is_followed():
+    assert leaning(0.7) < 0.2
+    assert leaning(0.0) > 3
+
+
 def test_hidden_vertices_follow_cavities_only():
     outside = ellipsoid()
     inner = outside.with_vertices(outside.vertices * 0.9)
