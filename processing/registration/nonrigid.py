@@ -125,7 +125,7 @@ def fit_nonrigid(
         target,
         none if hidden is None else hidden,
         config.gate,
-        cKDTree(rest[landmark_vertices]).query(rest)[0] if len(landmark_vertices) else None,
+        _to_nearest(rest, rest[landmark_vertices]) if len(landmark_vertices) else None,
     )
     allowed = ~none if free is None else ~free
     stiff = none if intricate is None else intricate
@@ -169,6 +169,11 @@ def fit_nonrigid(
         rounds,
         plate.worst_residual,
     )
+
+
+def _to_nearest(points: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(n,) distances from (n, 3) points to the nearest of some places."""
+    return np.asarray(cKDTree(places).query(points)[0])
 
 
 def _matched(
