@@ -1,0 +1,114 @@
+"""A whole session of nine 24 megapixel views, RAW to atlas: seconds and memory of each stage.
+
+python -m benchmarks.session_large [--rows 6144] [--keep OUT]
+
+The scanned head, rendered at 1.5 megapixels, is enlarged four times a side and photographed by the
+simulator's sensor: mosaic and noise are those of 24 megapixels, the finest relief is not. Run it
+alone on the machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.atlas_session import psnr, true_values
+from benchmarks.geometry_people import person, session
+from benchmarks.geometry_scores import score, true_skin
+from benchmarks.record import record
+from benchmarks.reflectance_24mp import photograph_large
+from benchmarks.reflectance_people import folder
+from lightstage.commands import progress_bar
+from lightstage.formats.files import atomic_folder
+from lightstage.formats.landmarks import read_points_px, write_points_px
+from lightstage.formats.mesh import read_ply
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.session import load_session
+from lightstage.formats.template import default_template_path
+from lightstage.rig import default_rig
+from processing.pipeline import STAGES, read_config, run
+from sim.session import truth_path
+
+WHO = "lps"
+TIMES = 4
+"""Pixels of a large view a side for each of the rendered one's."""
+CHECKED_TEXELS = 500_000
+
+
+def large_views() -> Path:
+    """The session's folder, made where it is missing."""
+    root = folder() / f"24mp-nine-{WHO}"
+    if not root.is_dir():
+        small = load_session(session(person(WHO)))
+        with atomic_folder(root, "session") as beside:
+            photograph_large(small, [c.id for c in default_rig().cameras], beside / "session")
+            points = read_points_px(small.root / "landmarks.json")
+            large = {camera: TIMES * found for camera, found in points.items()}
+            write_points_px(large, beside / "session" / "landmarks.json")
+    return root / "session"
+
+
+def albedo_psnr(out: ProcessedFolder, truth: ProcessedFolder) -> float:
+    """PSNR in dB of the diffuse albedo at some texels that two or more views see."""
+    twice = (out.read_atlas("coverage") >= 2) & (out.read_atlas("filled") == 0)
+    chosen = np.flatnonzero(twice.ravel())
+    chosen = np.random.default_rng(0).choice(chosen, min(CHECKED_TEXELS, len(chosen)), False)
+    places = out.read_atlas("position").reshape(-1, 3)[chosen].astype(float)
+    found = out.read_atlas("diffuse_albedo").reshape(-1, 3)[chosen]
+    return psnr(found - true_values(truth, places, "diffuse_albedo"))
+
+
+def main() -> None:
+    """Run the stages, and write the table."""
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--rows", type=int, default=6144)
+    asked.add_argument("--keep", type=Path, help="folder for the outputs")
+    asked.add_argument("--make", action="store_true", help="make the session alone")
+    given = asked.parse_args()
+    photographs = large_views()
+    if given.make:
+        return
+    truth = ProcessedFolder(truth_path(session(person(WHO))))
+    with tempfile.TemporaryDirectory() as passing:
+        out = given.keep or Path(passing) / "out"
+        wall, cpu = time.perf_counter(), time.process_time()
+        config = read_config(None, given.rows)
+        report = run(photographs, out, default_template_path(), config, bar=progress_bar)
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        skin = true_skin(truth, load_session(session(person(WHO))).rig)
+        mesh = score(read_ply(out / "base_mesh.ply"), skin)
+        found = albedo_psnr(ProcessedFolder(out), truth)
+    facts = report["stages"]
+    away = facts["register"]["template_to_scan_median_mm"]
+    error = {
+        "reconstruct": "mesh to truth {:.3f} / {:.2f} mm".format(*mesh.to_truth),
+        "register": f"template to scan {away:.3f} mm",
+        "atlas": f"diffuse albedo {found:.1f} dB",
+    }
+    rows = [
+        [
+            stage,
+            f"{facts[stage]['seconds']:.0f}",
+            f"{facts[stage]['peak_rss_mb'] / 1024:.2f}",
+            error.get(stage, ""),
+        ]
+        for stage in STAGES
+    ]
+    peak = max(facts[stage]["peak_rss_mb"] for stage in STAGES) / 1024
+    rows.append(["all, photographs verified", f"{wall:.0f} ({cpu:.0f} cpu)", f"{peak:.2f}", ""])
+    record(
+        "A whole session of nine views of 24 megapixels",
+        ["stage", "wall s", "peak GiB", "error"],
+        rows,
+        f"The scanned head (Lee Perry-Smith, CC BY 3.0) in nine views of 1.5 megapixels enlarged "
+        f"{TIMES} times a side, photographed with mosaic and noise at full size; true cameras; "
+        f"atlas of {given.rows} rows.",
+    )
+
+
+if __name__ == "__main__":
+    main()
