@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,9 @@ from scipy.ndimage import binary_erosion, gaussian_filter
 
 from benchmarks.atlas_case import AtlasCase, even, make_case, skin
 from benchmarks.record import record
+from lightstage.formats.mesh import Mesh
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.rig import Camera
 from processing.atlas.raster import rasterise
 from processing.atlas.stage import AtlasConfig, atlas
 
@@ -32,9 +36,8 @@ def positions(case: AtlasCase, rows: int, columns: int) -> tuple[np.ndarray, np.
     return place, raster.face >= 0
 
 
-def by_open3d(case: AtlasCase, size: int) -> np.ndarray:
-    """(size, size, 3) linear: the peer's square 8-bit albedo."""
-    mesh = case.template.mesh
+def by_open3d(mesh: Mesh, cameras: Sequence[Camera], out: ProcessedFolder, size: int) -> np.ndarray:
+    """(size, size, 3) linear: the peer's square 8-bit albedo of a mesh with UV."""
     assert mesh.uvs is not None
     thing = open3d.t.geometry.TriangleMesh(
         open3d.core.Tensor(mesh.vertices.astype(np.float32)),
@@ -44,10 +47,10 @@ def by_open3d(case: AtlasCase, size: int) -> np.ndarray:
         mesh.uvs[mesh.triangle_uvs()].astype(np.float32)
     )
     pictures, lenses, poses = [], [], []
-    for camera in case.session.rig.cameras:
-        albedo = case.out.read_view(camera.id, "diffuse_albedo")
+    for camera in cameras:
+        albedo = out.read_view(camera.id, "diffuse_albedo")
         # Masks it has none: the background is black.
-        albedo[~case.out.read_mask(camera.id)] = 0
+        albedo[~out.read_mask(camera.id)] = 0
         code = (np.clip(albedo, 0, 1) * 255 + 0.5).astype(np.uint8)
         pictures.append(open3d.t.geometry.Image(open3d.core.Tensor(np.ascontiguousarray(code))))
         lens = [[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1]]
@@ -106,7 +109,7 @@ def textured(root: Path, rows: int, scale: float, *, peer: bool) -> list[list[st
         if not peer:
             continue
         begin = time.process_time()
-        found = by_open3d(case, rows)
+        found = by_open3d(case.template.mesh, case.session.rig.cameras, case.out, rows)
         seconds = time.process_time() - begin
         place, covered = positions(case, rows, rows)
         truth = skin(place.reshape(-1, 3)).reshape(place.shape)

@@ -74,7 +74,7 @@ def peer(folder: Path, scale: float, rows: int) -> dict[str, Any]:
     mesh = case.template.mesh
     assert mesh.uvs is not None
     wall, cpu = time.perf_counter(), time.process_time()
-    found = by_open3d(case, rows)
+    found = by_open3d(mesh, case.session.rig.cameras, case.out, rows)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     raster = rasterise(mesh.uvs, mesh.triangle_uvs(), rows, rows)
