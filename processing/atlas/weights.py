@@ -147,7 +147,8 @@ class Sampler:
             height_px=usable.shape[0],
         )
         depth = depth_buffer(camera, self._vertices, self._triangles)
-        some = (slice(None, None, APART_PX), slice(None, None, APART_PX))
+        # Counted from the picture's corner, so that the window's place changes nothing.
+        some = tuple(slice(-w.start % APART_PX, None, APART_PX) for w in window)
         seen = depth[some][usable[some] & np.isfinite(depth[some])]
         distance_mm = float(np.median(seen)) if len(seen) else 1.0
         footprint = distance_mm / camera.fx_px
