@@ -8,7 +8,6 @@ from pathlib import Path
 
 import typer
 
-from lightstage.calibrations import command as calibration_command
 from lightstage.calibrations import command as calibrations_command
 from lightstage.capture import command as capture_command
 from lightstage.checks import check_session
@@ -19,7 +18,6 @@ from lightstage.patterns import command as patterns_command
 
 app = make_app("Drive the light stage: capture a session, check it, import one taken elsewhere.")
 capture_command.register(app)
-calibration_command.register(app)
 operator_command.register(app)
 calibrations_command.register(app)
 patterns_command.register(app)
