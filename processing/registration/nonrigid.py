@@ -10,13 +10,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from lightstage.commands import ProgressCallback, quiet
+from processing.registration.coarse import coarsened
 from processing.registration.contradictions import contradicted
 from processing.registration.flips import mend
-from processing.registration.matches import GateConfig, Matcher, Matches
+from processing.registration.matches import GateConfig, Matches
 from processing.registration.plate import Plate, PlateConfig, Springs
+from processing.registration.sheet import Sheet
 from processing.registration.target import Target
 
 
@@ -32,6 +33,10 @@ class NonrigidConfig:
     """Closest-point rounds per stiffness, at most."""
     still_mm: float = 0.05
     """A round that moves no vertex farther ends its stiffness."""
+    coarse_cell_mm: float = 5.0
+    """Vertices within cells of this size are one at stiffnesses of `coarse_above_mm` or more; 0
+    uses the whole template everywhere."""
+    coarse_above_mm: float = 8.0
     hold: float = 0.03
     """A match holds its vertex along the surface with this share of its pull onto it."""
     settled_below_mm: float = 41.0
@@ -118,37 +123,46 @@ def fit_nonrigid(
     Raises:
         RegistrationError: a template without area.
     """
+    marks = landmark_vertices
     none = np.zeros(len(rest), bool)
-    plate = Plate(rest, triangles, config.plate)
-    matcher = Matcher(
+    fine = Sheet.of(
+        rest,
         triangles,
         target,
-        none if hidden is None else hidden,
+        marks,
+        config.plate,
         config.gate,
-        _to_nearest(rest, rest[landmark_vertices]) if len(landmark_vertices) else None,
+        allowed=~none if free is None else ~free,
+        hidden=none if hidden is None else hidden,
+        stiff=none if intricate is None else intricate,
     )
-    allowed = ~none if free is None else ~free
-    stiff = none if intricate is None else intricate
-    offset = landmarks_mm - rest[landmark_vertices]
-    wrong = np.zeros(len(landmark_vertices), bool)
-    moved = np.zeros_like(rest)
+    sheet, coarse = fine, None
+    if config.coarse_cell_mm > 0:
+        coarse = coarsened(rest, triangles, config.coarse_cell_mm, marks)
+        sheet = fine.coarsened(coarse)
+    offset = landmarks_mm - rest[marks]
+    wrong = np.zeros(len(marks), bool)
+    moved = np.zeros_like(sheet.rest)
     floor = config.noise_times * target.noise_mm()
     levels = [size for size in config.stiffness_mm if size >= floor] or [config.stiffness_mm[0]]
     total, rounds = len(levels) * config.iterations, 0
     for level, stiffness in enumerate(levels):
-        followed = allowed if stiffness >= config.intricate_stiffness_mm else allowed & ~stiff
+        if coarse is not None and stiffness < config.coarse_above_mm:
+            moved = fine.carried(coarse, moved, config.coarse_cell_mm)
+            sheet, coarse = fine, None
+        plate, followed = sheet.plate, sheet.allowed
+        if stiffness < config.intricate_stiffness_mm:
+            followed = followed & ~sheet.stiff
         for turn in range(config.iterations):
-            matches = matcher.match(rest + moved, stiffness)
-            springs = _matched(plate, matches, followed, rest, moved, stiffness, config)
+            matches = sheet.matcher.match(sheet.rest + moved, stiffness)
+            springs = _matched(plate, matches, followed, sheet.rest, moved, stiffness, config)
             if turn == 0 and level == 1:
                 plate.stiffen(stiffness, springs)
                 wrong = _wrong_landmarks(
-                    plate, springs, landmark_vertices, offset, stiffness, config
+                    plate, springs, sheet.marks, offset, stiffness, config
                 ) | hovering(landmarks_mm, target, config)
             kept = ~wrong
-            _pull_landmarks(
-                springs, matches, landmark_vertices[kept], offset[kept], stiffness, config
-            )
+            _pull_landmarks(springs, matches, sheet.marks[kept], offset[kept], stiffness, config)
             if turn == 0:
                 plate.stiffen(stiffness, springs)
             before, moved = moved, plate.solve(springs, moved)
@@ -157,23 +171,20 @@ def fit_nonrigid(
             if np.abs(moved - before).max() < config.still_mm:
                 break
     progress(total, total)
+    if coarse is not None:
+        moved = fine.carried(coarse, moved, config.coarse_cell_mm)
     vertices, faulty, mended = mend(rest, rest + moved, triangles, rounds=config.mend_rounds)
-    matches = matcher.match(vertices, levels[-1])
+    matches = fine.matcher.match(vertices, levels[-1])
     return Fit(
         vertices,
-        allowed & matches.follows,
+        fine.allowed & matches.follows,
         matches.closest.distance_mm,
         wrong,
         faulty,
         mended,
         rounds,
-        plate.worst_residual,
+        max(sheet.plate.worst_residual, fine.plate.worst_residual),
     )
-
-
-def _to_nearest(points: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """(n,) distances from (n, 3) points to the nearest of some places."""
-    return np.asarray(cKDTree(places).query(points)[0])
 
 
 def _matched(
