@@ -64,6 +64,13 @@ class Surface:
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         return np.linalg.norm(points - places, axis=1), normals
 
+    def signed(self, places: np.ndarray, along: np.ndarray, reach_mm: float = 2.0) -> np.ndarray:
+        """(n,) how far places lie above the mesh along (n, 3) unit directions; NaN out of reach."""
+        start = places + reach_mm * along
+        rays = np.concatenate([start, -along], axis=1).astype(np.float32)
+        found = self._scene.cast_rays(open3d.core.Tensor(rays))["t_hit"].numpy().astype(float)
+        return np.where(found < 2 * reach_mm, found - reach_mm, np.nan)
+
     def first_hit(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(n,) distance of the first hit along rays, in lengths of `directions`."""
         rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], axis=1)

@@ -52,6 +52,11 @@ class ProcessedFolder:
         return self.root / "base_mesh.ply"
 
     @property
+    def detailed_mesh(self) -> Path:
+        """The base mesh with the specular normals' relief, mm, world, where it was asked for."""
+        return self.root / "detailed_mesh.ply"
+
+    @property
     def registered_mesh(self) -> Path:
         """Template topology and UV, mm, world."""
         return self.root / "registered_mesh.obj"

@@ -97,3 +97,9 @@ class RefineConfig:
     def gloss_noise(self) -> Noise:
         """Of the readings, for gloss."""
         return Noise(self.noise_sensor, self.noise_model, self.noise_shade_gloss)
+
+    detail_edge_mm: float = 0.0
+    """Length of the edges of detailed_mesh.ply, the base mesh displaced so that it has the specular
+    normals' relief; 0 writes none."""
+    detail_below_mm: float = 3.0
+    """What of the relief is smaller comes from the normals."""

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.formats.mesh import read_ply
+from lightstage.formats.mesh import Mesh, read_ply, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
+from lightstage.rig import Rig
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import fix_normals, pattern_lights
 from processing.refinement.config import RefineConfig
+from processing.refinement.detail import NormalView, displaced
 from processing.refinement.every_pixel import solve_view
 from processing.refinement.gloss_search import find_gloss
 from processing.refinement.scene import prepare_scene, read_view
@@ -68,6 +70,7 @@ def refine(
         confidence[camera.id] = round(mean, 4)
         pixels += count
         progress(3 + config.gloss_rounds + done, steps)
+    detail = write_detailed(folder, mesh, session.rig, config) if config.detail_edge_mm > 0 else {}
     seen = np.unique(np.concatenate([grid.sight.shadows.corners.ravel() for grid in grids]))
     return {
         "maps": "exact",
@@ -86,5 +89,46 @@ def refine(
         "scattering": scene.scattering,
         "specular_normals": "all channels and the highlights, the relief of the diffuse light "
         "calmed by scattering",
+        **detail,
         "warnings": [],
     }
+
+
+def write_detailed(
+    folder: ProcessedFolder, mesh: Mesh, rig: Rig, config: RefineConfig
+) -> dict[str, Any]:
+    """Write OUT/detailed_mesh.ply, the mesh with the refined specular normals' relief.
+
+    Returns:
+        Facts: its vertices, share that a camera told, height (root mean square, mm).
+    """
+    views = read_normals(folder, rig, config.coarse_confidence)
+    found = displaced(mesh, views, config.detail_edge_mm, config.detail_below_mm)
+    write_ply(found.mesh, folder.detailed_mesh)
+    height = found.height_mm[found.known]
+    return {
+        "detailed_vertices": len(found.mesh.vertices),
+        "detailed_share": round(float(found.known.mean()), 4),
+        "detail_rms_mm": round(float(np.sqrt(np.mean(height**2))), 5) if len(height) else 0.0,
+    }
+
+
+def read_normals(folder: ProcessedFolder, rig: Rig, coarse: float) -> list[NormalView]:
+    """Every view's specular normals, trusted as far as its confidence says.
+
+    Args:
+        folder: with refined maps.
+        rig: its cameras.
+        coarse: confidence up to which nothing is told: coarse maps fill the mesh's holes.
+    """
+    views = []
+    for name in folder.view_ids():
+        normals = folder.read_view(name, "specular_normal")
+        confidence = folder.read_view(name, "confidence")
+        told = folder.read_mask(name) & (np.linalg.norm(normals, axis=2) > 0.5)
+        views.append(
+            NormalView(
+                rig.camera(name), normals, np.where(told & (confidence > coarse), confidence, 0)
+            )
+        )
+    return views
