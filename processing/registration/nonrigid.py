@@ -57,12 +57,17 @@ class NonrigidConfig:
     """... or if it hovers farther from the scan than this ..."""
     off_surface_times: float = 5.0
     """... and than so many times their median."""
-    intricate_stiffness_mm: float = 10.0
+    intricate_stiffness_mm: float = 1.2
     """Ears, whose folds no template shares with a person, stop following below this."""
     mend_rounds: int = 20
     """At most so often are folded or crossing places smoothed and looked at again."""
     gate: GateConfig = dataclasses.field(default_factory=GateConfig)
     plate: PlateConfig = dataclasses.field(default_factory=PlateConfig)
+
+    def down_to(self, stiffness_mm: float) -> NonrigidConfig:
+        """The same with the stiffnesses of at least this; the first one in any case. No mending."""
+        some = tuple(size for size in self.stiffness_mm if size >= stiffness_mm)
+        return dataclasses.replace(self, stiffness_mm=some or self.stiffness_mm[:1], mend_rounds=0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,6 +106,7 @@ def fit_nonrigid(
     free: np.ndarray | None = None,
     hidden: np.ndarray | None = None,
     intricate: np.ndarray | None = None,
+    guides: tuple[np.ndarray, np.ndarray] | None = None,
     progress: ProgressCallback = quiet,
 ) -> Fit:
     """Draw a mesh onto a scan.
@@ -115,6 +121,8 @@ def fit_nonrigid(
         free: (n,) bool, vertices that never follow the scan.
         hidden: (n,) bool, vertices that follow cavities of the scan only (inside of the mouth).
         intricate: (n,) bool, vertices that follow its coarse shape only (ears).
+        guides: (g,) further vertices and (g, 3) mm where they should go: they pull as landmarks
+            do, and are never left out.
         progress: called once a round.
 
     Returns:
@@ -123,7 +131,9 @@ def fit_nonrigid(
     Raises:
         RegistrationError: a template without area.
     """
-    marks = landmark_vertices
+    count, marks, goals = len(landmark_vertices), landmark_vertices, landmarks_mm
+    if guides is not None:
+        marks, goals = np.concatenate([marks, guides[0]]), np.concatenate([goals, guides[1]])
     none = np.zeros(len(rest), bool)
     fine = Sheet.of(
         rest,
@@ -140,7 +150,7 @@ def fit_nonrigid(
     if config.coarse_cell_mm > 0:
         coarse = coarsened(rest, triangles, config.coarse_cell_mm, marks)
         sheet = fine.coarsened(coarse)
-    offset = landmarks_mm - rest[marks]
+    offset = goals - rest[marks]
     wrong = np.zeros(len(marks), bool)
     moved = np.zeros_like(sheet.rest)
     floor = config.noise_times * target.noise_mm()
@@ -160,7 +170,8 @@ def fit_nonrigid(
                 plate.stiffen(stiffness, springs)
                 wrong = _wrong_landmarks(
                     plate, springs, sheet.marks, offset, stiffness, config
-                ) | hovering(landmarks_mm, target, config)
+                ) | hovering(goals, target, config)
+                wrong[count:] = False
             kept = ~wrong
             _pull_landmarks(springs, matches, sheet.marks[kept], offset[kept], stiffness, config)
             if turn == 0:
@@ -179,7 +190,7 @@ def fit_nonrigid(
         vertices,
         fine.allowed & matches.follows,
         matches.closest.distance_mm,
-        wrong,
+        wrong[:count],
         faulty,
         mended,
         rounds,

@@ -17,9 +17,10 @@ from lightstage.formats.template import Template
 from processing.colour import srgb_from_linear
 from processing.errors import RegistrationError
 from processing.rays import MeshRays
+from processing.registration.ears import EarConfig, ear_guides
 from processing.registration.landmarks import triangulate
 from processing.registration.modes import ModesConfig, fit_modes
-from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
+from processing.registration.nonrigid import Fit, NonrigidConfig, fit_nonrigid
 from processing.registration.providers import ClickedLandmarks, CommandLandmarks
 from processing.registration.quiet import quieted
 from processing.registration.residual import residual, write_residual
@@ -46,6 +47,9 @@ class RegisterConfig:
     """So often is what alternates from vertex to vertex of the scan, its noise, taken down."""
     modes: ModesConfig = dataclasses.field(default_factory=ModesConfig)
     nonrigid: NonrigidConfig = dataclasses.field(default_factory=NonrigidConfig)
+    ears: EarConfig = dataclasses.field(default_factory=EarConfig)
+    ears_after_mm: float = 20.0
+    """Ears are looked for when all but them was laid on with stiffnesses down to this."""
 
 
 def register(
@@ -176,17 +180,27 @@ def register_mesh(
     gap = np.linalg.norm(offset, axis=1)
     wrong = _unsupported(template.mesh.vertices[template.landmarks], offset, config)
     kept = np.flatnonzero(known & ~wrong)
-    result = fit_nonrigid(
-        fit.vertices,
-        triangles,
-        target,
-        template.landmarks[kept],
-        landmarks_mm[kept],
-        config.nonrigid,
-        hidden=hidden,
-        intricate=_region(template, "ears"),
-        progress=progress,
-    )
+    ears = _region(template, "ears")
+
+    def laid(settings: NonrigidConfig, shown: ProgressCallback, **given: Any) -> Fit:
+        return fit_nonrigid(
+            fit.vertices,
+            triangles,
+            target,
+            template.landmarks[kept],
+            landmarks_mm[kept],
+            settings,
+            hidden=hidden,
+            intricate=ears,
+            progress=shown,
+            **given,
+        )
+
+    guides = None
+    if ears.any() and config.ears.guides > 0:
+        rough = laid(config.nonrigid.down_to(config.ears_after_mm), quiet, free=ears)
+        guides = ear_guides(rough.vertices, triangles, ears, target, config.ears)
+    result = laid(config.nonrigid, progress, guides=guides)
     contradicted = np.zeros(len(gap), bool)
     contradicted[kept[result.contradicted]] = True
     kept = kept[~result.contradicted]
@@ -212,6 +226,7 @@ def register_mesh(
         "size_against_template": fit.world_from_head.scale,
         "triangles_flipped": int(result.faulty.sum()),
         "triangles_flipped_before_mending": result.mended,
+        "ear_guides": 0 if guides is None else len(guides[0]),
         "rounds": result.rounds,
         "solver_residual": result.residual,
     }
