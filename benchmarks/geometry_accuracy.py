@@ -216,7 +216,7 @@ def main() -> None:
     chosen = parser.parse_args()
     results: dict[str, dict[str, Row]] = read_json(chosen.keep) if chosen.keep.is_file() else {}
     for name in () if chosen.told else chosen.people.split(","):
-        case = Case(name, chosen.light, folder() / f"geometry-out-{name}-{chosen.light}")
+        case = Case(name, chosen.light)
         for part in chosen.parts.split(","):
             found = results[f"{chosen.light} {name} {part}"] = {}
             for method, mesh, spent in PARTS[part](case):

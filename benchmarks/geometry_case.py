@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks import reflectance_people
 from benchmarks.geometry_people import person, session
 from benchmarks.geometry_poses import measured, onto_truth, true_rig
 from benchmarks.geometry_scores import Skin, true_skin
 from benchmarks.reflectance_case import put_frames
-from benchmarks.reflectance_people import SCALE
+from benchmarks.reflectance_people import NOISE, SCALE, folder
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
@@ -33,6 +31,9 @@ from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from sim.session import truth_path
 
+FRONTAL = 3
+"""Views of a frontal case."""
+
 Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
 """Finest level, and of each view inverse depth and cost."""
 
@@ -42,39 +43,48 @@ class Case:
 
     Attributes:
         session: with the measured rig in place of the true one.
+        out: its processed folder.
         skin: the truth.
     """
 
     def __init__(
-        self, name: str, light: str, out: Path, cameras: tuple[Camera, ...] | None = None
+        self,
+        name: str,
+        light: str = "direct",
+        *,
+        noise: float = NOISE,
+        cameras: tuple[Camera, ...] | None = None,
+        label: str = "",
     ) -> None:
-        """Add noise, separate.
+        """Add noise, separate; what an earlier run left is used again.
 
         Args:
             name: of PEOPLE.
             light: ``direct`` or ``reference``; ``frontal-direct`` and ``frontal-reference`` are the
-                three frontal views of the reflectance benchmarks, quicker to render.
-            out: processed folder; what an earlier run left in it is used again.
+                first three of the nine views.
+            noise: of pixels, see `reflectance_people.noisy`.
             cameras: None for those measured from boards.
+            label: of the processed folder, where cameras are others.
         """
         known = person(name)
-        if light.startswith("frontal-"):
-            kept = reflectance_people.person(name)
-            path = reflectance_people.session(kept, light=light.removeprefix("frontal-"))
-        else:
-            path = session(known, light=light)
+        kind = light.removeprefix("frontal-")
+        path = session(known, light=kind)
         true: Session = load_session(path)
         cameras = measured().cameras if cameras is None else cameras
-        rig = Rig(true.rig.lights, tuple(c for c in cameras if c.id in true.camera_ids()))
-        self.session = Session(true.root, true.file, rig)
-        self.out = out
-        last = self.session.camera_ids()[-1]
-        if not foreground_path(out, last).is_file():
-            put_frames(self.session, out, np.random.default_rng(known.seed))
-        if not (out / "views" / last / "diffuse_normal.exr").is_file():
-            separate(self.session, out, SeparateConfig())
-        self.skin: Skin = true_skin(ProcessedFolder(truth_path(path)), true.rig)
         self._turn, self._shift = onto_truth(cameras, true_rig(SCALE))
+        label += "" if noise == NOISE else f"-noise-{noise:g}"
+        self.out = folder() / f"geometry-out-{name}-{kind}-smooth{label}"
+        known_cameras = tuple(c for c in cameras if c.id in true.camera_ids())
+        whole = Session(true.root, true.file, Rig(true.rig.lights, known_cameras))
+        last = whole.camera_ids()[-1]
+        if not foreground_path(self.out, last).is_file():
+            put_frames(whole, self.out, np.random.default_rng(known.seed), noise)
+        if not (self.out / "views" / last / "diffuse_normal.exr").is_file():
+            separate(whole, self.out, SeparateConfig())
+        count = len(cameras) if kind == light else FRONTAL
+        self.session = Session(true.root, true.file, Rig(true.rig.lights, known_cameras[:count]))
+        seen = Rig(true.rig.lights, true.rig.cameras[:count])
+        self.skin: Skin = true_skin(ProcessedFolder(truth_path(path)), seen)
 
     def views(self, config: ReconstructConfig, patterns: Sequence[str] | None = None) -> list[View]:
         """What the matcher sees, of some patterns or of all."""

@@ -21,7 +21,7 @@ from benchmarks.geometry_case import Case
 from benchmarks.geometry_people import PEOPLE
 from benchmarks.geometry_scores import score
 from benchmarks.record import record
-from benchmarks.reflectance_people import SCALE, folder
+from benchmarks.reflectance_people import SCALE
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import default_rig
 from processing.frames.read import Frames, read_foreground, read_frames
@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--light", choices=("direct", "frontal-direct"), default="frontal-direct")
     chosen = parser.parse_args()
     name = chosen.person
-    case = Case(name, chosen.light, folder() / f"geometry-out-{name}-{chosen.light}")
+    case = Case(name, chosen.light)
     count = len(case.session.camera_ids())
     rows: list[tuple[object, ...]] = []
     start, wall = time.process_time(), time.perf_counter()

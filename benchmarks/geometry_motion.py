@@ -131,11 +131,11 @@ def mesh_rows(name: str) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as place:
         rig = true_rig(SCALE)
         found, _ = found_by(photographs(name, Path(place)), rig, by_cameras(rig), name)
-    for by, out, cameras in (
-        ("boards", folder() / f"geometry-out-{name}-direct", None),
-        ("photographs alone", folder() / f"geometry-motion-{name}", found.rig.cameras),
+    for by, label, cameras in (
+        ("boards", "", None),
+        ("photographs alone", "-motion", found.rig.cameras),
     ):
-        case = Case(name, "direct", out, cameras)
+        case = Case(name, cameras=cameras, label=label)
         depths, _ = timed_match(case.views(config), config)
         got = score(case.meshed(depths, config), case.skin)
         yield (

@@ -21,7 +21,6 @@ from benchmarks.geometry_case import Case
 from benchmarks.geometry_people import PEOPLE
 from benchmarks.geometry_scores import Surface
 from benchmarks.record import record
-from benchmarks.reflectance_people import folder
 from lightstage.formats.session import Session
 from lightstage.rig import Camera
 from processing.frames.read import Frames, read_foreground, read_frames
@@ -272,7 +271,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--person", default="lps", choices=[known.name for known in PEOPLE])
     name = parser.parse_args().person
-    best, rows = tune(Case(name, "direct", folder() / f"geometry-out-{name}-direct"))
+    best, rows = tune(Case(name))
     header = (*ASKED, "points: median / p95, mm", f"skin within {NEAR_MM} mm, %", "processor, s")
     record(
         "Geometry: tuning the peer",

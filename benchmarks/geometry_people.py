@@ -2,7 +2,7 @@
 
 Run `python -m benchmarks.geometry_people [NAME ..] [--light reference]` to make them ahead of the
 benchmarks, which make what they miss. They are kept beside the people of known reflectance. Frames
-are linear and without noise.
+are linear and without noise; faces have no facets (geometry_smooth.py).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.geometry_smooth import without_facets
 from benchmarks.reflectance_people import SCALE, Known, folder
 from lightstage.commands import quiet
 from lightstage.formats.files import atomic_folder
@@ -50,7 +51,7 @@ def session(known: Known, *, light: str = "direct", scale: float = SCALE) -> Pat
     Returns:
         The session folder; truth lies beside it.
     """
-    root = folder() / f"geometry-{known.name}-{known.seed}-{light}-{scale:g}"
+    root = folder() / f"geometry-{known.name}-{known.seed}-{light}-{scale:g}-smooth"
     if not root.is_dir():
         with atomic_folder(root, "session") as beside:
             _make(known, light, scale, beside / "session")
@@ -60,6 +61,7 @@ def session(known: Known, *, light: str = "direct", scale: float = SCALE) -> Pat
 def _make(known: Known, light: str, scale: float, out: Path) -> None:
     rig = default_rig().scaled(scale)
     subject = load_subject(known.name, known.seed, None, TEXTURE_ROWS, known.traits)
+    subject = without_facets(subject)
     world = World(subject, rig, samples=3)
     write_truth(world, truth_path(out))
     config = SessionConfig(sequence="binary")

@@ -18,7 +18,6 @@ import numpy as np
 from benchmarks.geometry_case import Case
 from benchmarks.geometry_people import PEOPLE
 from benchmarks.record import record
-from benchmarks.reflectance_people import folder
 from processing.frames.read import read_frames
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.small_views import matched_times, small_view
@@ -73,7 +72,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--person", default="plain", choices=[known.name for known in PEOPLE])
     name = parser.parse_args().person
-    case = Case(name, "direct", folder() / f"geometry-out-{name}-direct")
+    case = Case(name)
     views = case.views(CONFIG)
     timed(views, CONFIG)  # compiled before the clock starts
     usual, usual_s = timed(views, CONFIG)

@@ -19,7 +19,6 @@ from benchmarks.geometry_case import Case
 from benchmarks.geometry_people import PEOPLE
 from benchmarks.geometry_scores import score
 from benchmarks.record import record
-from benchmarks.reflectance_people import folder
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import consistent_points
 from processing.reconstruction.fusion import fuse
@@ -105,7 +104,7 @@ def main() -> None:
     parser.add_argument("--curves", default=",".join(CURVES))
     parser.add_argument("--rows", type=int, help="Match at most so many rows in all curves.")
     chosen = parser.parse_args()
-    case = Case(chosen.person, "direct", folder() / f"geometry-out-{chosen.person}-direct")
+    case = Case(chosen.person)
     small = dataclasses.replace(CONFIG, finest_rows=150, iterations=(1,))
     match_views(case.views(small), small)  # compiled before the clock starts
     for curve in chosen.curves.split(","):
