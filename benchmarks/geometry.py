@@ -26,10 +26,9 @@ from lightstage.formats.session import Session, load_session
 from processing.decode.stage import DecodeConfig, decode
 from processing.frames.read import Frames, read_frames, write_frames
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.consistency import consistent_points
-from processing.reconstruction.fusion import fuse
 from processing.reconstruction.stage import read_views
 from processing.reconstruction.stereo import match_views
+from processing.reconstruction.twice import meshed, twice
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from sim.errors import SimError
@@ -78,19 +77,20 @@ def measure(session: Session, out: Path) -> None:
         ]
     )
     config = ReconstructConfig()
-    views = read_views(session, out, config)
+    views, lights = read_views(session, out, config)
     # Compiled before the clock starts.
     match_views(views, dataclasses.replace(config, finest_rows=140, iterations=(1,)))
     rows, seconds, median = [], {}, {}
     for name in ("ours", "OpenCV SGBM HH, 8 pairs"):
         start, used = time.perf_counter(), time.process_time()
         if name == "ours":
-            level, depths, costs = match_views(views, config)
+            found = match_views(views, config)
+            matched = time.perf_counter() - start
+            _, points, mesh = twice(views, found, config, lights)
         else:
-            level, depths, costs = peer_depths(session, out, views, config, Sgbm())
-        matched = time.perf_counter() - start
-        points = consistent_points(level, depths, costs, config)
-        mesh = fuse(points, config)
+            found = peer_depths(session, out, views, config, Sgbm())
+            matched = time.perf_counter() - start
+            points, mesh = meshed(found, config, mended=False)
         seconds[name] = time.perf_counter() - start
         cpu = time.process_time() - used
         raw, gap = errors(points.positions, truth), errors(skin, mesh)

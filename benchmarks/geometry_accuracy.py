@@ -4,7 +4,8 @@
 one file (--keep), so that a person and a part fit into four minutes; a run without --people and
 --parts does all and writes RESULTS.md. Parts: `ours`, `peer` (OpenCV SGBM, the same fusion),
 `normals` (positions and normals together: off, on, and with normals tipped by 3 degrees),
-`patterns` (which photographs the matcher saw). --told writes the tables of what is kept.
+`patterns` (which photographs the matcher saw), `floor` (true cameras, no noise). --told writes the
+tables of what is kept.
 """
 
 from __future__ import annotations
@@ -15,21 +16,23 @@ import functools
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.geometry_case import Case, Depths, timed_match
+from benchmarks.geometry_case import Case, timed
 from benchmarks.geometry_peer import Sgbm, peer_depths
 from benchmarks.geometry_people import PEOPLE
 from benchmarks.geometry_pictures import write_pictures
-from benchmarks.geometry_scores import Scores, score
+from benchmarks.geometry_poses import true_rig
+from benchmarks.geometry_scores import Scores, Skin, score, where
 from benchmarks.record import record
 from benchmarks.reflectance_people import folder
 from lightstage.formats.files import read_json, write_json
 from lightstage.formats.mesh import Mesh
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.views import Level
+from processing.reconstruction.twice import Depths
+from processing.reconstruction.views import Level, View, pyramid
 
 SETS = {
     "all seven": None,
@@ -41,35 +44,72 @@ SETS = {
 }
 LIGHTS = ("direct", "reference", "frontal-direct", "frontal-reference")
 TIPPED_DEG = 3.0
-COARSE_ROWS = 400
-"""Of the comparison of photographs, which matches often."""
+COARSE_ROWS = 800
+"""Of the comparison of photographs, which matches often: in pictures of half the size."""
 CONFIG = ReconstructConfig()
 
 Row = dict[str, Any]
 Cells = tuple[object, ...]
-Meshes = Iterator[tuple[str, Mesh, float]]
-"""What it is, the mesh, processor seconds."""
+
+
+class Made(NamedTuple):
+    """A mesh in the truth's world.
+
+    Attributes:
+        name: how it was made.
+        mesh: mm.
+        seconds: processor's.
+        skin: what it is scored by, where that is not all of the case's.
+    """
+
+    name: str
+    mesh: Mesh
+    seconds: float
+    skin: Skin | None = None
+
+
+Meshes = Iterator[Made]
 
 
 @functools.lru_cache(maxsize=1)
-def _matched(case: Case) -> tuple[Depths, float]:
-    """Our depths of a person, which several parts take, and processor seconds."""
-    return timed_match(case.views(CONFIG), CONFIG)
+def _ours(case: Case) -> tuple[list[View], Depths, Mesh, float]:
+    """Views, second depths and mesh of a person, which several parts take; processor seconds."""
+    views, lights = case.views(CONFIG)
+    depths, mesh, seconds = timed(views, lights, CONFIG)
+    return views, depths, case.laid(mesh), seconds
 
 
 def ours(case: Case) -> Meshes:
     """The stage as it is."""
-    depths, matched_s = _matched(case)
-    yield "ours", *_meshed(case, depths, CONFIG, matched_s)
+    yield Made("ours", *_ours(case)[2:])
 
 
 def peer(case: Case) -> Meshes:
-    """OpenCV's matcher, our consistency and fusion, its points as they are."""
+    """OpenCV's matcher, our consistency and fusion, its points as they are.
+
+    Then ours again, of what SGBM found alone.
+    """
+    views, _, mesh, seconds = _ours(case)
+    theirs = _sgbm(case, views)
+    yield theirs
+    cut, skin = where(mesh, case.skin, theirs.mesh)
+    yield Made("ours, where SGBM is", cut, seconds, skin)
+    yield Made("SGBM, where SGBM is", *theirs[1:3], where(mesh, case.skin, theirs.mesh)[1])
+
+
+def _sgbm(case: Case, views: list[View]) -> Made:
     plain = dataclasses.replace(CONFIG, relief_mm=0.0)
-    views = case.views(plain)
     start = time.process_time()
     depths = peer_depths(case.session, case.out, views, plain, Sgbm())
-    yield "OpenCV SGBM", *_meshed(case, depths, plain, time.process_time() - start)
+    return Made("OpenCV SGBM", *_meshed(case, depths, plain, time.process_time() - start))
+
+
+def floor(case: Case) -> Meshes:
+    """Both with true cameras and without pixel noise: what neither can be blamed for."""
+    best = Case(case.name, noise=0.0, cameras=true_rig().cameras, label="-true")
+    views, _, mesh, seconds = _ours(best)
+    yield Made("ours, true cameras, no noise", mesh, seconds)
+    yield _sgbm(best, views)._replace(name="SGBM, true cameras, no noise")
 
 
 def normals(case: Case) -> Meshes:
@@ -78,17 +118,19 @@ def normals(case: Case) -> Meshes:
     First a mesh of points alone, normals by planes through neighbouring points: a surface that no
     photometric normal has touched after matching.
     """
-    (level, inverse, costs), _ = _matched(case)
+    views, (level, inverse, costs), _, _ = _ours(case)
+    coarse = pyramid(views, CONFIG.finest_rows, CONFIG.coarsest_rows)[-1]
     tipped = dataclasses.replace(level, normals=_tipped(level, TIPPED_DEG))
-    cases: list[tuple[str, Level, float]] = [
-        ("points alone, their planes' normals", _toward_cameras(level), 0.0),
-        ("points alone, normals of both", level, 0.0),
-        ("with normals", level, CONFIG.relief_mm),
-        ("with normals tipped", tipped, CONFIG.relief_mm),
+    cases: list[tuple[str, Level, float, bool]] = [
+        ("points alone, their planes' normals", _toward_cameras(level), 0.0, True),
+        ("points alone, normals of both", level, 0.0, True),
+        ("with coarse normals", coarse, CONFIG.relief_mm, False),
+        ("with mended normals", level, CONFIG.relief_mm, True),
+        ("with mended normals tipped", tipped, CONFIG.relief_mm, True),
     ]
-    for name, seen, relief_mm in cases:
+    for name, seen, relief_mm, mended in cases:
         config = dataclasses.replace(CONFIG, relief_mm=relief_mm)
-        yield name, *_meshed(case, (seen, inverse, costs), config, 0.0)
+        yield Made(name, *_meshed(case, (seen, inverse, costs), config, 0.0, mended))
 
 
 def _toward_cameras(level: Level) -> Level:
@@ -107,8 +149,8 @@ def patterns(case: Case) -> Meshes:
     """Points alone, of matching with some of the photographs, coarser than by default."""
     config = dataclasses.replace(CONFIG, relief_mm=0.0, finest_rows=COARSE_ROWS)
     for name, chosen in SETS.items():
-        depths, matched_s = timed_match(case.views(config, chosen), config)
-        yield name, *_meshed(case, depths, config, matched_s)
+        _, mesh, seconds = timed(*case.views(config, chosen), config)
+        yield Made(name, case.laid(mesh), seconds)
 
 
 PARTS: dict[str, Callable[[Case], Meshes]] = {
@@ -116,14 +158,15 @@ PARTS: dict[str, Callable[[Case], Meshes]] = {
     "peer": peer,
     "normals": normals,
     "patterns": patterns,
+    "floor": floor,
 }
 
 
 def _meshed(
-    case: Case, depths: Depths, config: ReconstructConfig, before_s: float
+    case: Case, depths: Depths, config: ReconstructConfig, before_s: float, mended: bool = False
 ) -> tuple[Mesh, float]:
     start = time.process_time()
-    mesh = case.meshed(depths, config)
+    mesh = case.meshed(depths, config, mended)
     return mesh, before_s + time.process_time() - start
 
 
@@ -157,8 +200,11 @@ def tables(results: dict[str, dict[str, Row]]) -> None:
             mm = [f"{row[k][0]:.3f} / {row[k][1]:.2f}" for k in ("to_truth", "to_mesh")]
             share = f"{100 * row['within']:.1f} ({100 * row['within_two']:.1f})"
             deg = f"{row['normals_deg'][0]:.2f} / {row['normals_deg'][1]:.2f}"
-            if part in ("ours", "peer"):
-                rows.append((who, method, *mm, share, deg, row["seconds"]))
+            if part in ("ours", "peer", "floor"):
+                all_skin = f"{row['capped_mm']:.3f}"
+                rows.append((who, method, *mm, all_skin, share, deg, row["seconds"]))
+                if part == "floor" or "where" in method:
+                    continue
                 cells = [
                     f"{row['regions'][r][0]:.3f} / {row['regions'][r][1]:.2f} / "
                     f"{100 * row['regions'][r][2]:.0f}"
@@ -174,11 +220,12 @@ def tables(results: dict[str, dict[str, Row]]) -> None:
         "light has cast shadows, `reference` bounces and scattering as well; `frontal`: 3 views."
     )
     both = ("mesh to truth: median / p95, mm", "true skin to mesh: median / p95, mm")
+    all_at_most = "true skin to mesh, 1 mm at most: mean"
     share, deg = "skin within .5 mm, % (seen by two)", "normals: mean / median, deg"
     if rows:
         record(
             "Geometry: meshes of known people",
-            ("person", "method", *both, share, deg, "processor, s"),
+            ("person", "method", *both, all_at_most, share, deg, "processor, s"),
             rows,
             note,
         )
@@ -219,8 +266,8 @@ def main() -> None:
         case = Case(name, chosen.light)
         for part in chosen.parts.split(","):
             found = results[f"{chosen.light} {name} {part}"] = {}
-            for method, mesh, spent in PARTS[part](case):
-                found[method] = _row(score(mesh, case.skin), spent)
+            for method, mesh, spent, skin in PARTS[part](case):
+                found[method] = _row(score(mesh, case.skin if skin is None else skin), spent)
                 print(name, method, found[method], flush=True)
                 if chosen.pictures is not None:
                     label = f"{name}-{method}".replace(" ", "-")

@@ -21,12 +21,12 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from lightstage.rig import Camera, Rig
 from processing.frames.read import foreground_path
+from processing.lighting.lights import PatternLights
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.consistency import consistent_points
-from processing.reconstruction.fusion import fuse
 from processing.reconstruction.stage import read_views
 from processing.reconstruction.stereo import match_views
-from processing.reconstruction.views import Level, View
+from processing.reconstruction.twice import Depths, meshed, twice
+from processing.reconstruction.views import View
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from sim.session import truth_path
@@ -34,14 +34,12 @@ from sim.session import truth_path
 FRONTAL = 3
 """Views of a frontal case."""
 
-Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
-"""Finest level, and of each view inverse depth and cost."""
-
 
 class Case:
     """A person's photographs, coarse maps and measured cameras.
 
     Attributes:
+        name: of the person.
         session: with the measured rig in place of the true one.
         out: its processed folder.
         skin: the truth.
@@ -66,7 +64,7 @@ class Case:
             cameras: None for those measured from boards.
             label: of the processed folder, where cameras are others.
         """
-        known = person(name)
+        known, self.name = person(name), name
         kind = light.removeprefix("frontal-")
         path = session(known, light=kind)
         true: Session = load_session(path)
@@ -86,13 +84,15 @@ class Case:
         seen = Rig(true.rig.lights, true.rig.cameras[:count])
         self.skin: Skin = true_skin(ProcessedFolder(truth_path(path)), seen)
 
-    def views(self, config: ReconstructConfig, patterns: Sequence[str] | None = None) -> list[View]:
-        """What the matcher sees, of some patterns or of all."""
+    def views(
+        self, config: ReconstructConfig, patterns: Sequence[str] | None = None
+    ) -> tuple[list[View], PatternLights]:
+        """What the matcher sees, of some patterns or of all, and their lights."""
         return read_views(self.session, self.out, config, patterns)
 
-    def meshed(self, depths: Depths, config: ReconstructConfig) -> Mesh:
+    def meshed(self, depths: Depths, config: ReconstructConfig, mended: bool = False) -> Mesh:
         """Consistency and fusion; in the truth's world."""
-        return self.laid(fuse(consistent_points(*depths, config), config))
+        return self.laid(meshed(depths, config, mended)[1])
 
     def laid(self, mesh: Mesh) -> Mesh:
         """A mesh in the truth's world."""
@@ -103,8 +103,10 @@ class Case:
         return np.asarray(self._turn.apply(points) + self._shift)
 
 
-def timed_match(views: list[View], config: ReconstructConfig) -> tuple[Depths, float]:
-    """Our depths, and processor seconds."""
+def timed(
+    views: list[View], lights: PatternLights, config: ReconstructConfig
+) -> tuple[Depths, Mesh, float]:
+    """Our depths and mesh, in the cameras' world, and processor seconds."""
     start = time.process_time()
-    found = match_views(views, config)
-    return found, time.process_time() - start
+    found, _, mesh = twice(views, match_views(views, config), config, lights)
+    return found, mesh, time.process_time() - start

@@ -26,11 +26,9 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import default_rig
 from processing.frames.read import Frames, read_foreground, read_frames
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.consistency import consistent_points
-from processing.reconstruction.fusion import fuse
 from processing.reconstruction.small_views import matched_times, small_view
 from processing.reconstruction.stereo import match_views
-from processing.reconstruction.views import View, common_basis, make_view
+from processing.reconstruction.twice import twice
 
 CONFIG = ReconstructConfig()
 
@@ -54,17 +52,6 @@ def smaller_s(case: Case) -> tuple[float, int]:
     return time.process_time() - start, times
 
 
-def whole_views(case: Case) -> list[View]:
-    """All views at their own size."""
-    folder_, small = ProcessedFolder(case.out), []
-    for name in case.session.camera_ids():
-        frames, mask = read_frames(case.out, name), read_foreground(case.out, name)
-        normals = folder_.read_view(name, "diffuse_normal")
-        small.append(small_view(case.session.rig.camera(name), frames, mask, normals, 1))
-    basis = common_basis([s.images for s in small], [s.mask & s.valid for s in small])
-    return [make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis) for s in small]
-
-
 def main() -> None:
     """Measure, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -76,24 +63,21 @@ def main() -> None:
     count = len(case.session.camera_ids())
     rows: list[tuple[object, ...]] = []
     start, wall = time.process_time(), time.perf_counter()
-    views = whole_views(case)
+    views, lights = case.views(CONFIG)
     depths = match_views(views, CONFIG)
     matched_s = time.process_time() - start
-    points = consistent_points(*depths, CONFIG)
-    points_s = time.process_time() - start - matched_s
-    mesh = fuse(points, CONFIG)
+    mesh = twice(views, depths, CONFIG, lights)[2]
     whole_s, wall_s = time.process_time() - start, time.perf_counter() - wall
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     found = score(mesh=case.laid(mesh), skin=case.skin)
-    del views, depths, points
+    del views, depths
     each_s, times = smaller_s(case)
     shape = f"{case.session.rig.cameras[0].width_px} x {case.session.rig.cameras[0].height_px}"
     for what, value in (
         (f"one view made {times} times smaller, processor s", f"{each_s:.1f}"),
         (f"{count} views, processor s", f"{count * each_s:.0f}"),
         (f"{count} views matched at {shape}, processor s", f"{matched_s:.0f}"),
-        ("consistency, relief, processor s", f"{points_s:.0f}"),
-        ("fusion, processor s", f"{whole_s - matched_s - points_s:.0f}"),
+        ("consistency, second look, fusion, processor s", f"{whole_s - matched_s:.0f}"),
         ("all, processor s", f"{whole_s + count * each_s:.0f}"),
         ("matching to mesh, wall s", f"{wall_s:.0f}"),
         ("peak of memory, matching to mesh, GiB", f"{peak:.1f}"),

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.geometry_case import Case, timed_match
+from benchmarks.geometry_case import Case, timed
 from benchmarks.geometry_people import PEOPLE, person, session
 from benchmarks.geometry_poses import errors, true_rig
 from benchmarks.geometry_scores import score
 from benchmarks.record import record
-from benchmarks.reflectance_people import NOISE, SCALE, folder
+from benchmarks.reflectance_people import NOISE, SCALE
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.session import load_session
@@ -136,8 +136,7 @@ def mesh_rows(name: str) -> Iterator[Row]:
         ("photographs alone", "-motion", found.rig.cameras),
     ):
         case = Case(name, cameras=cameras, label=label)
-        depths, _ = timed_match(case.views(config), config)
-        got = score(case.meshed(depths, config), case.skin)
+        got = score(case.laid(timed(*case.views(config), config)[1]), case.skin)
         yield (
             name,
             by,

@@ -16,6 +16,7 @@ EVERY = 5
 """Truth is asked at every 5th pixel across and down."""
 NEAR_MM = 16.0
 EAR_MM = 35.0
+CAP_MM = 1.0
 REGIONS = {"nose": (27, 36), "lids": (36, 48), "lips": (48, 68), "chin": (6, 11)}
 """Landmarks of each region, a point within NEAR_MM of one of them belongs to it."""
 
@@ -137,6 +138,7 @@ class Scores:
         to_mesh: the same from true skin to the mesh.
         within: share of true skin within .5 mm of the mesh.
         within_two: the same of skin that two cameras or more see.
+        capped_mm: mean distance of true skin to the mesh, CAP_MM at most: holes count as that.
         normals_deg: (mean, median) angle of the mesh's normals to the truth's, of skin within 1 mm.
         regions: name to (median, 95th, share within .5 mm) of its skin's distance to the mesh.
     """
@@ -145,8 +147,24 @@ class Scores:
     to_mesh: tuple[float, float]
     within: float
     within_two: float
+    capped_mm: float
     normals_deg: tuple[float, float]
     regions: dict[str, tuple[float, float, float]]
+
+
+def where(mesh: Mesh, skin: Skin, other: Mesh, near_mm: float = 0.5) -> tuple[Mesh, Skin]:
+    """The parts of a mesh and of true skin that another mesh has within `near_mm`, too."""
+    there = Surface(other)
+    held = there.nearest(mesh.vertices)[0] < near_mm
+    faces = mesh.faces[held[mesh.faces].all(axis=1)]
+    found = there.nearest(skin.places)[0] < near_mm
+    return Mesh(mesh.vertices, faces), dataclasses.replace(
+        skin,
+        places=skin.places[found],
+        normals=skin.normals[found],
+        views=skin.views[found],
+        regions={name: inside[found] for name, inside in skin.regions.items()},
+    )
 
 
 def score(mesh: Mesh, skin: Skin) -> Scores:
@@ -162,6 +180,7 @@ def score(mesh: Mesh, skin: Skin) -> Scores:
         _two(gap),
         float((gap < 0.5).mean()),
         float((gap[skin.views > 1] < 0.5).mean()),
+        float(np.minimum(gap, CAP_MM).mean()),
         (float(angle.mean()), float(np.median(angle))) if near.any() else (np.nan, np.nan),
         {
             name: (*_two(gap[inside]), float((gap[inside] < 0.5).mean()))

@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--person", default="plain", choices=[known.name for known in PEOPLE])
     name = parser.parse_args().person
     case = Case(name)
-    views = case.views(CONFIG)
+    views, _ = case.views(CONFIG)
     timed(views, CONFIG)  # compiled before the clock starts
     usual, usual_s = timed(views, CONFIG)
     rows: list[tuple[object, ...]] = []

@@ -20,9 +20,8 @@ from benchmarks.geometry_people import PEOPLE
 from benchmarks.geometry_scores import score
 from benchmarks.record import record
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.consistency import consistent_points
-from processing.reconstruction.fusion import fuse
 from processing.reconstruction.stereo import match_views
+from processing.reconstruction.twice import twice
 
 CONFIG = ReconstructConfig()
 TWO_PAIRS = ("full", "x+", "x-", "y+", "y-")
@@ -58,6 +57,10 @@ CURVES: dict[str, list[Setting]] = {
         Setting("full, x and y", patterns=TWO_PAIRS),
         Setting("all seven"),
     ],
+    "looks": [
+        Setting("one look", {"look_again": False}),
+        Setting("two looks"),
+    ],
     "relief": [
         Setting(f"relief below {mm:g} mm from normals", {"relief_mm": mm}) for mm in (0, 1, 3, 6)
     ],
@@ -75,18 +78,18 @@ def measure(case: Case, setting: Setting) -> tuple[object, ...]:
     try:
         numba.set_num_threads(threads)
         wall, used = time.perf_counter(), time.process_time()
-        views = case.views(config, setting.patterns)
+        views, lights = case.views(config, setting.patterns)
         views = [views[k] for k in sorted(NEAREST[: setting.views])]
-        level, depths, costs = match_views(views, config)
+        depths = match_views(views, config)
         matched = time.process_time() - used
-        mesh = case.laid(fuse(consistent_points(level, depths, costs, config), config))
+        mesh = case.laid(twice(views, depths, config, lights)[2])
         wall, used = time.perf_counter() - wall, time.process_time() - used
     finally:
         numba.set_num_threads(before)
     found = score(mesh, case.skin)
     return (
         setting.name,
-        f"{level.pictures.shape[2]} x {level.pictures.shape[1]}",
+        f"{depths[0].pictures.shape[2]} x {depths[0].pictures.shape[1]}",
         f"{wall:.1f}",
         f"{matched:.1f}",
         f"{used:.1f}",
@@ -106,7 +109,9 @@ def main() -> None:
     chosen = parser.parse_args()
     case = Case(chosen.person)
     small = dataclasses.replace(CONFIG, finest_rows=150, iterations=(1,))
-    match_views(case.views(small), small)  # compiled before the clock starts
+    # Compiled before the clock starts.
+    views, lights = case.views(small)
+    twice(views, match_views(views, small), small, lights)
     for curve in chosen.curves.split(","):
         settings = CURVES[curve]
         if chosen.rows is not None:

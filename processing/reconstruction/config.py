@@ -15,8 +15,9 @@ class ReconstructConfig:
         drift_px: a camera whose matches miss by more than this, and by less than the former, is
             warned of: cameras are due to be measured again.
         min_matches: verified matches below which a camera's pose is called unchecked.
-        finest_rows: pictures are halved until they have at most this many rows, and once at least
-            unless they have 600 or fewer.
+        finest_rows: pictures are halved until they have at most this many rows; depth is searched
+            in pictures of half that size (unless they have 600 rows or fewer), and looked at again
+            in these.
         coarsest_rows: the pyramid ends at the first level with at most this many rows.
         depth_reach_mm: the surface lies within this depth of the point the cameras look at.
         source_views: each view is matched with this many others.
@@ -29,13 +30,17 @@ class ReconstructConfig:
         max_cost: a depth of a higher matching cost is dropped.
         agree_mm: two views agree where their surfaces lie within this, along the normal.
         agree_views: a point is kept when at least this many other views agree.
+        look_again: look a second time, with the first mesh's planes, pictures of twice the size,
+            and normals mended for the shadows that it casts.
         relief_mm: shapes smaller than this come from the normals, larger ones from matched depth;
-            0 leaves the points as they were matched.
+            half of it where normals were not mended; 0 leaves the points as they were matched.
         bias_mm: normals are trusted in what is smaller than this alone; the rest of them is
-            replaced by that of the points.
+            replaced by that of the points. Half of it where normals were not mended.
         doubt_deg: where normals and points disagree by more than this in what is a third of
             `bias_mm`, normals are trusted in still smaller shapes alone.
         cell_mm: width of the finest cells of the fused surface.
+        settle_mm: the mesh's vertices are moved onto the points' mean under a Gaussian of this
+            sigma; 0 leaves them where the fused surface is.
         trim_mm: the surface is cut where no point lies within this distance.
         colmap_to: folder to which pictures, poses and depth maps are written in COLMAP's formats;
             empty for none.
@@ -61,10 +66,12 @@ class ReconstructConfig:
     max_cost: float = 0.7
     agree_mm: float = 0.4
     agree_views: int = 1
-    relief_mm: float = 1.5
-    bias_mm: float = 3.0
+    look_again: bool = True
+    relief_mm: float = 3.0
+    bias_mm: float = 6.0
     doubt_deg: float = 2.0
     cell_mm: float = 1.2
+    settle_mm: float = 0.6
     trim_mm: float = 2.0
     colmap_to: str = ""
     colmap_from: str = ""

@@ -11,6 +11,7 @@ from lightstage.formats.mesh import Mesh, vertex_normals
 from processing.errors import ReconstructionError
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import Points
+from processing.reconstruction.settle import settled
 
 MIN_POINTS = 500
 """Fewer points make no surface."""
@@ -67,7 +68,8 @@ def fuse(points: Points, config: ReconstructConfig) -> Mesh:
     )
     kept = triangles[(near < config.trim_mm)[triangles].all(axis=1)]
     mesh = compact(vertices, largest_component(kept, len(vertices)))
-    return oriented(mesh, np.asarray(cloud.points), np.asarray(cloud.normals))
+    mesh = oriented(mesh, np.asarray(cloud.points), np.asarray(cloud.normals))
+    return settled(mesh, points.positions, points.normals, config.settle_mm)
 
 
 def largest_component(triangles: np.ndarray, vertices: int) -> np.ndarray:

@@ -1,8 +1,6 @@
 """Photographs in the size that they are matched in: means of what is usable, view by view.
 
-A mosaic holds a colour in every other pixel, so its finest detail is interpolated: photographs are
-matched at half their size at most, but for those that are small already. Of large ones no whole
-float picture is ever made.
+Of large photographs no whole float picture is ever made.
 """
 
 from __future__ import annotations
@@ -17,9 +15,6 @@ from numba import njit, prange
 from lightstage.formats.half import as_float
 from lightstage.rig import Camera
 from processing.frames.read import Frames
-
-SMALL_ROWS = 600
-"""Pictures of at most so many rows are matched as they are."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +38,7 @@ class SmallView:
 
 def matched_times(rows: int, finest_rows: int) -> int:
     """The power of two by which pictures of so many rows are made smaller."""
-    times = 1 if rows <= SMALL_ROWS else 2
+    times = 1
     while rows > finest_rows * times:
         times *= 2
     return times

@@ -15,10 +15,10 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from processing.errors import ReconstructionError
 from processing.frames.read import read_foreground, read_frames
+from processing.lighting.lights import PatternLights, pattern_lights
 from processing.reconstruction.colmap_folder import read_colmap, write_colmap
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.consistency import consistent_points
-from processing.reconstruction.fusion import Holes, boundary_loops, fuse
+from processing.reconstruction.fusion import Holes, boundary_loops
 from processing.reconstruction.pictures import coverage, write_pictures
 from processing.reconstruction.poses import (
     PoseReport,
@@ -34,7 +34,8 @@ from processing.reconstruction.small_views import (
     small_view,
     smaller_picture,
 )
-from processing.reconstruction.stereo import match_views, pick_sources
+from processing.reconstruction.stereo import match_views, sources_of
+from processing.reconstruction.twice import Depths, meshed, twice
 from processing.reconstruction.views import View, common_basis, make_view, pyramid
 
 __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
@@ -79,8 +80,8 @@ def reconstruct(
         ReconstructionError: views that do not see one surface.
     """
     poses = check_session_poses(session, out, config)
-    views = read_views(session, out, config)
-    mesh, holes, facts, shown = reconstruct_views(views, config, progress)
+    views, lights = read_views(session, out, config)
+    mesh, holes, facts, shown = reconstruct_views(views, config, progress, lights)
     write_pictures(out, [view.camera.id for view in views], shown, mesh)
     write_ply(mesh, ProcessedFolder(out).base_mesh)
     return {
@@ -129,7 +130,7 @@ def read_views(
     out: Path,
     config: ReconstructConfig,
     patterns: Sequence[str] | None = None,
-) -> list[View]:
+) -> tuple[list[View], PatternLights]:
     """All cameras' photographs, foreground masks and coarse normals, as the matcher wants them.
 
     Args:
@@ -137,27 +138,33 @@ def read_views(
         out: processed folder.
         config: how fine.
         patterns: which photographs are matched; None for all.
+
+    Returns:
+        The views, and the lights of their patterns.
     """
     folder = ProcessedFolder(out)
     rows = max(camera.height_px for camera in session.rig.cameras)
     times = matched_times(rows, config.finest_rows)
-    small = [
-        small_view(
-            session.rig.camera(camera),
-            read_frames(out, camera),
-            read_foreground(out, camera),
-            folder.read_view(camera, "diffuse_normal"),
-            times,
-            patterns,
-        )
-        for camera in session.camera_ids()
-    ]
+    small, wanted = [], tuple(patterns or ())
+    for camera in session.camera_ids():
+        frames, mask = read_frames(out, camera), read_foreground(out, camera)
+        wanted = wanted or tuple(frames.patterns)
+        normals = folder.read_view(camera, "diffuse_normal")
+        own = session.rig.camera(camera)
+        small.append(small_view(own, frames, mask, normals, times, wanted))
+    lights = pattern_lights(session, wanted)
     basis = common_basis([s.images for s in small], [s.mask & s.valid for s in small])
-    return [make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis) for s in small]
+    return [
+        make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis, lights.colour)
+        for s in small
+    ], lights
 
 
 def reconstruct_views(
-    views: list[View], config: ReconstructConfig, progress: ProgressCallback = quiet
+    views: list[View],
+    config: ReconstructConfig,
+    progress: ProgressCallback = quiet,
+    lights: PatternLights | None = None,
 ) -> Reconstructed:
     """From views to a mesh: the pure part of the stage.
 
@@ -165,6 +172,7 @@ def reconstruct_views(
         views: at least two that see the same surface from different places.
         config: settings.
         progress: called as views are matched.
+        lights: of the patterns that the views' signals are of, where they have signals.
 
     Raises:
         ReconstructionError: fewer than two views show anything, or no points agree.
@@ -181,15 +189,15 @@ def reconstruct_views(
     names = [view.camera.id for view in views]
     if config.colmap_from:
         level = pyramid(views, config.finest_rows, config.coarsest_rows)[-1]
-        depths, costs = read_colmap(Path(config.colmap_from), names, level)
+        found: Depths = level, *read_colmap(Path(config.colmap_from), names, level)
+        points, mesh = meshed(found, config, mended=False)
     else:
-        level, depths, costs = match_views(views, config, progress)
+        found = match_views(views, config, progress)
+        found, points, mesh = twice(views, found, config, lights, progress)
+    level, depths, _ = found
     if config.colmap_to:
-        sources = pick_sources([v.camera for v in views], [n in showing for n in names], config)
-        write_colmap(Path(config.colmap_to), names, level, depths, sources)
+        write_colmap(Path(config.colmap_to), names, level, depths, sources_of(views, config))
     matched = sum(int((depth > 0).sum()) for depth in depths)
-    points = consistent_points(level, depths, costs, config)
-    mesh = fuse(points, config)
     facts: dict[str, Any] = {
         "matched_pixels": matched,
         "points": len(points.positions),

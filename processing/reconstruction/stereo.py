@@ -67,9 +67,21 @@ def transfer(level: Level, reference: int, other: int) -> tuple[np.ndarray, np.n
 
 
 def make_stereo(
-    level: Level, reference: int, sources: np.ndarray, config: ReconstructConfig
+    level: Level,
+    reference: int,
+    sources: np.ndarray,
+    config: ReconstructConfig,
+    normals: np.ndarray | None = None,
 ) -> Stereo:
-    """Gather what the kernels need of one reference view at one level."""
+    """Gather what the kernels need of one reference view at one level.
+
+    Args:
+        level: the pictures.
+        reference: index of the view whose depth is sought.
+        sources: indices of those it is matched with.
+        config: patches and limits.
+        normals: (h, w, 3) that patches follow; None for the level's own.
+    """
     pairs = [transfer(level, reference, other) for other in sources]
     pose = level.poses[reference]
     centres = np.array([_centre(level.poses[other]) for other in sources])
@@ -85,12 +97,18 @@ def make_stereo(
         np.array([m for _, m in pairs], np.float32),
         lens.astype(np.float32),
         (centres @ pose[:, :3].T + pose[:, 3]).astype(np.float32),
-        plane_slopes(level.normals[reference], lens, pose),
+        plane_slopes(level.normals[reference] if normals is None else normals, lens, pose),
         offsets.astype(np.int64),
         np.float32(config.min_cosine),
         np.float32(config.contrast_floor),
         np.float32(1.0 / (lens[:2].mean() * baselines.mean())),
     )
+
+
+def sources_of(views: Sequence[View], config: ReconstructConfig) -> list[np.ndarray]:
+    """`pick_sources` of views."""
+    usable = [bool(np.isfinite(view.textures).any()) for view in views]
+    return pick_sources([view.camera for view in views], usable, config)
 
 
 def match_views(
@@ -104,14 +122,13 @@ def match_views(
         progress: called after each view of each level.
 
     Returns:
-        The finest level, and for each view (h, w) float32 inverse depth (1/mm along the optical
-        axis, 0 where there is none) and matching cost (0..2).
+        The finest level that was searched, and for each view (h, w) float32 inverse depth (1/mm
+        along the optical axis, 0 where there is none) and matching cost (0..2).
     """
     levels = pyramid(views, config.finest_rows, config.coarsest_rows)
-    cameras = [view.camera for view in views]
+    sources = sources_of(views, config)
     usable = [bool(np.isfinite(view.textures).any()) for view in views]
-    sources = pick_sources(cameras, usable, config)
-    focus = focus_point([c for c, use in zip(cameras, usable, strict=True) if use])
+    focus = focus_point([v.camera for v, use in zip(views, usable, strict=True) if use])
     depths: list[np.ndarray] = []
     costs: list[np.ndarray] = []
     total, done = len(levels) * len(views), 0
@@ -127,11 +144,12 @@ def match_views(
                     _start(level, stereo, focus, config, depth, cost)
                 else:
                     depth[:] = doubled(coarser[index], stereo.slopes)
-                    polish(stereo, np.float32(0.5) * stereo.step, depth.copy(), cost, depth)
+                    polish(stereo, np.float32(0.5) * stereo.step, 1, depth.copy(), cost, depth)
                 iterations = config.iterations[min(number, len(config.iterations) - 1)]
                 _propagate(stereo, iterations, config, depth, cost)
-                if number == len(levels) - 1:
-                    polish(stereo, np.float32(0.3) * stereo.step, depth.copy(), cost, depth)
+                # The second look starts from the mesh.
+                if number == len(levels) - 1 and not config.look_again:
+                    polish(stereo, np.float32(0.3) * stereo.step, 1, depth.copy(), cost, depth)
             depths.append(depth)
             costs.append(cost)
             done += 1

@@ -198,6 +198,7 @@ def propagate(
 def polish(
     stereo: Stereo,
     delta: np.float32,
+    every: int,
     inverse_depth: np.ndarray,
     cost: np.ndarray,
     out: np.ndarray,
@@ -207,14 +208,16 @@ def polish(
     Args:
         stereo: the views.
         delta: in inverse depth; a pixel moves by at most half of it.
+        every: 1 for all pixels, 2 for every second one of every second row.
         inverse_depth: (h, w), 0 where there is none.
         cost: (h, w), filled with the matching cost before the move.
         out: (h, w) inverse depth, filled.
     """
     height, width = inverse_depth.shape
-    for row in prange(height):
+    for line in prange((height + every - 1) // every):
         patch = new_patch(stereo)
-        for column in range(width):
+        row = line * every
+        for column in range(0, width, every):
             w = inverse_depth[row, column]
             out[row, column] = w
             cost[row, column] = NO_MATCH

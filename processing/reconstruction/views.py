@@ -9,7 +9,11 @@ import cv2
 import numpy as np
 
 from lightstage.rig import Camera
+from processing.normals import chroma_signal
 from processing.reconstruction.patches import TEXTURES
+
+SMALL_ROWS = 600
+"""Pictures of at most so many rows are searched as they are."""
 
 STEEPEST = 0.15
 """Cosine to the line of sight below which a normal is bent toward the camera: a patch that is
@@ -17,6 +21,9 @@ seen at a more grazing angle has no samples to speak of."""
 
 WHITE = 0.5
 """Weight of the white part of colour, which holds the highlights, beside the rest."""
+
+GREY = 0.1
+"""A pixel less saturated than this has no colour that tells the light it scatters."""
 
 BASIS_ROWS = 380
 """Contrast is measured between pixels of about so many rows a picture."""
@@ -31,12 +38,15 @@ class View:
         textures: (h, w, TEXTURES) float32, NaN where background, clipped or not a number.
         mask: (h, w) bool, foreground.
         normals: (h, w, 3) float32 unit, world; zero where unknown.
+        signal: (h, w, P) float32, what scattered light a pixel reads under each pattern, on a scale
+            of its own; NaN where there is none. None where it was not asked for.
     """
 
     camera: Camera
     textures: np.ndarray
     mask: np.ndarray
     normals: np.ndarray
+    signal: np.ndarray | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,6 +115,7 @@ def make_view(
     mask: np.ndarray,
     normals: np.ndarray,
     basis: np.ndarray,
+    white: np.ndarray | None = None,
 ) -> View:
     """Bring one camera's photographs into the matcher's form; undo the lens distortion, if any.
 
@@ -115,6 +126,7 @@ def make_view(
         mask: (h, w) bool foreground.
         normals: (h, w, 3) world.
         basis: (P, 3, k) of `common_basis`.
+        white: (3,) the lights' colour, where a signal is wanted.
     """
     textures = np.zeros((*mask.shape, TEXTURES), np.float32)
     kept = basis.shape[2]
@@ -122,6 +134,7 @@ def make_view(
     usable = valid & mask & np.isfinite(textures).all(axis=2)
     textures[~usable] = 0
     normals = np.where(np.isfinite(normals), normals, 0).astype(np.float32)
+    signal = None if white is None else _signal(images, usable, white)
     if any(camera.dist):
         lens, straight = camera.opencv_matrix, dataclasses.replace(camera, dist=(0, 0, 0, 0, 0))
         size = (camera.width_px, camera.height_px)
@@ -137,9 +150,30 @@ def make_view(
         usable = cv2.remap(usable.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.999
         mask = cv2.remap(mask.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
         normals = cv2.remap(normals, x, y, cv2.INTER_LINEAR)
+        if signal is not None:
+            signal = _each(signal, x, y)
         camera = straight
     textures[~(usable & mask)] = np.nan
-    return View(camera, textures, mask, _unit(normals))
+    return View(camera, textures, mask, _unit(normals), signal)
+
+
+def _signal(images: np.ndarray, usable: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """(h, w, P) the part of colour that no highlight has, NaN where there is none."""
+    rgb = images[:, usable].transpose(1, 0, 2) / np.asarray(white, np.float32)
+    found, saturation = chroma_signal(rgb, np.ones(3))
+    found[saturation < GREY] = np.nan
+    out = np.full((*usable.shape, len(images)), np.nan, np.float32)
+    out[usable] = found
+    return out
+
+
+def _each(layers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Layers (h, w, k) at other places; NaN beside a NaN."""
+    moved = [
+        cv2.remap(np.ascontiguousarray(layers[:, :, k]), x, y, cv2.INTER_LINEAR)
+        for k in range(layers.shape[2])
+    ]
+    return np.stack(moved, axis=2)
 
 
 def finest_level(views: Sequence[View]) -> Level:
@@ -163,20 +197,29 @@ def finest_level(views: Sequence[View]) -> Level:
 def halved(level: Level) -> Level:
     """The next coarser level: means over 2 x 2 valid pixels."""
     valid = ~np.isnan(level.pictures[..., :1])
-    weight = _block_sum(valid.astype(np.float32))
-    pictures = _block_sum(np.where(valid, level.pictures, 0)) / np.maximum(weight, 1)
+    weight = block_sum(valid.astype(np.float32))
+    pictures = block_sum(np.where(valid, level.pictures, 0)) / np.maximum(weight, 1)
     # Half a block of valid pixels makes a valid pixel.
     pictures[weight[..., 0] < 2] = np.nan
-    masks = _block_sum(level.masks[..., None].astype(np.float32))[..., 0] > 0
-    return Level(pictures, masks, _unit(_block_sum(level.normals)), level.lenses / 2, level.poses)
+    masks = block_sum(level.masks[..., None].astype(np.float32))[..., 0] > 0
+    return Level(pictures, masks, _unit(block_sum(level.normals)), level.lenses / 2, level.poses)
 
 
-def pyramid(views: Sequence[View], finest_rows: int, coarsest_rows: int) -> list[Level]:
-    """Levels from the coarsest to the finest, each twice as fine as the one before."""
+def pictures_of(views: Sequence[View], finest_rows: int) -> Level:
+    """The views, halved until they have at most so many rows."""
     level = finest_level(views)
     while level.pictures.shape[1] > finest_rows:
         level = halved(level)
-    levels = [level]
+    return level
+
+
+def pyramid(views: Sequence[View], finest_rows: int, coarsest_rows: int) -> list[Level]:
+    """Levels that are searched, from the coarsest to the finest, each twice as fine as the last.
+
+    The finest has half the size of `pictures_of`, or the whole of pictures that are small.
+    """
+    level = pictures_of(views, finest_rows)
+    levels = [halved(level) if level.pictures.shape[1] > SMALL_ROWS else level]
     while levels[-1].pictures.shape[1] > coarsest_rows:
         levels.append(halved(levels[-1]))
     return levels[::-1]
@@ -212,7 +255,8 @@ def plane_slopes(normals: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.
     return slopes.astype(np.float32)
 
 
-def _block_sum(values: np.ndarray) -> np.ndarray:
+def block_sum(values: np.ndarray) -> np.ndarray:
+    """Sums over 2 x 2 pixels of (views, h, w, c); odd sides are padded with zeros."""
     views, height, width, channels = values.shape
     padded = np.pad(values, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)))
     rows, columns = padded.shape[1] // 2, padded.shape[2] // 2

@@ -1,0 +1,103 @@
+"""Vertices of the fused mesh onto the points: the Poisson surface rounds what is near its cells.
+
+An implicit surface of oriented points [Kolluri2008], but along the mean of the vertex's normal and
+the point's: a plane through either one alone misses a bent surface by half its sagitta, to one side
+or the other.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from lightstage.formats.mesh import Mesh, vertex_normals
+
+ROUNDS = 2
+REACH = 3.0
+"""Points farther than so many sigma do not count, nor those a sigma and a half off the tangent."""
+OFF = 1.5
+TURNED = 0.5
+"""Least cosine between a point's normal and the vertex's."""
+LEAST = 0.5
+"""Weight of all points below which a vertex stays."""
+MOST_CELLS = 2**26
+
+
+def settled(mesh: Mesh, positions: np.ndarray, normals: np.ndarray, sigma_mm: float) -> Mesh:
+    """Move each vertex along its normal onto the weighted mean of the points around it.
+
+    Args:
+        mesh: within a millimetre of the points.
+        positions, normals: (n, 3) oriented points.
+        sigma_mm: of the Gaussian weights; 0 leaves the mesh as it is.
+
+    Returns:
+        The mesh; vertices without points near stay.
+    """
+    if not sigma_mm > 0 or not len(positions):
+        return mesh
+    size = REACH * sigma_mm
+    origin = mesh.vertices.min(axis=0) - 2 * size
+    span = mesh.vertices.max(axis=0) + 2 * size - origin
+    # Far from each other few vertices share a grid of many cells: then cells are larger.
+    size = max(size, float((span.prod() / MOST_CELLS) ** (1 / 3)))
+    shape = np.ceil(span / size).astype(np.int64) + 1
+    place = np.floor((positions - origin) / size)
+    inside = ((place >= 0) & (place < shape)).all(axis=1)
+    place = place[inside].astype(np.int64)
+    key = (place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2]
+    order = np.argsort(key, kind="stable")
+    starts = np.searchsorted(key[order], np.arange(shape.prod() + 1))
+    points = np.ascontiguousarray(positions[inside][order], np.float64)
+    facing = np.ascontiguousarray(normals[inside][order], np.float64)
+    vertices = np.ascontiguousarray(mesh.vertices, np.float64)
+    for _ in range(ROUNDS):
+        own = np.ascontiguousarray(vertex_normals(vertices, mesh.faces), np.float64)
+        vertices = _moved(vertices, own, points, facing, starts, origin, size, shape, sigma_mm)
+    return Mesh(vertices, mesh.faces)
+
+
+@njit(cache=True, parallel=True)
+def _moved(
+    vertices: np.ndarray,
+    own: np.ndarray,
+    points: np.ndarray,
+    facing: np.ndarray,
+    starts: np.ndarray,
+    origin: np.ndarray,
+    size: float,
+    shape: np.ndarray,
+    sigma: float,
+) -> np.ndarray:
+    """(v, 3) vertices after one round; points sorted by cells of `size`, `starts` of each cell."""
+    out = vertices.copy()
+    for v in prange(len(vertices)):
+        p, n = vertices[v], own[v]
+        cx = int((p[0] - origin[0]) / size)
+        cy = int((p[1] - origin[1]) / size)
+        cz = int((p[2] - origin[2]) / size)
+        total = shift = 0.0
+        # Cells along z lie one behind the other: three in one run.
+        for x in range(max(cx - 1, 0), min(cx + 2, shape[0])):
+            for y in range(max(cy - 1, 0), min(cy + 2, shape[1])):
+                line = (x * shape[1] + y) * shape[2]
+                first = starts[line + max(cz - 1, 0)]
+                last = starts[line + min(cz + 2, shape[2])]
+                for i in range(first, last):
+                    dx, dy, dz = points[i, 0] - p[0], points[i, 1] - p[1], points[i, 2] - p[2]
+                    off = dx * n[0] + dy * n[1] + dz * n[2]
+                    across = dx * dx + dy * dy + dz * dz - off * off
+                    if not (across < (REACH * sigma) ** 2 and abs(off) < OFF * sigma):
+                        continue
+                    ax, ay, az = facing[i, 0], facing[i, 1], facing[i, 2]
+                    if not ax * n[0] + ay * n[1] + az * n[2] > TURNED:
+                        continue
+                    weight = math.exp(-0.5 * across / sigma**2)
+                    total += weight
+                    shift += weight * 0.5 * (off + dx * ax + dy * ay + dz * az)
+        if total > LEAST:
+            for axis in range(3):
+                out[v, axis] = p[axis] + shift / total * n[axis]
+    return out

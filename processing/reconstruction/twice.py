@@ -1,0 +1,78 @@
+"""From depth to a mesh, and from that mesh to better depth, better normals and a better mesh."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.mesh import Mesh
+from processing.lighting.lights import PatternLights
+from processing.reconstruction.again import look_again, rays_of, sighted
+from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.consistency import Points, consistent_points
+from processing.reconstruction.fusion import fuse
+from processing.reconstruction.shading import mended_normals
+from processing.reconstruction.stereo import sources_of
+from processing.reconstruction.views import Level, View, pictures_of
+
+Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
+"""A level, and of each view inverse depth and cost, as of `match_views`."""
+
+
+def meshed(found: Depths, config: ReconstructConfig, mended: bool) -> tuple[Points, Mesh]:
+    """Consistency and fusion.
+
+    Args:
+        found: depth of all views.
+        config: the stage's settings.
+        mended: whether the level's normals are those under the mesh's shadows.
+    """
+    share = 1.0 if mended else 0.5
+    own = dataclasses.replace(
+        config, relief_mm=share * config.relief_mm, bias_mm=share * config.bias_mm
+    )
+    points = consistent_points(*found, own)
+    return points, fuse(points, config)
+
+
+def twice(
+    views: Sequence[View],
+    found: Depths,
+    config: ReconstructConfig,
+    lights: PatternLights | None = None,
+    progress: ProgressCallback = quiet,
+) -> tuple[Depths, Points, Mesh]:
+    """A mesh, and, where `config.look_again`, a second one by what the first one tells.
+
+    Args:
+        views: that were matched.
+        found: of `match_views`.
+        config: the stage's settings.
+        lights: of the patterns that the views' signals are of.
+        progress: called after each view of the second look.
+
+    Returns:
+        Depths, points and mesh.
+    """
+    points, mesh = meshed(found, config, mended=False)
+    if not config.look_again:
+        return found, points, mesh
+    level = found[0]
+    fine = pictures_of(views, config.finest_rows)
+    rays, normals = rays_of(mesh)
+    seen = sighted(level, mesh, rays, normals)
+    depths, costs = look_again(fine, seen, sources_of(views, config), config, progress)
+    mended = None
+    if lights is not None:
+        same = fine.masks.shape == level.masks.shape
+        # Views that were made smaller still have their signals at another size.
+        if max(len(view.mask) for view in views) == fine.masks.shape[1]:
+            times = 1 if same else 2
+            mended = mended_normals(level, times, views, seen, mesh, rays, normals, lights)
+    if mended is not None:
+        level = dataclasses.replace(level, normals=mended)
+    again = level, depths, costs
+    return again, *meshed(again, config, mended is not None)
