@@ -38,7 +38,7 @@ def settled(mesh: Mesh, positions: np.ndarray, normals: np.ndarray, sigma_mm: fl
     """
     if not sigma_mm > 0 or not len(positions):
         return mesh
-    size = REACH * sigma_mm
+    size = math.hypot(REACH, OFF) * sigma_mm
     origin = mesh.vertices.min(axis=0) - 2 * size
     span = mesh.vertices.max(axis=0) + 2 * size - origin
     # Far from each other few vertices share a grid of many cells: then cells are larger.
