@@ -23,6 +23,13 @@ SCHEDULES = {
     "every second stiffness": dataclasses.replace(USUAL, stiffness_mm=USUAL.stiffness_mm[::2]),
     "down to 2.5 mm": dataclasses.replace(USUAL, stiffness_mm=USUAL.stiffness_mm[:-2]),
     "from 40 mm": dataclasses.replace(USUAL, stiffness_mm=USUAL.stiffness_mm[2:]),
+    "the whole template at coarse stiffnesses too": dataclasses.replace(USUAL, coarse_cell_mm=0.0),
+    "a template in cells of 10 mm at coarse stiffnesses": dataclasses.replace(
+        USUAL, coarse_cell_mm=10.0
+    ),
+    "closest points of what has not moved asked anew": dataclasses.replace(
+        USUAL, gate=dataclasses.replace(USUAL.gate, unmoved_mm=-1.0)
+    ),
 }
 CELLS_MM = (5.0, 8.0)
 
@@ -65,6 +72,7 @@ def run(case: Case, config: NonrigidConfig) -> list[str]:
     return [
         str(len(found)),
         str(facts["rounds"]),
+        f"{100 * facts['matches_kept_share']:.0f}",
         f"{surface.mean():.3f}",
         f"{error.mean():.2f}",
         f"{seconds:.1f}",
@@ -87,6 +95,7 @@ def main() -> None:
             "schedule",
             "vertices",
             "rounds",
+            "closest points kept %",
             "surface mm mean",
             "correspondence mm mean",
             "processor s",

@@ -23,6 +23,9 @@ class GateConfig:
     what is far from all of them, the neck, only roughly to its place."""
     normal_deg: float = 60.0
     """Nor does one whose normal is farther than this from the vertex's."""
+    unmoved_mm: float = 0.02
+    """A vertex that moved no farther since its closest point was found keeps it: its tangent plane
+    is the same within a micrometre."""
     borders: bool = True
     """The mesh's open borders (neck, lids) follow those of the scan that are nearest to them ..."""
     border_share: float = 1.0
@@ -73,7 +76,14 @@ class Matcher:
         far = np.zeros(len(hidden)) if far_mm is None else far_mm
         self._least_mm = np.maximum(config.least_mm, config.far_share * far)
         self._triangles, self._target, self._config = triangles, target, config
-        self._hidden = hidden
+        self._hidden = np.flatnonzero(hidden)
+        self._at = np.full((len(hidden), 3), np.inf)
+        self._found: Closest | None = None
+        self._sky = np.zeros(len(hidden))
+        self.asked = 0
+        """Vertices whose closest point was needed so far, over all rounds ..."""
+        self.kept = 0
+        """... and those of them that had it from a round before."""
         self._rim = np.flatnonzero(border_vertices(triangles, len(hidden)))
         self._scan_rim = target.border_points()
         self._scan_tree = cKDTree(self._scan_rim) if len(self._scan_rim) else None
@@ -81,17 +91,34 @@ class Matcher:
     def match(self, vertices: np.ndarray, stiffness_mm: float) -> Matches:
         """Match a mesh in its present place, (n, 3) mm."""
         config = self._config
-        closest = self._target.closest(vertices)
+        closest = self._closest(vertices)
         facing = np.einsum("nk,nk->n", vertex_normals(vertices, self._triangles), closest.normal)
         gate = np.maximum(config.share * stiffness_mm, self._least_mm)
         follows = (closest.distance_mm < gate) & ~closest.border
         follows &= facing > np.cos(np.deg2rad(config.normal_deg))
-        inside = np.flatnonzero(follows & self._hidden)
-        if len(inside):
-            sky = self._target.sky(closest.point[inside], closest.normal[inside])
-            follows[inside] = sky < config.cavity_sky
+        follows[self._hidden] &= self._sky[self._hidden] < config.cavity_sky
         border, border_mm = self._borders(vertices, config.border_share * stiffness_mm)
         return Matches(closest, follows, border, border_mm)
+
+    def _closest(self, vertices: np.ndarray) -> Closest:
+        """Closest points, asked anew for what has moved since."""
+        far = np.linalg.norm(vertices - self._at, axis=1) > self._config.unmoved_mm
+        stale = np.flatnonzero(far)
+        found = self._target.closest(vertices[stale])
+        self.asked += len(vertices)
+        self.kept += len(vertices) - len(stale)
+        self._at[stale] = vertices[stale]
+        old = self._found
+        if old is None:
+            self._found = old = found
+        else:
+            old.point[stale], old.normal[stale] = found.point, found.normal
+            old.border[stale] = found.border
+        inside = self._hidden[far[self._hidden]]
+        if len(inside):
+            self._sky[inside] = self._target.sky(old.point[inside], old.normal[inside])
+        away = np.linalg.norm(old.point - vertices, axis=1)
+        return Closest(old.point.copy(), old.normal.copy(), away, old.border.copy())
 
     def _borders(self, vertices: np.ndarray, reach_mm: float) -> tuple[np.ndarray, np.ndarray]:
         """The mesh's border vertices and their nearest points on the scan's border."""

@@ -83,6 +83,7 @@ class Fit:
         mended: how many were before mending.
         rounds: of closest points.
         residual: the worst relative residual of a linear solve.
+        kept_share: of all closest points that were needed, those known from a round before.
     """
 
     vertices: np.ndarray
@@ -93,6 +94,7 @@ class Fit:
     mended: int
     rounds: int
     residual: float
+    kept_share: float
 
 
 def fit_nonrigid(
@@ -146,10 +148,11 @@ def fit_nonrigid(
         hidden=none if hidden is None else hidden,
         stiff=none if intricate is None else intricate,
     )
-    sheet, coarse = fine, None
+    sheet, coarse, sheets = fine, None, [fine]
     if config.coarse_cell_mm > 0:
         coarse = coarsened(rest, triangles, config.coarse_cell_mm, marks)
         sheet = fine.coarsened(coarse)
+        sheets.append(sheet)
     offset = goals - rest[marks]
     wrong = np.zeros(len(marks), bool)
     moved = np.zeros_like(sheet.rest)
@@ -194,7 +197,8 @@ def fit_nonrigid(
         faulty,
         mended,
         rounds,
-        max(sheet.plate.worst_residual, fine.plate.worst_residual),
+        max(one.plate.worst_residual for one in sheets),
+        sum(one.matcher.kept for one in sheets) / sum(one.matcher.asked for one in sheets),
     )
 
 

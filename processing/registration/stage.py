@@ -228,6 +228,7 @@ def register_mesh(
         "triangles_flipped_before_mending": result.mended,
         "ear_guides": 0 if guides is None else len(guides[0]),
         "rounds": result.rounds,
+        "matches_kept_share": result.kept_share,
         "solver_residual": result.residual,
     }
     return result.vertices, facts

@@ -165,6 +165,31 @@ def test_a_neck_that_leans_far_is_followed():
     assert leaning(0.0) > 3
 
 
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 0.005, 0.5, 5.0]))
+@settings(max_examples=15, deadline=None)
+def test_what_has_not_moved_keeps_its_closest_point(seed, step_mm):
+    rng = np.random.default_rng(seed)
+    mesh = ellipsoid(12, 16)
+    hidden = rng.random(len(mesh.vertices)) < 0.2
+    target = Target(Mesh(1.01 * mesh.vertices, mesh.faces))
+    skips = Matcher(mesh.triangles(), target, hidden, GateConfig())
+    anew = Matcher(
+        mesh.triangles(), target, hidden, dataclasses.replace(GateConfig(), unmoved_mm=-1.0)
+    )
+    place = mesh.vertices.copy()
+    for _ in range(3):
+        some = rng.random(len(place)) < 0.5
+        place = place + step_mm * some[:, None] * rng.normal(size=place.shape)
+        first, second = skips.match(place, 20.0), anew.match(place, 20.0)
+        longer = first.closest.distance_mm - second.closest.distance_mm
+        assert longer.min() > -1e-3  # Open3D's float32
+        assert longer.max() < 2 * GateConfig().unmoved_mm + 1e-3
+        assert np.array_equal(first.follows, second.follows)
+    assert anew.kept == 0
+    assert anew.asked == skips.asked == 3 * len(place)
+    assert (skips.kept == 2 * len(place)) == (step_mm == 0)
+
+
 def test_hidden_vertices_follow_cavities_only():
     outside = ellipsoid()
     inner = outside.with_vertices(outside.vertices * 0.9)
