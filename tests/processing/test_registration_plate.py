@@ -165,7 +165,7 @@ def test_a_neck_that_leans_far_is_followed():
     assert leaning(0.0) > 3
 
 
-@given(st.integers(0, 10**6), st.sampled_from([0.0, 0.005, 0.5, 5.0]))
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 0.001, 0.5, 5.0]))
 @settings(max_examples=15, deadline=None)
 def test_what_has_not_moved_keeps_its_closest_point(seed, step_mm):
     rng = np.random.default_rng(seed)
@@ -187,7 +187,7 @@ def test_what_has_not_moved_keeps_its_closest_point(seed, step_mm):
         assert np.array_equal(first.follows, second.follows)
     assert anew.kept == 0
     assert anew.asked == skips.asked == 3 * len(place)
-    assert (skips.kept == 2 * len(place)) == (step_mm == 0)
+    assert (skips.kept == 2 * len(place)) == (step_mm < 0.1)
 
 
 def test_hidden_vertices_follow_cavities_only():
