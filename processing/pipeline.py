@@ -19,6 +19,7 @@ from processing.atlas.stage import AtlasConfig, atlas
 from processing.decode.completing import unmendable_frames, with_complements
 from processing.decode.stage import DecodeConfig, decode
 from processing.errors import ProcessingError
+from processing.memory import give_back
 from processing.pages import write_processed_report
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
@@ -219,6 +220,7 @@ def _run_stage(
     facts: dict[str, Any] = {}
     with bar(stage) as progress, measured(facts):
         facts |= _stage(job, stage, progress)
+    give_back()
     after = files_in(job.out)
     outputs = sorted(name for name in after if after[name] != before.get(name))
     kept[stage] = Record(key, outputs, facts)
