@@ -37,7 +37,7 @@ def coarsened(
         vertices: (n, 3) mm.
         triangles: (t, 3).
         cell_mm: the cubes' side.
-        kept: (m,) vertices that stand for their patches, such as landmarks.
+        kept: (m,) vertices that are joined with none: two landmarks must not become one.
 
     Returns:
         Coarse; triangles within one patch, or between two, are gone.
@@ -45,15 +45,16 @@ def coarsened(
     count = len(vertices)
     cell = np.floor(vertices / cell_mm).astype(np.int64)
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    within = ends[(cell[ends[:, 0]] == cell[ends[:, 1]]).all(axis=1)].T
+    alone = np.zeros(count, bool)
+    alone[kept] = True
+    within = ends[(cell[ends[:, 0]] == cell[ends[:, 1]]).all(axis=1) & ~alone[ends].any(axis=1)].T
     joined = sp.coo_matrix((np.ones(within.shape[1]), (within[0], within[1])), shape=(count, count))
     number, patch = sp.csgraph.connected_components(joined, directed=False)
     size = np.bincount(patch, minlength=number)
     middle = np.stack([np.bincount(patch, axis, number) for axis in vertices.T], axis=1)
     away = np.linalg.norm(vertices - (middle / size[:, None])[patch], axis=1)
-    # The mesh's own border stays where it is; landmarks stay before all else.
-    rank = np.where(border_vertices(triangles, count), 1, 2)
-    rank[kept] = 0
+    # The mesh's own border stays where it is.
+    rank = np.where(border_vertices(triangles, count), 0, 1)
     order = np.lexsort((away, rank, patch))
     chosen = order[np.searchsorted(patch[order], np.arange(number))]
     faces = patch[triangles]
