@@ -105,8 +105,8 @@ def main() -> None:
         rows,
         f"Person {SEED} of `registration_accuracy`, first case; {len(case.scan.faces)} faces; "
         f"everything from the scan's arrays to the registered mesh. Load average "
-        f"{os.getloadavg()[2]:.1f} with other programs on the same cores, so processor seconds count "
-        f"and wall ones are too long by about that over the cores. Usual: {USUAL}.",
+        f"{os.getloadavg()[2]:.1f} with other programs on the same cores: processor seconds count, "
+        f"wall ones are too long by about that over the cores. Usual: {USUAL}.",
     )
 
 
