@@ -136,7 +136,9 @@ def _look(
     now = np.zeros((height, width), np.float32)
     now[::every, ::every] = np.where(usable, sight.inverse_depth / beyond, 0)
     judged = np.full((height, width), NO_MATCH, np.float32)
+    still = np.zeros((height, width), bool)
     for delta in DELTAS_PX:
-        polish(stereo, np.float32(delta) * stereo.step, every, now.copy(), judged, now)
+        step = np.float32(delta) * stereo.step
+        polish(stereo, step, every, now.copy(), judged, now, still, np.float32(0))
     depth[:] = now[::every, ::every] * beyond
     cost[:] = judged[::every, ::every]

@@ -27,6 +27,9 @@ class ReconstructConfig:
         contrast_floor: share of the radiance below which contrast is noise.
         smoothness: weight of the neighbours' planes beside the matching cost.
         iterations: sweeps of propagation a level, from the coarsest level to the finest.
+        still_px: a pixel whose matching cost is least within this of the depth that the coarser
+            level gave it, in pixels of disparity (a quarter is the most that is looked for), tries
+            no depth nearer than half a pixel in the level's first sweep; 0 has all try.
         max_cost: a depth of a higher matching cost is dropped.
         agree_mm: two views agree where their surfaces lie within this, along the normal.
         agree_views: a point is kept when at least this many other views agree.
@@ -63,6 +66,7 @@ class ReconstructConfig:
     contrast_floor: float = 0.003
     smoothness: float = 0.01
     iterations: tuple[int, ...] = (3, 2, 1)
+    still_px: float = 0.25
     max_cost: float = 0.7
     agree_mm: float = 0.4
     agree_views: int = 1

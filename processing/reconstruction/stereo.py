@@ -138,18 +138,19 @@ def match_views(
         for index in range(len(views)):
             depth = np.zeros(shape, np.float32)
             cost = np.full(shape, NO_MATCH, np.float32)
+            still = np.zeros(shape, bool)
             if len(sources[index]):
                 stereo = make_stereo(level, index, sources[index], config)
                 if number == 0:
                     _start(level, stereo, focus, config, depth, cost)
                 else:
                     depth[:] = doubled(coarser[index], stereo.slopes)
-                    polish(stereo, np.float32(0.5) * stereo.step, 1, depth.copy(), cost, depth)
+                    _polish(stereo, 0.5, config.still_px, depth, cost, still)
                 iterations = config.iterations[min(number, len(config.iterations) - 1)]
-                _propagate(stereo, iterations, config, depth, cost)
+                _propagate(stereo, iterations, config, still, depth, cost)
                 # The second look starts from the mesh.
                 if number == len(levels) - 1 and not config.look_again:
-                    polish(stereo, np.float32(0.3) * stereo.step, 1, depth.copy(), cost, depth)
+                    _polish(stereo, 0.3, 0.0, depth, cost, still)
             depths.append(depth)
             costs.append(cost)
             done += 1
@@ -205,6 +206,7 @@ def _propagate(
     stereo: Stereo,
     iterations: int,
     config: ReconstructConfig,
+    still: np.ndarray,
     depth: np.ndarray,
     cost: np.ndarray,
 ) -> None:
@@ -212,7 +214,24 @@ def _propagate(
         reaches = np.array([1, 3, 7] if iteration == 0 else [1, 3], np.int64)
         deltas = np.array([0.5, 0.25] if iteration == 0 else [0.25, 0.12], np.float32)
         for colour in (0, 1):
-            propagate(stereo, reaches, deltas, np.float32(config.smoothness), colour, depth, cost)
+            smoothness = np.float32(config.smoothness)
+            propagate(stereo, reaches, deltas, smoothness, colour, still, depth, cost)
+        # What came to rest before the level began has been moved since, perhaps.
+        still[:] = False
+
+
+def _polish(
+    stereo: Stereo,
+    delta_px: float,
+    still_px: float,
+    depth: np.ndarray,
+    cost: np.ndarray,
+    still: np.ndarray,
+) -> None:
+    """`polish` in place, its step and what counts as still in px of disparity."""
+    share = np.float32(still_px / delta_px)
+    delta = np.float32(delta_px) * stereo.step
+    polish(stereo, delta, 1, depth.copy(), cost, depth, still, share)
 
 
 def _matrix(lens: np.ndarray) -> np.ndarray:

@@ -138,10 +138,13 @@ def propagate(
     deltas: np.ndarray,
     smoothness: np.float32,
     colour: int,
+    still: np.ndarray,
     inverse_depth: np.ndarray,
     cost: np.ndarray,
 ) -> None:
     """One half-sweep: each pixel of a colour tries its neighbours' planes, then small steps.
+
+    A patch is gathered only where there is something to try.
 
     Args:
         stereo: the views.
@@ -149,6 +152,8 @@ def propagate(
         deltas: (d,) steps tried to both sides, px of disparity.
         smoothness: weight of `roughness` beside the matching cost.
         colour: 0 or 1, the half of the chequerboard that is written.
+        still: (h, w) bool, pixels whose cost is known to be least here and higher half a pixel of
+            disparity to both sides: they try nothing nearer, unless they take a neighbour's plane.
         inverse_depth, cost: (h, w), improved in place.
     """
     picture = stereo.pictures[stereo.reference]
@@ -159,12 +164,9 @@ def propagate(
         for column in range((row + colour) % 2, width, 2):
             if math.isnan(picture[row, column, 0]):
                 continue
-            count, floor = gather_patch(stereo, row, column, patch)
             a, b = slopes[row, column, 0], slopes[row, column, 1]
             best_w, best_data = inverse_depth[row, column], cost[row, column]
-            best = best_data
-            if best_w > ZERO:
-                best += smoothness * roughness(stereo, inverse_depth, row, column, best_w)
+            best, count, floor, idle = best_data, -1, ZERO, still[row, column]
             asked = 4 * reaches.shape[0]
             for index in range(asked + 2 * deltas.shape[0]):
                 if index < asked:
@@ -174,22 +176,26 @@ def propagate(
                         continue
                     bend = slopes[y, x, 0] * np.float32(dx) + slopes[y, x, 1] * np.float32(dy)
                     w = inverse_depth[y, x] * (ONE - bend)
-                    if not abs(w - best_w) > SAME * step:
+                    if not abs(w - best_w) > (HALF if idle else SAME) * step:
                         continue
                 else:
-                    if not best_w > ZERO:
+                    if idle or not best_w > ZERO:
                         continue
                     delta = deltas[(index - asked) // 2] * step
                     w = best_w + delta if index % 2 == 0 else best_w - delta
                 if not w > ZERO:
                     continue
+                if count < 0:
+                    count, floor = gather_patch(stereo, row, column, patch)
+                    if best_w > ZERO:
+                        best += smoothness * roughness(stereo, inverse_depth, row, column, best_w)
                 # The smoothness term alone may already be too dear.
                 extra = smoothness * roughness(stereo, inverse_depth, row, column, w)
                 if not extra < best:
                     continue
                 found = plane_cost(stereo, row, column, (w, a, b), patch, count, floor)
                 if found + extra < best:
-                    best, best_data, best_w = found + extra, found, w
+                    best, best_data, best_w, idle = found + extra, found, w, False
             inverse_depth[row, column] = best_w
             cost[row, column] = best_data
 
@@ -202,6 +208,8 @@ def polish(
     inverse_depth: np.ndarray,
     cost: np.ndarray,
     out: np.ndarray,
+    still: np.ndarray,
+    still_share: np.float32,
 ) -> None:
     """Move each pixel to the minimum of the parabola through its costs at -delta, 0 and +delta.
 
@@ -212,6 +220,8 @@ def polish(
         inverse_depth: (h, w), 0 where there is none.
         cost: (h, w), filled with the matching cost before the move.
         out: (h, w) inverse depth, filled.
+        still: (h, w) bool, filled: there was a minimum, and no farther than a share of delta.
+        still_share: that share.
     """
     height, width = inverse_depth.shape
     for line in prange((height + every - 1) // every):
@@ -220,6 +230,7 @@ def polish(
         for column in range(0, width, every):
             w = inverse_depth[row, column]
             out[row, column] = w
+            still[row, column] = False
             cost[row, column] = NO_MATCH
             if not w > ZERO:
                 continue
@@ -233,3 +244,4 @@ def polish(
             if curvature > np.float32(1e-6) and max(before, here, after) < NO_MATCH:
                 move = HALF * (before - after) / curvature
                 out[row, column] = w + delta * min(max(move, -HALF), HALF)
+                still[row, column] = abs(move) < still_share

@@ -183,3 +183,23 @@ def test_too_few_points_are_refused() -> None:
     few = Points(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3, int), np.zeros(3, int))
     with pytest.raises(ReconstructionError, match="3 points"):
         fuse(few, CONFIG)
+
+
+def test_depths_at_rest_are_passed_over_and_the_surface_stays() -> None:
+    """The same ball matched with and without the skip: nearer to each other than to the truth."""
+    views = ball_views()
+    level, depths, costs = match_views(views, CONFIG)
+    every = dataclasses.replace(CONFIG, still_px=0.0)
+    _, all_tried, all_costs = match_views(views, every)
+    apart, errors = [], []
+    for config, found, cost in ((CONFIG, depths, costs), (every, all_tried, all_costs)):
+        points = consistent_points(level, found, cost, config)
+        errors.append(float(np.median(surface_error_mm(points.positions))))
+    for one, other in zip(depths, all_tried, strict=True):
+        both = (one > 0) & (other > 0)
+        apart.append(np.abs(1 / one[both] - 1 / other[both]))
+        assert ((one > 0) != (other > 0)).mean() < 0.002
+    gap = np.concatenate(apart)
+    assert errors[0] < 1.05 * errors[1] + 1e-3
+    assert np.median(gap) < 0.3 * errors[1]
+    assert np.percentile(gap, 95) < 0.4

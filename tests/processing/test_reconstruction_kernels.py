@@ -16,6 +16,7 @@ from processing.reconstruction.patches import (
     source_cost,
 )
 from processing.reconstruction.stereo import make_stereo
+from processing.reconstruction.sweeps import polish, propagate
 from processing.reconstruction.views import Level, finest_level, plane_slopes
 from tests.processing import textured_ball
 
@@ -173,3 +174,59 @@ def test_grazing_unknown_and_backward_normals_give_finite_slopes() -> None:
 
 def test_matching_pictures_have_the_channels_that_kernels_expect() -> None:
     assert LEVEL.pictures.shape[-1] == TEXTURES
+
+
+@pytest.mark.parametrize("off_px", [0.0, 0.2, 0.4, 3.0])
+def test_a_depth_is_at_rest_where_the_plain_costs_have_their_least(off_px: float) -> None:
+    """`polish` marks what a float64 twin finds: a minimum between, within a share of the step."""
+    stereo = make_stereo(LEVEL, 0, np.array([1]), CONFIG)
+    picture = LEVEL.pictures[0]
+    height, width = picture.shape[:2]
+    lens, pose = LEVEL.lenses[0], LEVEL.poses[0]
+    middle = float(np.linalg.norm(pose[:, 3])) - textured_ball.RADIUS_MM
+    depth = np.zeros((height, width), np.float32)
+    rows, columns = np.arange(height // 2 - 6, height // 2 + 6, 3), np.arange(14, 22, 3)
+    step = float(stereo.step)
+    for row in rows:
+        for column in columns:
+            if not math.isnan(picture[row, column, 0]):
+                depth[row, column] = 1 / middle + off_px * step
+    assert lens.shape == (4,)
+    cost, out, still = np.zeros_like(depth), np.zeros_like(depth), np.ones(depth.shape, bool)
+    delta = np.float32(0.5) * stereo.step
+    polish(stereo, delta, 1, depth, cost, out, still, np.float32(0.5))
+    assert not still[depth == 0].any()
+    for row, column in np.argwhere(depth > 0):
+        w = float(depth[row, column])
+        three = [plain_cost(LEVEL, stereo, row, column, w + k * float(delta)) for k in (-1, 0, 1)]
+        curvature = three[0] - 2 * three[1] + three[2]
+        move = 0.5 * (three[0] - three[2]) / curvature if curvature > 0 else math.inf
+        if abs(abs(move) - 0.5) > 0.02:
+            assert still[row, column] == (abs(move) < 0.5), (row, column, three)
+
+
+def test_a_pixel_at_rest_tries_nothing_near_and_everything_far() -> None:
+    """Small steps are left to those not at rest; a neighbour's far plane is tried by all."""
+    stereo = make_stereo(LEVEL, 0, np.array([1]), CONFIG)
+    middle = float(np.linalg.norm(LEVEL.poses[0][:, 3])) - textured_ball.RADIUS_MM
+    shape = LEVEL.pictures.shape[1:3]
+    reaches, deltas = np.array([1, 3], np.int64), np.array([0.5, 0.25], np.float32)
+    valid = ~np.isnan(LEVEL.pictures[0][..., 0])
+
+    def swept(depth: np.ndarray, still: np.ndarray) -> np.ndarray:
+        found = depth.copy()
+        cost = np.full(shape, NO_MATCH, np.float32)
+        for colour in (0, 1):
+            propagate(stereo, reaches, deltas, np.float32(0.01), colour, still, found, cost)
+        return found
+
+    flat = np.where(valid, np.float32(1 / middle), np.float32(0))
+    # Neighbours' planes differ by less than half a pixel here, so only small steps could move one.
+    bent = stereo.slopes.copy()
+    stereo = stereo._replace(slopes=np.zeros_like(bent))
+    moved = swept(flat, np.zeros(shape, bool)) != flat
+    assert moved[valid].mean() > 0.3
+    np.testing.assert_array_equal(swept(flat, np.ones(shape, bool)), flat)
+    far = flat.copy()
+    far[:, ::5] += np.float32(4) * stereo.step * valid[:, ::5]
+    assert (swept(far, np.ones(shape, bool)) != far)[valid].any()
