@@ -19,6 +19,8 @@ from lightstage.formats.mesh import Mesh, vertex_normals
 SIDES_DEG = (-50.0, 0.0, 50.0)
 ROWS, COLUMNS = 620, 480
 GAP_PX = 40
+FAR_MM = 1100.0
+MARGIN = 1.03
 FULL_MM = 0.5
 """Distance at which the scale of colours ends."""
 
@@ -32,15 +34,20 @@ def write_pictures(mesh: Mesh, truth: Mesh, path: Path) -> None:
     )
     normals = vertex_normals(mesh.vertices, mesh.faces)
     off = Surface(truth).nearest(mesh.vertices)[0]
-    middle = np.array([0.0, -5.0, 0.0])
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    middle = 0.5 * (low + high)
+    # Whatever side it is seen from, all of it is in the picture.
+    around = np.linalg.norm((mesh.vertices - middle)[:, [0, 2]], axis=1).max()
+    reach = MARGIN * max(around, 0.5 * (high[1] - low[1]) * COLUMNS / ROWS)
+    field_deg = 2 * np.degrees(np.arctan2(reach, FAR_MM - around))
     shown = []
     for side in SIDES_DEG:
         turn = np.radians(side)
         toward = np.array([np.sin(turn), 0.0, np.cos(turn)])
         rays = open3d.t.geometry.RaycastingScene.create_rays_pinhole(
-            fov_deg=13.5,
+            fov_deg=float(field_deg),
             center=open3d.core.Tensor(middle.astype(np.float32)),
-            eye=open3d.core.Tensor((middle + 1100 * toward).astype(np.float32)),
+            eye=open3d.core.Tensor((middle + FAR_MM * toward).astype(np.float32)),
             up=open3d.core.Tensor(np.array([0, -1, 0], np.float32)),  # its rows run upward
             width_px=COLUMNS,
             height_px=ROWS,

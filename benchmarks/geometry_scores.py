@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import cv2
 import numpy as np
 import open3d
 
@@ -11,12 +12,15 @@ from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.mesh import Mesh, read_ply, vertex_normals
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Rig
+from processing.readings import px_per_mm
 
 EVERY = 5
 """Truth is asked at every 5th pixel across and down."""
 NEAR_MM = 16.0
 EAR_MM = 35.0
 CAP_MM = 1.0
+SHOWN_MM = 0.5
+"""Sigma of the mean of shading normals: a mesh's cells are a millimetre wide."""
 REGIONS = {"nose": (27, 36), "lids": (36, 48), "lips": (48, 68), "chin": (6, 11)}
 """Landmarks of each region, a point within NEAR_MM of one of them belongs to it."""
 
@@ -28,6 +32,7 @@ class Skin:
     Attributes:
         places: (n, 3) mm.
         normals: (n, 3) of the true mesh there.
+        shown: (n, 3) those that light the photographs, pores and all, averaged over SHOWN_MM.
         views: (n,) by how many cameras it is seen.
         regions: name to (n,) bool.
         mesh: the truth.
@@ -35,6 +40,7 @@ class Skin:
 
     places: np.ndarray
     normals: np.ndarray
+    shown: np.ndarray
     views: np.ndarray
     regions: dict[str, np.ndarray]
     mesh: Mesh
@@ -88,11 +94,16 @@ def true_skin(truth: ProcessedFolder, rig: Rig) -> Skin:
     """
     mesh = read_ply(truth.base_mesh)
     surface = Surface(mesh)
-    parts = []
+    parts, finest = [], []
     for camera in rig.cameras:
-        mask = truth.read_mask(camera.id)[::EVERY, ::EVERY]
-        parts.append(truth.read_view(camera.id, "position")[::EVERY, ::EVERY][mask])
-    places = np.concatenate(parts).astype(float)
+        mask = truth.read_mask(camera.id)
+        some = mask[::EVERY, ::EVERY]
+        parts.append(truth.read_view(camera.id, "position")[::EVERY, ::EVERY][some])
+        normal = truth.read_view(camera.id, "diffuse_normal").astype(np.float32) * mask[..., None]
+        wide = cv2.GaussianBlur(normal, (0, 0), SHOWN_MM * px_per_mm(camera))
+        finest.append(wide[::EVERY, ::EVERY][some])
+    places, shown = np.concatenate(parts).astype(float), np.concatenate(finest).astype(float)
+    shown /= np.maximum(np.linalg.norm(shown, axis=1, keepdims=True), 1e-9)
     views = np.zeros(len(places), int)
     for camera in rig.cameras:
         pixels, _ = camera.project(places)
@@ -103,7 +114,7 @@ def true_skin(truth: ProcessedFolder, rig: Rig) -> Skin:
         views += inside & (surface.first_hit(camera.centre_mm, toward) > short)
     normals = surface.nearest(places)[1]
     marks = read_points_mm(truth.root / "landmarks_mm.json")
-    return Skin(places, normals, np.maximum(views, 1), _regions(places, marks), mesh)
+    return Skin(places, normals, shown, np.maximum(views, 1), _regions(places, marks), mesh)
 
 
 def _regions(places: np.ndarray, marks: np.ndarray) -> dict[str, np.ndarray]:
@@ -140,6 +151,7 @@ class Scores:
         within_two: the same of skin that two cameras or more see.
         capped_mm: mean distance of true skin to the mesh, CAP_MM at most: holes count as that.
         normals_deg: (mean, median) angle of the mesh's normals to the truth's, of skin within 1 mm.
+        shown_deg: the same to `Skin.shown`.
         regions: name to (median, 95th, share within .5 mm) of its skin's distance to the mesh.
     """
 
@@ -149,6 +161,7 @@ class Scores:
     within_two: float
     capped_mm: float
     normals_deg: tuple[float, float]
+    shown_deg: tuple[float, float]
     regions: dict[str, tuple[float, float, float]]
 
 
@@ -162,6 +175,7 @@ def where(mesh: Mesh, skin: Skin, other: Mesh, near_mm: float = 0.5) -> tuple[Me
         skin,
         places=skin.places[found],
         normals=skin.normals[found],
+        shown=skin.shown[found],
         views=skin.views[found],
         regions={name: inside[found] for name, inside in skin.regions.items()},
     )
@@ -173,15 +187,14 @@ def score(mesh: Mesh, skin: Skin) -> Scores:
     gap, normals = ours.nearest(skin.places)
     away = Surface(skin.mesh).nearest(points_on(mesh, 60_000))[0]
     near = gap < 1.0
-    cosine = np.einsum("nk,nk->n", normals[near], skin.normals[near])
-    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     return Scores(
         _two(away),
         _two(gap),
         float((gap < 0.5).mean()),
         float((gap[skin.views > 1] < 0.5).mean()),
         float(np.minimum(gap, CAP_MM).mean()),
-        (float(angle.mean()), float(np.median(angle))) if near.any() else (np.nan, np.nan),
+        _angles(normals[near], skin.normals[near]),
+        _angles(normals[near], skin.shown[near]),
         {
             name: (*_two(gap[inside]), float((gap[inside] < 0.5).mean()))
             for name, inside in skin.regions.items()
@@ -205,6 +218,14 @@ def points_on(mesh: Mesh, count: int) -> np.ndarray:
     return np.asarray(
         chosen[:, 0] + u * (chosen[:, 1] - chosen[:, 0]) + v * (chosen[:, 2] - chosen[:, 0])
     )
+
+
+def _angles(one: np.ndarray, two: np.ndarray) -> tuple[float, float]:
+    """(mean, median) degrees between unit vectors."""
+    if not len(one):
+        return np.nan, np.nan
+    angle = np.degrees(np.arccos(np.clip(np.einsum("nk,nk->n", one, two), -1, 1)))
+    return float(angle.mean()), float(np.median(angle))
 
 
 def _two(values: np.ndarray) -> tuple[float, float]:
