@@ -90,7 +90,7 @@ def measure(session: Session, out: Path) -> None:
         else:
             found = peer_depths(session, out, views, config, Sgbm())
             matched = time.perf_counter() - start
-            points, mesh = meshed(found, config, mended=False)
+            points, mesh = meshed(found, config)
         seconds[name] = time.perf_counter() - start
         cpu = time.process_time() - used
         raw, gap = errors(points.positions, truth), errors(skin, mesh)

@@ -121,16 +121,16 @@ def normals(case: Case) -> Meshes:
     views, (level, inverse, costs), _, _ = _ours(case)
     coarse = pyramid(views, CONFIG.finest_rows, CONFIG.coarsest_rows)[-1]
     tipped = dataclasses.replace(level, normals=_tipped(level, TIPPED_DEG))
-    cases: list[tuple[str, Level, float, bool]] = [
-        ("points alone, their planes' normals", _toward_cameras(level), 0.0, True),
-        ("points alone, normals of both", level, 0.0, True),
-        ("with coarse normals", coarse, CONFIG.relief_mm, False),
-        ("with mended normals", level, CONFIG.relief_mm, True),
-        ("with mended normals tipped", tipped, CONFIG.relief_mm, True),
+    cases: list[tuple[str, Level, float]] = [
+        ("points alone, their planes' normals", _toward_cameras(level), 0.0),
+        ("points alone, normals of both", level, 0.0),
+        ("with coarse normals", coarse, CONFIG.relief_mm),
+        ("with mended normals", level, CONFIG.relief_mm),
+        ("with mended normals tipped", tipped, CONFIG.relief_mm),
     ]
-    for name, seen, relief_mm, mended in cases:
+    for name, seen, relief_mm in cases:
         config = dataclasses.replace(CONFIG, relief_mm=relief_mm)
-        yield Made(name, *_meshed(case, (seen, inverse, costs), config, 0.0, mended))
+        yield Made(name, *_meshed(case, (seen, inverse, costs), config, 0.0))
 
 
 def _toward_cameras(level: Level) -> Level:
@@ -163,10 +163,10 @@ PARTS: dict[str, Callable[[Case], Meshes]] = {
 
 
 def _meshed(
-    case: Case, depths: Depths, config: ReconstructConfig, before_s: float, mended: bool = False
+    case: Case, depths: Depths, config: ReconstructConfig, before_s: float
 ) -> tuple[Mesh, float]:
     start = time.process_time()
-    mesh = case.meshed(depths, config, mended)
+    mesh = case.meshed(depths, config)
     return mesh, before_s + time.process_time() - start
 
 

@@ -90,9 +90,9 @@ class Case:
         """What the matcher sees, of some patterns or of all, and their lights."""
         return read_views(self.session, self.out, config, patterns)
 
-    def meshed(self, depths: Depths, config: ReconstructConfig, mended: bool = False) -> Mesh:
+    def meshed(self, depths: Depths, config: ReconstructConfig) -> Mesh:
         """Consistency and fusion; in the truth's world."""
-        return self.laid(meshed(depths, config, mended)[1])
+        return self.laid(meshed(depths, config)[1])
 
     def laid(self, mesh: Mesh) -> Mesh:
         """A mesh in the truth's world."""

@@ -36,9 +36,9 @@ class ReconstructConfig:
         look_again: look a second time, with the first mesh's planes, pictures of twice the size,
             and normals mended for the shadows that it casts.
         relief_mm: shapes smaller than this come from the normals, larger ones from matched depth;
-            half of it where normals were not mended; 0 leaves the points as they were matched.
+            0 leaves the points as they were matched.
         bias_mm: normals are trusted in what is smaller than this alone; the rest of them is
-            replaced by that of the points. Half of it where normals were not mended.
+            replaced by that of the points.
         doubt_deg: where normals and points disagree by more than this in what is a third of
             `bias_mm`, normals are trusted in still smaller shapes alone.
         cell_mm: width of the finest cells of the fused surface.
@@ -71,8 +71,8 @@ class ReconstructConfig:
     agree_mm: float = 0.4
     agree_views: int = 1
     look_again: bool = True
-    relief_mm: float = 3.0
-    bias_mm: float = 6.0
+    relief_mm: float = 1.5
+    bias_mm: float = 3.0
     doubt_deg: float = 2.0
     cell_mm: float = 1.2
     settle_mm: float = 0.6

@@ -21,6 +21,8 @@ from processing.reconstruction.views import Level, View, block_sum
 
 ROUNDS = 2
 """Solves, each with the horizon of the last one's normals."""
+COLOUR_SPREAD = 0.1
+"""Lights whose colours differ by more leave highlights in what chroma takes for scattered."""
 WITHIN = 0.5
 """Least cosine to the mesh's normal: what turns farther is no normal of this surface."""
 
@@ -49,9 +51,9 @@ def mended_normals(
 
     Returns:
         (views, h, w, 3) float32 unit, as they were where there is no signal or no mesh; None where
-        the patterns light from fewer than three directions.
+        the patterns light from fewer than three directions, or in colours of their own.
     """
-    if not fix_normals(lights):
+    if lights.colour_spread > COLOUR_SPREAD or not fix_normals(lights):
         return None
     visible = rays.visible(mesh.vertices, normals, lights.position_mm).astype(np.uint8)
     out = level.normals.copy()

@@ -190,7 +190,7 @@ def reconstruct_views(
     if config.colmap_from:
         level = pyramid(views, config.finest_rows, config.coarsest_rows)[-1]
         found: Depths = level, *read_colmap(Path(config.colmap_from), names, level)
-        points, mesh = meshed(found, config, mended=False)
+        points, mesh = meshed(found, config)
     else:
         found = match_views(views, config, progress)
         found, points, mesh = twice(views, found, config, lights, progress)

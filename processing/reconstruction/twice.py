@@ -22,19 +22,9 @@ Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
 """A level, and of each view inverse depth and cost, as of `match_views`."""
 
 
-def meshed(found: Depths, config: ReconstructConfig, mended: bool) -> tuple[Points, Mesh]:
-    """Consistency and fusion.
-
-    Args:
-        found: depth of all views.
-        config: the stage's settings.
-        mended: whether the level's normals are those under the mesh's shadows.
-    """
-    share = 1.0 if mended else 0.5
-    own = dataclasses.replace(
-        config, relief_mm=share * config.relief_mm, bias_mm=share * config.bias_mm
-    )
-    points = consistent_points(*found, own)
+def meshed(found: Depths, config: ReconstructConfig) -> tuple[Points, Mesh]:
+    """Consistency and fusion of depth of all views."""
+    points = consistent_points(*found, config)
     return points, fuse(points, config)
 
 
@@ -57,7 +47,7 @@ def twice(
     Returns:
         Depths, points and mesh.
     """
-    points, mesh = meshed(found, config, mended=False)
+    points, mesh = meshed(found, config)
     if not config.look_again:
         return found, points, mesh
     level = found[0]
@@ -75,4 +65,4 @@ def twice(
     if mended is not None:
         level = dataclasses.replace(level, normals=mended)
     again = level, depths, costs
-    return again, *meshed(again, config, mended is not None)
+    return again, *meshed(again, config)

@@ -157,11 +157,13 @@ def test_pixels_without_a_signal_keep_their_normals(
     assert np.isfinite(mended).all()
 
 
-def test_patterns_of_one_direction_mend_nothing(views: list[View], fine: Level) -> None:
+def test_one_direction_and_coloured_lights_mend_nothing(views: list[View], fine: Level) -> None:
     lights = lit_ball.lights_of_rig(lit_ball.small_rig(), ("full",))
     mesh = ball(resolution=20)
     seen = seen_by(fine, mesh)
-    assert mended_normals(fine, 1, views, seen, mesh, *rays_of(mesh), lights) is None
+    coloured = dataclasses.replace(LIGHTS, colour_spread=0.5)
+    for given in (lights, coloured):
+        assert mended_normals(fine, 1, views, seen, mesh, *rays_of(mesh), given) is None
 
 
 def test_grey_clipped_and_background_pixels_have_no_signal() -> None:
