@@ -203,9 +203,10 @@ def _blended(
         return side_by_side(pictures, channels)
 
     looking = [camera for camera, samples in views.items() if len(samples.reading.slot)]
-    for count, (camera, image) in enumerate(over_views(side, looking, AHEAD), 1):
-        blender.add(place[camera], image, values)
-        del image
+    given = over_views(side, looking, AHEAD)
+    for count, camera in enumerate(looking, 1):
+        # No name and no loop may hold a view's pictures while the next but one are read.
+        blender.add(place[camera], next(given)[1], values)
         done(count)
     return values
 
