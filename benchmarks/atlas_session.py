@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks.atlas_accuracy import by_open3d
 from benchmarks.record import record
+from benchmarks.registration_left_out import PROTOCOLS, left_out
 from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.mesh import Mesh, read_obj, read_ply
 from lightstage.formats.processed import ProcessedFolder
@@ -23,7 +24,6 @@ from lightstage.formats.session import Session, load_session
 from lightstage.formats.template import Template, default_template_path, load_template
 from processing.atlas.raster import rasterise
 from processing.colour import srgb_from_linear
-from processing.registration.stage import RegisterConfig, register_mesh
 from processing.registration.target import Target
 
 PART_TEXELS = 500_000
@@ -112,18 +112,6 @@ def by_peer(
     ]
 
 
-def held_out(scan: Mesh, landmarks_mm: np.ndarray, template: Template) -> np.ndarray:
-    """(68,) mm: every second landmark left out of a fit, to where the mesh puts it."""
-    error = np.full(len(landmarks_mm), np.nan)
-    for first in (0, 1):
-        given = landmarks_mm.copy()
-        given[first::2] = np.nan
-        found, _ = register_mesh(scan, given, template, RegisterConfig())
-        away = np.linalg.norm(found[template.landmarks] - landmarks_mm, axis=1)
-        error[first::2] = away[first::2]
-    return error
-
-
 def crops(out: ProcessedFolder, template: Template, path: Path) -> None:
     """Diffuse albedo and tangent normals around three places, at full size."""
     uvs, uv_faces = template.mesh.uvs, template.mesh.triangle_uvs()
@@ -179,7 +167,7 @@ def main() -> None:
         ["the same: median / 95 %", f"{np.median(lies):.3f} / {np.quantile(lies, 0.95):.2f}"],
     ]
     marks = read_points_mm(truth.root / "landmarks_mm.json")
-    error = held_out(scan, marks, template)
+    error = left_out(scan, marks, template, PROTOCOLS["every second"])
     inner = error[17:]
     table += [
         ["landmarks left out of the fit, mm: mean of 68", f"{np.nanmean(error):.2f}"],

@@ -32,7 +32,7 @@ def solve(folder: Path, threads: int) -> dict[str, Any]:
 
     Args:
         folder: see above.
-        threads: for features and matches; the mapping takes one, so that results repeat.
+        threads: for matches; features and mapping take one, so that results repeat.
 
     Returns:
         pairs: [first, second, verified matches]; cameras: name to pose, parameters of its lens
@@ -62,7 +62,8 @@ def _features_and_matches(folder: Path, database: Path, threads: int) -> dict[in
     """Fill a database; returns image ids and cameras' names."""
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.use_gpu = False
-    extraction.num_threads = threads
+    # Pictures are numbered as they are done: several at once would be another order every time.
+    extraction.num_threads = 1
     extraction.sift.peak_threshold = PEAK_THRESHOLD
     # Without the usual doubling of the picture: a quarter of the time, and enough features.
     extraction.sift.first_octave = 0

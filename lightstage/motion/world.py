@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from lightstage.errors import MotionError
 from lightstage.formats.template import default_template_path, load_template
@@ -66,10 +67,8 @@ def turn_between(here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, float
         The turn, and the root mean square misfit as a share of `there`'s spread.
     """
     one, other = here - here.mean(axis=0), there - there.mean(axis=0)
-    left, strengths, right = np.linalg.svd(other.T @ one)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    turn = (left * signs) @ right
-    scale = float((strengths * signs).sum() / max((one**2).sum(), 1e-300))
+    turn = Rotation.align_vectors(other, one)[0].as_matrix()
+    scale = float(((one @ turn.T) * other).sum() / max((one**2).sum(), 1e-300))
     misfit = np.sqrt(((scale * one @ turn.T - other) ** 2).sum() / (other**2).sum())
     return turn, float(misfit)
 
