@@ -39,7 +39,7 @@ class Setting:
 
 
 CURVES: dict[str, list[Setting]] = {
-    "rows": [Setting(f"at most {rows} rows", {"finest_rows": rows}) for rows in (200, 400, 800)],
+    "rows": [Setting(f"at most {rows} rows", {"finest_rows": rows}) for rows in (400, 800, 1600)],
     "patch": [
         Setting(f"patches of {2 * radius + 1} x {2 * radius + 1}", {"patch_radius_px": radius})
         for radius in (1, 2, 3, 4)
