@@ -20,7 +20,7 @@ from benchmarks.reflectance_people import SCALE, new_lights, person
 from benchmarks.reflectance_scores import FINE_SIGMA_MM, Maps, relief
 from lightstage.formats.files import atomic_path
 from processing.colour import srgb_from_linear
-from processing.evaluate import angle_deg
+from processing.evaluation.maps import angle_deg
 from processing.readings import px_per_mm
 
 CAMERA = "cam0"

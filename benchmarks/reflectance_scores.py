@@ -13,7 +13,7 @@ import numpy as np
 
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera
-from processing.evaluate import angle_deg
+from processing.evaluation.maps import angle_deg
 from processing.lighting.facets import BECKMANN, Facets
 from processing.readings import px_per_mm
 

@@ -17,13 +17,8 @@ from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
 from lightstage.rig import Camera
-from processing.evaluate import (
-    angle_deg,
-    evaluate_maps,
-    picture_errors,
-    texel_of,
-    truth_in_atlas,
-)
+from processing.evaluation.maps import angle_deg, picture_errors
+from processing.evaluation.texels import evaluate_maps, texel_of, truth_in_atlas
 from processing.rays import MeshRays
 from processing.report import display_error
 

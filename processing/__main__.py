@@ -160,8 +160,8 @@ def evaluate(
     as_json: bool = JsonFlag,
 ) -> None:
     """Every error there is against a simulated session's truth."""
-    from processing.evaluate import evaluate as evaluate_folder
-    from processing.evaluate import headline
+    from processing.evaluation.folder import evaluate as evaluate_folder
+    from processing.evaluation.folder import headline
 
     with progress_bar("evaluate") as progress:
         facts = evaluate_folder(out, truth, template, progress=progress)

@@ -7,15 +7,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import open3d
 
 from lightstage.formats.files import atomic_path
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import Mesh
 from processing.report import Picture, Section, resize, side_by_side
+from processing.sides import coloured_sides, lit_sides
 
-SIDES_DEG = (-50.0, 0.0, 50.0)
 SIDE_PX = 420
 THUMBNAIL_PX = 240
+LARGEST_MM = 0.5
+"""Distance to the truth that is drawn brightest."""
 ENOUGH = 3
 """Agreement of so many other views is drawn brightest."""
 UNSEEN = (150, 40, 40)
@@ -36,44 +37,6 @@ def coverage(agreeing: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return out.astype(np.uint8)
 
 
-def three_sides(mesh: Mesh) -> np.ndarray:
-    """(h, w, 3) uint8 the mesh lit from above, from three sides, on white; its back is blue."""
-    scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        open3d.core.Tensor(mesh.vertices.astype(np.float32)),
-        open3d.core.Tensor(mesh.faces.astype(np.uint32)),
-    )
-    normals = vertex_normals(mesh.vertices, mesh.faces)
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-    shown = []
-    for side in np.radians(SIDES_DEG):
-        toward = np.array([np.sin(side), 0.0, np.cos(side)])
-        across = np.array([np.cos(side), 0.0, -np.sin(side)])
-        rays = open3d.t.geometry.RaycastingScene.create_rays_pinhole(
-            fov_deg=2 * float(np.degrees(np.arctan(1 / 8))),
-            center=open3d.core.Tensor(middle.astype(np.float32)),
-            eye=open3d.core.Tensor((middle + 8 * reach * toward).astype(np.float32)),
-            up=open3d.core.Tensor(np.array([0, -1, 0], np.float32)),  # its rows run upward
-            width_px=SIDE_PX,
-            height_px=SIDE_PX,
-        )
-        hit = scene.cast_rays(rays)
-        seen = np.isfinite(hit["t_hit"].numpy())
-        u, v = np.moveaxis(hit["primitive_uvs"].numpy(), -1, 0)
-        corners = mesh.faces[np.where(seen, hit["primitive_ids"].numpy(), 0)]
-        weights = np.stack([1 - u - v, u, v], axis=-1)
-        normal = np.einsum("hwk,hwkc->hwc", weights, normals[corners])
-        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
-        lamp = toward + 0.5 * across + np.array([0.0, 0.6, 0.0])
-        shade = np.clip(normal @ (lamp / np.linalg.norm(lamp)), 0, 1)
-        grey = np.repeat(np.round(30 + 215 * shade)[..., None], 3, axis=2)
-        grey[normal @ toward < 0] = (60, 80, 160)
-        grey[~seen] = 255
-        shown.append(grey.astype(np.uint8))
-    return np.concatenate(shown, axis=1)
-
-
 def write_pictures(
     out: Path,
     names: Sequence[str],
@@ -88,9 +51,21 @@ def write_pictures(
         shown: of each view (h, w, 3) uint8, its `coverage`.
         mesh: mm, world.
     """
-    _write(_folder(out) / "mesh.png", three_sides(mesh))
+    _write(_folder(out) / "mesh.png", lit_sides(mesh, SIDE_PX))
     for name, image in zip(names, shown, strict=True):
         _write(_folder(out) / f"coverage-{name}.png", image)
+    _distance(out).unlink(missing_ok=True)  # that of an earlier mesh
+
+
+def write_distance(out: Path, mesh: Mesh, distance_mm: np.ndarray) -> None:
+    """Write how far a processed folder's base mesh lies from the truth, where the report looks.
+
+    Args:
+        out: the processed folder.
+        mesh: its base mesh.
+        distance_mm: (v,) of its vertices.
+    """
+    _write(_distance(out), coloured_sides(mesh, distance_mm, LARGEST_MM, SIDE_PX))
 
 
 def mesh_section(out: Path) -> Section | None:
@@ -103,6 +78,13 @@ def mesh_section(out: Path) -> Section | None:
         "cameras looked; blue is its inside."
     )
     parts: list[str | Picture] = [Picture(mesh, said, "mesh", lossless=True)]
+    distance = _read(_distance(out))
+    if distance is not None:
+        said = (
+            "Its distance to the truth, as `evaluate` found it: dark blue 0, yellow "
+            f"{LARGEST_MM:g} mm or more. Skin should be dark."
+        )
+        parts.append(Picture(distance, said, "distance to the truth", lossless=True))
     paths = sorted(_folder(out).glob("coverage-*.png"))
     views = [view for view in map(_read, paths) if view is not None]
     if views:
@@ -119,6 +101,10 @@ def mesh_section(out: Path) -> Section | None:
 
 def _folder(out: Path) -> Path:
     return out / "work" / "geometry"
+
+
+def _distance(out: Path) -> Path:
+    return _folder(out) / "distance.png"
 
 
 def _write(path: Path, image: np.ndarray) -> None:

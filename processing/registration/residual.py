@@ -10,17 +10,14 @@ import numpy as np
 
 from lightstage.formats.files import atomic_path
 from lightstage.formats.mesh import Mesh, vertex_normals
-from processing.rays import Hits, MeshRays, interpolate
 from processing.registration.target import Target
-from processing.report import Picture, Section, display_error
+from processing.report import Picture, Section
+from processing.sides import coloured_sides
 
-SIDES_DEG = (-50.0, 0.0, 50.0)
 SIDE_PX = 360
 LARGEST_MM = 1.0
 LARGEST_DEG = 30.0
 """Drawn brightest."""
-GREY = 40
-"""What has nothing of the scan near it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,52 +68,11 @@ def write_residual(out: Path, found: Residual, mesh: Mesh) -> None:
 
 def drawn(found: Residual, mesh: Mesh) -> np.ndarray:
     """(h, w, 3) uint8: distance above, angle below, from three sides."""
-    rows = []
-    for values, largest in (
-        (np.abs(found.distance_mm), LARGEST_MM),
-        (found.angle_deg, LARGEST_DEG),
-    ):
-        known = np.isfinite(values)
-        pair = np.stack([np.where(known, values, 0), known], axis=1)
-        row = []
-        for side in SIDES_DEG:
-            seen, shown = from_side(mesh, pair, side)
-            image = display_error(shown[..., 0], largest)
-            image[seen & (shown[..., 1] < 0.5)] = GREY
-            image[~seen] = 255
-            row.append(image)
-        rows.append(np.concatenate(row, axis=1))
+    rows = [
+        coloured_sides(mesh, np.abs(found.distance_mm), LARGEST_MM, SIDE_PX),
+        coloured_sides(mesh, found.angle_deg, LARGEST_DEG, SIDE_PX),
+    ]
     return np.concatenate(rows, axis=0)
-
-
-def from_side(
-    mesh: Mesh, values: np.ndarray, side_deg: float, side_px: int = SIDE_PX
-) -> tuple[np.ndarray, np.ndarray]:
-    """Per-vertex (n, c) values as `side_hits` sees them: (h, w) bool and (h, w, c)."""
-    hits = side_hits(mesh, side_deg, side_px)
-    shown = interpolate(values, mesh.triangles(), hits).reshape(side_px, side_px, -1)
-    return (hits.face >= 0).reshape(side_px, side_px), shown
-
-
-def side_hits(mesh: Mesh, side_deg: float, side_px: int) -> Hits:
-    """What parallel rays of a square picture meet, in row order.
-
-    Args:
-        mesh: mm, its face looking along +z.
-        side_deg: turn about y; positive from the mesh's left.
-        side_px: of the picture.
-    """
-    turn = np.deg2rad(side_deg)
-    toward = np.array([np.sin(turn), 0.0, np.cos(turn)])
-    across = np.array([np.cos(turn), 0.0, -np.sin(turn)])
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    reach = 0.5 * float(np.linalg.norm(high - low))
-    at = (np.arange(side_px) + 0.5) / side_px * 2 - 1
-    start = 0.5 * (low + high) + 2 * reach * toward
-    start = start + 0.75 * reach * (at[None, :, None] * across - at[:, None, None] * [0, 1, 0])
-    flat = start.reshape(-1, 3)
-    rays = MeshRays(mesh.vertices, mesh.triangles())
-    return rays.cast(flat, np.broadcast_to(-toward, flat.shape))
 
 
 def residual_section(out: Path) -> Section | None:

@@ -12,20 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightstage.errors import LightstageError
+from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import write_points_mm
-from lightstage.formats.mesh import Mesh, write_obj, write_ply
+from lightstage.formats.mesh import Mesh, read_ply, write_obj, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template, save_template
 from processing.closest import ClosestPoints, sample_texture, weighted_quantile
-from processing.evaluate import (
-    angle_deg,
-    evaluate,
-    evaluate_maps,
-    map_errors,
-    picture_errors,
-    psnr_db,
-    truth_in_atlas,
-)
+from processing.evaluation.folder import evaluate
+from processing.evaluation.maps import angle_deg, map_errors, picture_errors, psnr_db
+from processing.evaluation.texels import evaluate_maps, truth_in_atlas
+from processing.reconstruction.pictures import write_pictures
 
 ROWS, COLUMNS = 96, 64
 
@@ -112,6 +108,18 @@ def test_equal_folders_have_no_error(folders: tuple[ProcessedFolder, ProcessedFo
     assert facts["atlas"]["diffuse_albedo_rmse"] < 1e-3
     assert facts["atlas"]["diffuse_normal_mean_deg"] < 0.1
     assert facts["atlas"]["position_median_mm"] < 0.02
+
+
+def test_the_report_shows_the_distance_to_the_truth(
+    folders: tuple[ProcessedFolder, ProcessedFolder],
+) -> None:
+    out, truth = folders
+    run(out, truth)
+    assert not (out.root / "report.html").exists()  # of what no stage ran there is no report
+    write_pictures(out.root, [], [], read_ply(out.base_mesh))
+    write_json(out.root / "report.json", {"subject": "s", "expression": "neutral", "stages": {}})
+    run(out, truth)
+    assert "distance to the truth" in (out.root / "report.html").read_text()
 
 
 def test_known_errors_of_views_come_out(folders: tuple[ProcessedFolder, ProcessedFolder]) -> None:

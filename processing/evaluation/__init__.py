@@ -1,0 +1,1 @@
+"""A processed folder against truth: errors of maps, meshes and atlas."""
