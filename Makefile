@@ -6,6 +6,8 @@ BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 # Waiting threads sleep instead of spinning: two test workers share the cores.
 export OMP_WAIT_POLICY := PASSIVE
+# Every step and many tests start a process: they need not compile this code again.
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: demo test check bench setup lock clean help

@@ -18,6 +18,11 @@ hypothesis.settings.register_profile("project", deadline=None)
 hypothesis.settings.load_profile("project")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest test goes first, that no worker is left alone with it at the end."""
+    items.sort(key=lambda item: item.path.name != "test_end_to_end.py")
+
+
 def head_data_path() -> Path | None:
     """The folder with scanned heads, from LIGHTSTAGE_DATA or beside the checkout."""
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -120,41 +120,44 @@ def entering(roughness: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shade(ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) irradiance and (n,) mirror radiance of a pattern; a convex ball shadows only itself."""
+    """(..., n) irradiance and mirror radiance under (..., L) levels: patterns share the geometry.
+
+    A convex ball shadows only itself.
+    """
     lights = rig.positions_mm
     radii = np.linalg.norm(lights, axis=1)
     white = (np.maximum(lights[:, 2], 0) / radii).sum()  # all radii are equal in the default rig
-    irradiance = np.zeros(len(sight.points_mm))
-    mirror = np.zeros(len(sight.points_mm))
+    irradiance = np.zeros((*levels.shape[:-1], len(sight.points_mm)))
+    mirror = np.zeros_like(irradiance)
     nv = np.maximum((sight.normals * sight.views).sum(axis=1), 0.05)
     m = ball.roughness
     leaving = let_through(ball, nv) / (kept_mean(ball) if ball.coated else 1)
-    for light, radius, level in zip(lights, radii, levels, strict=True):
+    seen, skin = smith(nv, m), (0.4 / 2.4) ** 2
+    for light, radius, level in zip(lights, radii, np.moveaxis(levels, -1, 0), strict=True):
+        if not level.any():
+            continue
         to_light = light - sight.points_mm
         distance = np.linalg.norm(to_light, axis=1)
         to_light /= distance[:, None]
         nl = np.maximum((sight.normals * to_light).sum(axis=1), 0)
-        weight = level / white * (radius / distance) ** 2
-        irradiance += weight * nl * let_through(ball, nl) * leaving
+        weight = (level / white)[..., None] * (radius / distance) ** 2
+        irradiance += weight * (nl * let_through(ball, nl) * leaving)
         half = to_light + sight.views
         half /= np.linalg.norm(half, axis=1, keepdims=True)
         nh = (sight.normals * half).sum(axis=1)
         tan2 = (1 - nh**2) / nh**2
         spread = np.exp(-tan2 / m**2) / (np.pi * m**2 * nh**4)
-        skin = (0.4 / 2.4) ** 2
         f = ball.specular / skin * exact_fresnel(skin, (sight.views * half).sum(axis=1))
-        brdf_nl = spread * f * smith(nv, m) * smith(np.maximum(nl, 1e-9), m) / (4 * nv)
-        mirror += np.where(nl > 0, weight * np.pi * brdf_nl, 0)
+        brdf_nl = spread * f * seen * smith(np.maximum(nl, 1e-9), m) / (4 * nv)
+        mirror += weight * np.where(nl > 0, np.pi * brdf_nl, 0)
     return irradiance, mirror
 
 
 def photograph(ball: Ball, sight: Sight, rig: Rig) -> np.ndarray:
     """(n, P, 3) what the pixels read under the binary sequence."""
-    frames = []
-    for name in PATTERNS:
-        irradiance, mirror = shade(ball, sight, rig, pattern_levels(name, rig))
-        frames.append(irradiance[:, None] * np.array(ball.albedo) + mirror[:, None])
-    return np.stack(frames, axis=1)
+    levels = np.stack([pattern_levels(name, rig) for name in PATTERNS])
+    irradiance, mirror = shade(ball, sight, rig, levels)
+    return (irradiance[..., None] * np.array(ball.albedo) + mirror[..., None]).swapaxes(0, 1)
 
 
 def write_session(ball: Ball, rig: Rig, root: Path) -> Path:

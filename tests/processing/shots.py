@@ -42,18 +42,15 @@ def coloured_rig(rig: Rig) -> Rig:
 
 def photograph(ball: Ball, sight: Sight, rig: Rig, patterns: tuple[str, ...]) -> np.ndarray:
     """(n, P, 3) float32 what the pixels read."""
-    frames = []
-    for name in patterns:
-        diffuse, mirrored = PASSED[name.partition("@")[2]]
-        levels = pattern_levels(name, rig)
-        rgb = np.zeros((len(sight.normals), 3))
-        white = (rig.rgb_gains == rig.rgb_gains[:, :1]).all()
-        for c in range(3):
-            if c == 0 or not white:
-                light, gloss = lit_ball.shade(ball, sight, rig, levels * rig.rgb_gains[:, c])
-            rgb[:, c] = diffuse * light * ball.albedo[c] + mirrored * gloss
-        frames.append(rgb)
-    return np.stack(frames, axis=1).astype(np.float32)
+    levels = np.stack([pattern_levels(name, rig) for name in patterns])
+    share = np.array([PASSED[name.partition("@")[2]] for name in patterns])
+    rgb = np.zeros((len(patterns), len(sight.normals), 3))
+    white = (rig.rgb_gains == rig.rgb_gains[:, :1]).all()
+    for c in range(3):
+        if c == 0 or not white:
+            light, gloss = lit_ball.shade(ball, sight, rig, levels * rig.rgb_gains[:, c])
+        rgb[..., c] = share[:, :1] * light * ball.albedo[c] + share[:, 1:] * gloss
+    return rgb.swapaxes(0, 1).astype(np.float32)
 
 
 def middle(sight: Sight) -> Sight:

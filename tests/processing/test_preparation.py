@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +36,12 @@ def freckles(seed: int = 0) -> np.ndarray:
     return np.asarray(0.8 + 0.2 * np.tanh(2 * total / np.std(total)), np.float32)
 
 
-def photographs() -> np.ndarray:
-    """(P, h, w, 3) float32 of a freckled ball."""
+@functools.cache
+def still() -> np.ndarray:
+    """(P, h, w, 3) float32 of a freckled ball that holds still."""
     images = np.zeros((len(PATTERNS), *SHAPE, 3), np.float32)
     images[:, SIGHT.mask] = lit_ball.photograph(Ball(), SIGHT, RIG).transpose(1, 0, 2)
     return images * freckles()[..., None]
-
-
-STILL = photographs()
 
 
 def noisy(images: np.ndarray) -> np.ndarray:
@@ -85,7 +84,7 @@ def some_flow(seed: int, size_px: float) -> Flow:
 @pytest.mark.parametrize("size_px", [0.5, 3.0])
 def test_both_displacements_of_a_pair_are_found(size_px: float) -> None:
     flows = [some_flow(1, size_px), some_flow(2, size_px)]
-    full, plus, minus = (noisy(STILL)[k].mean(axis=2) for k in (0, 1, 2))
+    full, plus, minus = (noisy(still())[k].mean(axis=2) for k in (0, 1, 2))
     first, second = moved(plus, flows[0]), moved(minus, flows[1])
     found = solve_pair(first, second, full, np.ones(SHAPE, bool), 1.0, 1.0, 0.2)
     assert found is not None
@@ -99,11 +98,11 @@ def test_both_displacements_of_a_pair_are_found(size_px: float) -> None:
 
 def test_a_warp_with_the_found_flow_undoes_the_motion() -> None:
     flow = some_flow(3, 2.0)
-    images = np.stack([moved(STILL[0], flow)])
+    images = np.stack([moved(still()[0], flow)])
     usable = np.ones(SHAPE, bool)
     warp(images, {0: flow}, usable)
     inner = cv2.erode(SIGHT.mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
-    assert np.abs(images[0] - STILL[0])[inner].mean() < 0.004
+    assert np.abs(images[0] - still()[0])[inner].mean() < 0.004
     assert usable[inner].all()
 
 
@@ -111,7 +110,7 @@ def test_a_place_that_was_clipped_before_it_moved_is_not_usable() -> None:
     flow = Flow(np.array([[3.0, 0.0]]), (0.0, 0.0), 1.0, 0)
     usable = np.ones(SHAPE, bool)
     usable[50, 40] = False
-    warp(STILL[:1].copy(), {0: flow}, usable)
+    warp(still()[:1].copy(), {0: flow}, usable)
     assert not usable[50, 40]
     assert not usable[50, 37]
     assert usable[50, 30]
@@ -124,7 +123,7 @@ def test_monomials_are_all_products_up_to_a_degree() -> None:
 
 
 def test_photographs_of_something_still_are_left_as_they_are(tmp_path: Path) -> None:
-    images = noisy(STILL)
+    images = noisy(still())
     before = images.copy()
     facts = prepared(images, tmp_path)
     np.testing.assert_array_equal(images, before)
@@ -135,42 +134,42 @@ def test_photographs_of_something_still_are_left_as_they_are(tmp_path: Path) -> 
 
 
 def test_a_photograph_that_moved_is_laid_upon_full(tmp_path: Path) -> None:
-    images = noisy(STILL)
+    images = noisy(still())
     flow = some_flow(4, 2.0)
     images[3] = moved(images[3], flow)
-    off = np.abs(images[3] - STILL[3])[SIGHT.mask].mean()
+    off = np.abs(images[3] - still()[3])[SIGHT.mask].mean()
     facts = prepared(images, tmp_path)
     assert "y+" in facts["aligned"]
     assert facts["displaced_px"]["y+"] > 1.0
-    assert np.abs(images[3] - STILL[3])[SIGHT.mask].mean() < 0.4 * off
+    assert np.abs(images[3] - still()[3])[SIGHT.mask].mean() < 0.4 * off
     (told,) = prepare_warnings({"cam0": facts})
     assert "moved" in told
 
 
 def test_flicker_of_one_photograph_is_evened_out_and_said(tmp_path: Path) -> None:
-    images = noisy(STILL)
+    images = noisy(still())
     images[5] *= np.float32(1.04)
     facts = prepared(images, tmp_path)
     assert list(facts["flicker"]) == ["z+"]
     assert abs(facts["flicker"]["z+"] - 1.04) < 0.003
-    np.testing.assert_allclose(images[5].mean(), STILL[5].mean(), rtol=0.003)
+    np.testing.assert_allclose(images[5].mean(), still()[5].mean(), rtol=0.003)
     assert "z+ was 1.04 times as bright" in prepare_warnings({"cam0": facts})[0]
 
 
 def test_room_light_is_found_by_colour_and_taken_off(tmp_path: Path) -> None:
     colour = np.array([0.03, 0.02, 0.01], np.float32)
-    room = colour * STILL[0] * (0.7 + 0.3 * np.linspace(0, 1, SHAPE[1])[:, None])
-    images = noisy(STILL + room.astype(np.float32))
-    off = np.abs(images - STILL)[:, SIGHT.mask].mean()
+    room = colour * still()[0] * (0.7 + 0.3 * np.linspace(0, 1, SHAPE[1])[:, None])
+    images = noisy(still() + room.astype(np.float32))
+    off = np.abs(images - still())[:, SIGHT.mask].mean()
     facts = prepared(images, tmp_path)
-    known = room[SIGHT.mask].sum(axis=0) / (STILL[0] + room)[SIGHT.mask].sum(axis=0)
+    known = room[SIGHT.mask].sum(axis=0) / (still()[0] + room)[SIGHT.mask].sum(axis=0)
     np.testing.assert_allclose(facts["ambient"], known, rtol=0.05)
-    assert np.abs(images - STILL)[:, SIGHT.mask].mean() < 0.25 * off
+    assert np.abs(images - still())[:, SIGHT.mask].mean() < 0.25 * off
     assert "no lamp's light" in prepare_warnings({"cam0": facts})[0]
 
 
 def test_swapped_photographs_are_named_and_nothing_is_warped(tmp_path: Path) -> None:
-    images = noisy(STILL)
+    images = noisy(still())
     images[[1, 4]] = images[[4, 1]]
     before = images.copy()
     facts = prepared(images, tmp_path)
@@ -180,7 +179,7 @@ def test_swapped_photographs_are_named_and_nothing_is_warped(tmp_path: Path) -> 
 
 
 def test_patterns_without_pairs_are_left_alone(tmp_path: Path) -> None:
-    images = noisy(STILL)[:1]
+    images = noisy(still())[:1]
     usable = np.ones(SHAPE, bool)
     config = PrepareConfig()
     alone = session(SEQUENCES["full"])
@@ -199,7 +198,7 @@ def test_patterns_without_pairs_are_left_alone(tmp_path: Path) -> None:
 def test_whatever_is_read_the_checks_end_without_a_word(
     tmp_path_factory: pytest.TempPathFactory, fill: float, half: bool, scale: float
 ) -> None:
-    images = (STILL[:, 100:200:3, 80:180:3] * np.float32(scale)).astype(
+    images = (still()[:, 100:200:3, 80:180:3] * np.float32(scale)).astype(
         np.float16 if half else np.float32
     )
     images[2, 5:20, 5:20] = fill
@@ -219,7 +218,7 @@ def test_small_pictures_are_the_means_of_their_cells(dtype: type) -> None:
 
 
 def test_the_report_shows_a_row_a_camera(tmp_path: Path) -> None:
-    facts = prepared(noisy(STILL), tmp_path)
+    facts = prepared(noisy(still()), tmp_path)
     section = light_section(tmp_path, {"cam0": facts})
     assert section is not None
     picture, table = section.parts
