@@ -8,8 +8,6 @@ import numpy as np
 FAR = 3
 """Step of the longer second difference, in quads; the shorter one's is a quad."""
 REACH = 2 * FAR
-DIFFERENCE_GAIN = 6.0
-"""Variance of a second difference of independent values, each of variance 1."""
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

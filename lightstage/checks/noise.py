@@ -8,6 +8,8 @@ import numpy as np
 
 LINE_SLACK = 1.15
 """A cell is held to be without detail up to this many times the noise's line."""
+DIFFERENCE_GAIN = 6.0
+"""Variance of a second difference of independent values, each of variance 1."""
 BIN_CELLS = 20
 MIN_PAIRS = 16
 """A variance from fewer pairs says nothing alone: cells of like level are taken together."""

@@ -10,8 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from lightstage.checks.kernels import DIFFERENCE_GAIN, cells_kernel
-from lightstage.checks.noise import fit_noise
+from lightstage.checks.noise import DIFFERENCE_GAIN, fit_noise
 from lightstage.errors import FormatError
 from lightstage.formats.exr import MAGIC, read_exr
 
@@ -181,6 +180,8 @@ def measure_counts(
     Raises:
         FormatError: fewer than 8 x 8 pixels.
     """
+    from lightstage.checks.kernels import cells_kernel
+
     high, wide = counts.shape[0] // 2, counts.shape[1] // 2
     if min(high, wide) < MIN_QUADS:
         raise FormatError(

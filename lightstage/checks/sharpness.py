@@ -14,7 +14,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from lightstage.checks.kernels import DIFFERENCE_GAIN
+from lightstage.checks.noise import DIFFERENCE_GAIN
 from lightstage.checks.photo import LIT_SHARE, Photo, pool_size
 
 MIN_CELLS = 6

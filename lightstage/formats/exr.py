@@ -9,7 +9,6 @@ import OpenEXR
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path
-from lightstage.formats.half import float_from_half, half_from_float, is_finite
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 
@@ -59,6 +58,8 @@ def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:
     """
     stored = _stored(path)
     if stored.dtype == np.float16:
+        from lightstage.formats.half import float_from_half
+
         image, whole = float_from_half(stored)
     else:
         image = np.array(stored, np.float32, order="C")
@@ -82,6 +83,8 @@ def read_half_exr(path: Path) -> np.ndarray:
     """
     stored = _stored(path)
     if stored.dtype == np.float16:
+        from lightstage.formats.half import is_finite
+
         half = np.ascontiguousarray(stored)
         if not is_finite(half):
             require_finite(half, path)
@@ -92,6 +95,8 @@ def read_half_exr(path: Path) -> np.ndarray:
 
 
 def _narrowed(image: np.ndarray, where: Path) -> np.ndarray:
+    from lightstage.formats.half import half_from_float
+
     half, fits = half_from_float(image)
     if not fits:
         raise FormatError(where, found="values above 65504", expected="values that half can hold")

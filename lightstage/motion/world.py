@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from lightstage.errors import MotionError
 from lightstage.formats.template import default_template_path, load_template
@@ -66,6 +65,8 @@ def turn_between(here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, float
     Returns:
         The turn, and the root mean square misfit as a share of `there`'s spread.
     """
+    from scipy.spatial.transform import Rotation
+
     one, other = here - here.mean(axis=0), there - there.mean(axis=0)
     turn = Rotation.align_vectors(other, one)[0].as_matrix()
     scale = float(((one @ turn.T) * other).sum() / max((one**2).sum(), 1e-300))

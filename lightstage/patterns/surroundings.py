@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from lightstage.errors import PatternError
 from lightstage.formats.environment import read_lights
@@ -67,6 +66,8 @@ def surroundings_flux(path: Path, rig: Rig, rotate_deg: float = 0.0) -> np.ndarr
         turned = np.stack(
             [x * np.cos(turn) + z * np.sin(turn), y, z * np.cos(turn) - x * np.sin(turn)], axis=1
         )
+        from scipy.spatial import cKDTree
+
         nearest = cKDTree(alone).query(turned)[1]
         seen = np.bincount(nearest, weights=flux, minlength=len(alone))
     total = seen[cell] / np.bincount(cell)[cell] + ambient * solid_angles_sr(rig)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from scipy.spatial import QhullError, SphericalVoronoi, cKDTree
 
 from lightstage.rig import Rig
 
@@ -117,6 +116,8 @@ def _shared(positions: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 def _joined(toward: np.ndarray) -> np.ndarray:
     """(k,) for each direction the index of the one near it whose cell it shares, or its own."""
+    from scipy.spatial import cKDTree
+
     joined = np.arange(len(toward))
     # Of two that both stand alone the second joins: none joins one that has joined another.
     for i, j in sorted(cKDTree(toward).query_pairs(SAME_DIRECTION)):
@@ -127,6 +128,8 @@ def _joined(toward: np.ndarray) -> np.ndarray:
 
 def _cells(toward: np.ndarray) -> np.ndarray:
     """(k,) areas of the Voronoi cells of k directions, no two of them near each other."""
+    from scipy.spatial import QhullError, SphericalVoronoi
+
     if len(toward) == 1:
         return np.array([SPHERE])
     spread = np.linalg.svd(toward - toward.mean(axis=0), full_matrices=False)
@@ -167,6 +170,8 @@ def _lunes(toward: np.ndarray, axes: np.ndarray) -> np.ndarray:
 
 def _counted(toward: np.ndarray) -> np.ndarray:
     """Areas by counting, of many directions, those nearest to each; exact to about a thousandth."""
+    from scipy.spatial import cKDTree
+
     nearest = cKDTree(toward).query(directions(SAMPLES))[1]
     share = np.maximum(np.bincount(nearest, minlength=len(toward)), 0.5)
     return np.asarray(share * (SPHERE / share.sum()))

@@ -103,6 +103,13 @@ def test_every_command_explains_itself(name):
     assert "--json" in done.stdout
 
 
+def test_commands_start_without_what_few_of_them_need():
+    """SciPy and numba take half a second of every command's start."""
+    script = "import sys, lightstage.__main__; print(sorted({'numba', 'scipy'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout == "[]\n", done.stderr
+
+
 def test_an_error_says_where_what_was_found_what_was_expected_and_what_to_try():
     error = LightstageError("a.exr", field="size", found="3", expected="4", hint="Grow it.")
     assert str(error) == "a.exr, size: found 3, expected 4. Grow it."
