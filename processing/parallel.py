@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import ParamSpec, TypeVar
 
 T = TypeVar("T")
+K = TypeVar("K")
 P = ParamSpec("P")
 
 BUDGET_BYTES = 5 * 2**29
@@ -25,22 +26,22 @@ def workers(bytes_each: int, budget: int = BUDGET_BYTES) -> int:
     return max(1, min(cores, budget // max(bytes_each, 1)))
 
 
-def over_views(
-    work: Callable[[str], T], cameras: Sequence[str], at_once: int
-) -> Iterator[tuple[str, T]]:
-    """Work on views in threads and yield (camera, result) in the order of `cameras`.
+def over_views(work: Callable[[K], T], views: Sequence[K], at_once: int) -> Iterator[tuple[K, T]]:
+    """Work on views in threads and yield (view, result) in the order of `views`.
+
+    A view is named as the caller likes: by its camera, by its number.
 
     Compiled loops, files and pictures run beside each other; at most `at_once` results wait. An
     error of one view ends the others that have not begun, and is raised.
     """
     with ThreadPoolExecutor(at_once) as pool:
-        waiting: list[tuple[str, Future[T]]] = []
-        rest = list(cameras)
+        waiting: list[tuple[K, Future[T]]] = []
+        rest = list(views)
         try:
             while rest or waiting:
                 while rest and len(waiting) < at_once:
-                    camera = rest.pop(0)
-                    waiting.append((camera, pool.submit(work, camera)))
+                    view = rest.pop(0)
+                    waiting.append((view, pool.submit(work, view)))
                 # No name may hold a result here: it is let go when the caller lets it go.
                 yield waiting[0][0], waiting.pop(0)[1].result()
         finally:

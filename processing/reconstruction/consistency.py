@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
+from processing.parallel import over_views, workers
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.relief import with_relief
 from processing.reconstruction.views import Level, plane_slopes
+
+PIXEL_BYTES = 400
+"""That a pixel of a view takes, at most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,6 +35,15 @@ class Points:
     views: np.ndarray
     seen_by: np.ndarray
     agreeing: tuple[np.ndarray, ...] = ()
+
+
+class Oriented(NamedTuple):
+    """One view's points: (h, w, 3), normals (h, w, 3), trust (h, w), pixel_from_world (3, 4)."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    weights: np.ndarray
+    projection: np.ndarray
 
 
 def depth_to_points(inverse_depth: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -194,42 +208,51 @@ def consistent_points(
         depths, costs: of `match_views`.
         config: the stage's settings.
     """
-    points, normals, weights, projections = [], [], [], []
-    for index, (depth, cost) in enumerate(zip(depths, costs, strict=True)):
-        kept = np.where(cost < config.max_cost, depth, 0)
-        lens, pose = level.lenses[index], level.poses[index]
-        grid = depth_to_points(kept, lens, pose)
-        turned = smooth_normals(grid, level.normals[index], 3, 3.0)
-        # Depth is the less certain, the more the surface turns away.
-        centre = -pose[:, :3].T @ pose[:, 3]
-        sight = (centre - grid).astype(np.float32)
-        sight /= np.linalg.norm(sight, axis=2, keepdims=True)
-        cosine = np.einsum("hwk,hwk->hw", sight, turned)
-        points.append(grid)
-        normals.append(np.where((cosine > config.min_cosine)[..., None], turned, np.nan))
-        weights.append(np.clip(1 - cost, 0.05, 1) * np.clip(cosine, 0, 1) ** 2)
-        matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
-        projections.append(matrix @ pose)
-    stack = (np.stack(points), np.stack(normals).astype(np.float32))
-    trust, pixel_from_world = np.stack(weights).astype(np.float32), np.stack(projections)
-    parts: list[tuple[np.ndarray, ...]] = []
-    counts = []
-    for index in range(len(points)):
+    views = range(len(depths))
+    at_once = workers(PIXEL_BYTES * depths[0].size)
+
+    def oriented(index: int) -> Oriented:
+        return _oriented(level, index, depths[index], costs[index], config)
+
+    every = [found for _, found in over_views(oriented, views, at_once)]
+    points, normals, weights, projections = (np.stack(part) for part in zip(*every, strict=True))
+
+    def joined(index: int) -> tuple[np.ndarray, ...]:
         merged = np.empty_like(points[index])
         agreeing = np.empty(merged.shape[:2], np.int32)
         merge_view(
-            index, *stack, trust, pixel_from_world, config.agree_mm, 5.0, merged, agreeing
+            index, points, normals, weights, projections, config.agree_mm, 5.0, merged, agreeing
         )  # fmt: skip
-        good = agreeing >= config.agree_views
-        facing = stack[1][index]
+        good, facing = agreeing >= config.agree_views, normals[index]
         if config.relief_mm > 0:
             merged, facing = _relief(
                 level, index, np.where(good[..., None], merged, np.nan), facing, config
             )
-        counts.append(agreeing)
-        parts.append((merged[good], facing[good], agreeing[good], np.full(good.sum(), index)))
-    places, facing, views, seen_by = (np.concatenate(c) for c in zip(*parts, strict=True))
-    return Points(places, facing, views, seen_by, tuple(counts))
+        return merged[good], facing[good], agreeing[good], np.full(good.sum(), index), agreeing
+
+    parts = [found for _, found in over_views(joined, views, at_once)]
+    *joint, agreeing = zip(*parts, strict=True)
+    places, facing, agreed, seen_by = (np.concatenate(part) for part in joint)
+    return Points(places, facing, agreed, seen_by, agreeing)
+
+
+def _oriented(
+    level: Level, index: int, depth: np.ndarray, cost: np.ndarray, config: ReconstructConfig
+) -> Oriented:
+    """Points of one view's depth with normals and trust, before other views are asked."""
+    kept = np.where(cost < config.max_cost, depth, 0)
+    lens, pose = level.lenses[index], level.poses[index]
+    grid = depth_to_points(kept, lens, pose)
+    turned = smooth_normals(grid, level.normals[index], 3, 3.0)
+    # Depth is the less certain, the more the surface turns away.
+    centre = -pose[:, :3].T @ pose[:, 3]
+    sight = (centre - grid).astype(np.float32)
+    sight /= np.linalg.norm(sight, axis=2, keepdims=True)
+    cosine = np.einsum("hwk,hwk->hw", sight, turned)
+    facing = np.where((cosine > config.min_cosine)[..., None], turned, np.float32(np.nan))
+    trust = np.clip(1 - cost, 0.05, 1) * np.clip(cosine, 0, 1) ** 2
+    matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
+    return Oriented(grid, facing, trust.astype(np.float32), matrix @ pose)
 
 
 def _relief(

@@ -15,6 +15,7 @@ from lightstage.formats.mesh import Mesh
 from processing.lighting.interface import skin_interface
 from processing.lighting.lights import PatternLights, Shadows, fix_normals, irradiance_vectors
 from processing.normals import solve_normals
+from processing.parallel import over_views, workers
 from processing.rays import MeshRays
 from processing.reconstruction.again import Sighted
 from processing.reconstruction.views import Level, View, block_sum
@@ -25,6 +26,8 @@ COLOUR_SPREAD = 0.1
 """Lights whose colours differ by more leave highlights in what chroma takes for scattered."""
 WITHIN = 0.5
 """Least cosine to the mesh's normal: what turns farther is no normal of this surface."""
+PIXEL_BYTES = 400
+"""That a pixel of a view takes, at most."""
 
 
 def mended_normals(
@@ -57,9 +60,11 @@ def mended_normals(
         return None
     visible = rays.visible(mesh.vertices, normals, lights.position_mm).astype(np.uint8)
     out = level.normals.copy()
-    for index, (view, sight) in enumerate(zip(views, seen, strict=True)):
+
+    def mend(index: int) -> None:
+        view, sight = views[index], seen[index]
         if view.signal is None or not len(sight.rows):
-            continue
+            return
         signal = _at(view.signal, times, sight)
         given = np.isfinite(signal).all(axis=1)
         at = sight.rows[given], sight.columns[given]
@@ -74,6 +79,10 @@ def mended_normals(
             near = np.einsum("nk,nk->n", solved, first) > WITHIN
             found = np.where(near[:, None], solved, first)
         out[index][at] = np.where(near[:, None], found, out[index][at])
+
+    at_once = workers(PIXEL_BYTES * level.masks[0].size)
+    for _ in over_views(mend, range(len(views)), at_once):
+        pass
     return out
 
 

@@ -128,13 +128,15 @@ def make_view(
         basis: (P, 3, k) of `common_basis`.
         white: (3,) the lights' colour, where a signal is wanted.
     """
+    usable = valid & mask
+    rgb = np.ascontiguousarray(images[:, usable].transpose(1, 0, 2), np.float32)
+    found = rgb.reshape(len(rgb), -1) @ basis.reshape(-1, basis.shape[2]).astype(np.float32)
+    finite = np.isfinite(found).all(axis=1)
+    usable[usable] = finite
     textures = np.zeros((*mask.shape, TEXTURES), np.float32)
-    kept = basis.shape[2]
-    textures[..., :kept] = np.einsum("phwc,pck->hwk", images, basis.astype(np.float32))
-    usable = valid & mask & np.isfinite(textures).all(axis=2)
-    textures[~usable] = 0
+    textures[usable, : basis.shape[2]] = found[finite]
     normals = np.where(np.isfinite(normals), normals, 0).astype(np.float32)
-    signal = None if white is None else _signal(images, usable, white)
+    signal = None if white is None else _signal(rgb[finite], usable, white)
     if any(camera.dist):
         lens, straight = camera.opencv_matrix, dataclasses.replace(camera, dist=(0, 0, 0, 0, 0))
         size = (camera.width_px, camera.height_px)
@@ -157,12 +159,17 @@ def make_view(
     return View(camera, textures, mask, _unit(normals), signal)
 
 
-def _signal(images: np.ndarray, usable: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """(h, w, P) the part of colour that no highlight has, NaN where there is none."""
-    rgb = images[:, usable].transpose(1, 0, 2) / np.asarray(white, np.float32)
-    found, saturation = chroma_signal(rgb, np.ones(3))
+def _signal(rgb: np.ndarray, usable: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """(h, w, P) the part of colour that no highlight has, NaN where there is none.
+
+    Args:
+        rgb: (n, P, 3) of the usable pixels.
+        usable: (h, w) bool.
+        white: (3,) the lights' colour.
+    """
+    found, saturation = chroma_signal(rgb / np.asarray(white, np.float32), np.ones(3))
     found[saturation < GREY] = np.nan
-    out = np.full((*usable.shape, len(images)), np.nan, np.float32)
+    out = np.full((*usable.shape, rgb.shape[1]), np.nan, np.float32)
     out[usable] = found
     return out
 
