@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import open3d
 import pytest
 import trimesh
 
@@ -103,6 +104,14 @@ def sphere() -> Mesh:
     return Mesh(made.vertices, np.asarray(made.faces, np.int32))
 
 
+def coarser(mesh: Mesh, triangles: int) -> Mesh:
+    """The same surface, of so few triangles: light is carried from each to the others."""
+    made = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces)
+    ).simplify_quadric_decimation(triangles)
+    return Mesh(np.asarray(made.vertices), np.asarray(made.triangles).astype(np.int32))
+
+
 def albedo_of(
     session: Session, out: Path, shape: Mesh | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -165,7 +174,7 @@ def test_a_persons_albedo_is_the_same_by_either_drive(tmp_path):
     rig = default_rig().scaled(0.04)
     person = load_subject("anna", 3, None, 384)
     world = World(person, dataclasses.replace(rig, cameras=rig.cameras[:1]))
-    shape = Mesh(person.mesh.vertices, person.mesh.triangles())
+    shape = coarser(Mesh(person.mesh.vertices, person.mesh.triangles()), 12_000)
     drives: tuple[Drive, Drive] = ("on-off", "solid-angle")
     found = []
     for drive in drives:
