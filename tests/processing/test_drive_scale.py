@@ -100,7 +100,7 @@ def session_of(
 
 def sphere() -> Mesh:
     """The ball's shape, of even triangles."""
-    made = trimesh.creation.icosphere(5, 80.0)
+    made = trimesh.creation.icosphere(4, 80.0)
     return Mesh(made.vertices, np.asarray(made.faces, np.int32))
 
 
