@@ -196,7 +196,7 @@ def measure_counts(
     light, detail = np.empty((rows, columns, 3)), np.empty((rows, columns, 3))
     clipped, extremes = np.empty((rows, columns, 3), np.int64), np.empty(4)
     colours = np.ascontiguousarray(colours, np.int64)
-    dark = np.ascontiguousarray(np.broadcast_to(np.asarray(black, float), (2, 2)))
+    dark = np.full((2, 2), black, float)
     cells_kernel(counts, colours, dark, white, quads, light, detail, clipped, extremes)
     pixels = 4 * quads * quads * rows * columns
     greatest, pile = float(extremes[1]), int(extremes[2])

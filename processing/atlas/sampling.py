@@ -254,7 +254,7 @@ def accumulate(
     once = np.ones(2 * LANES, np.float32)
     once[:LANES] = 0
     for k in numba.prange(len(reading.slot)):
-        _add_sample(image, low, reading, sharing, total, once, out, k)
+        _add_sample(image, low, reading, sharing, total, once, out, np.int64(k))
 
 
 @numba.njit(cache=True)

@@ -203,7 +203,7 @@ class Sampler:
         )
         first = texels.start[tiles]
         _gather(first, counts, ends, self._slot, reading.slot)
-        _gather(first, counts, ends, self._pixel, reading.pixel)
+        _gather(2 * first, 2 * counts, 2 * ends, self._pixel.ravel(), reading.pixel.ravel())
         _gather(first, counts, ends, self._weight, reading.weight)
         return ViewSamples(window, reading, footprint, len(tiles))
 

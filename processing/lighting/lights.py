@@ -333,7 +333,7 @@ def compiled(lights: PatternLights, shadows: Shadows) -> SeenLights:
         position=lights.position_mm.astype(np.float32),
         radius=lights.radius_mm.astype(np.float32),
         weight=lights.weight.astype(np.float32),
-        levels=lights.levels.astype(np.float32),
+        levels=np.ascontiguousarray(lights.levels, np.float32),
         group_end=lights.group_end,
         exponent=np.float32(lights.exponent),
     )

@@ -71,7 +71,7 @@ def transport(
         np.ascontiguousarray(points_mm, np.float32),
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(views, np.float32),
-        np.ascontiguousarray(np.broadcast_to(np.asarray(roughness, np.float32), count)),
+        np.full(count, roughness, np.float32),
         compiled(lights, shadows),
         fresnel_table().astype(np.float32),
         interface.table,

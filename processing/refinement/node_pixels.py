@@ -225,14 +225,14 @@ def pixel_kernel(
                     filled += 1
                     if filled == LANES:
                         _solve_and_finish(
-                            nodes, r, c, ws, down, right, usable, saturation, at, near, filled,
-                            patterns, rounds, spread, limits, given, maps, done,
+                            nodes, np.int64(r), c, ws, down, right, usable, saturation, at, near,
+                            filled, patterns, rounds, spread, limits, given, maps, done,
                         )  # fmt: skip
                         filled = 0
             if filled:
                 _solve_and_finish(
-                    nodes, r, c, ws, down, right, usable, saturation, at, near, filled,
-                    patterns, rounds, spread, limits, given, maps, done,
+                    nodes, np.int64(r), c, ws, down, right, usable, saturation, at, near,
+                    filled, patterns, rounds, spread, limits, given, maps, done,
                 )  # fmt: skip
 
 
@@ -255,7 +255,7 @@ def _solve_and_finish(
         ws, node, load(down, 0), load(right, 0),
     )  # fmt: skip
     solve_eight(
-        ws, 0, node, state, place + TURN, results, patterns, rounds,
+        ws, np.int64(0), node, state, place + TURN, results, patterns, rounds,
         spread.sensor2, spread.model2, spread.shade2, spread.kept, nodes.widest2,
     )  # fmt: skip
     for j in range(filled):

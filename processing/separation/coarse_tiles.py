@@ -114,7 +114,7 @@ def solve_tiles(window: Window, model: Model, sums: np.ndarray, maps: Maps) -> N
                     mean_reading(read, patterns, good, count, mean)
                     if solve_pixel(
                         mean,
-                        0,
+                        np.int64(0),
                         3 * LANES,
                         scale,
                         view,
@@ -165,7 +165,7 @@ def solve_tiles(window: Window, model: Model, sums: np.ndarray, maps: Maps) -> N
                             single[LENGTH] = 0
                             found = solve_pixel(
                                 mean,
-                                0,
+                                np.int64(0),
                                 3 * LANES,
                                 scale,
                                 view,

@@ -148,8 +148,11 @@ def separate_window(readings: Readings, lights: PatternLights, config: SeparateC
     tables = far_tables(lights, -view, config.roughness, skin_interface())
     sums = np.zeros((*(-(-side // block) for side in mask.shape), SUMS + 1), np.float32)
     values = readings.values
+    # Never written to, whoever gave them: the loop is compiled once, as it is for mapped files.
+    half = values.view(np.uint16 if values.dtype == np.float16 else values.dtype)
+    half.flags.writeable = False
     window = Window(
-        half=values.view(np.uint16) if values.dtype == np.float16 else values,
+        half=half,
         scale=np.float32(readings.scale),
         mask=mask,
         valid=np.ascontiguousarray(readings.valid),

@@ -86,7 +86,7 @@ def table_lobe(
         table.roughness,
         np.ascontiguousarray(normals, np.float64),
         np.ascontiguousarray(views, np.float64),
-        np.ascontiguousarray(np.broadcast_to(np.asarray(roughness, np.float64), count)),
+        np.full(count, roughness, np.float64),
         out,
     )
     return out

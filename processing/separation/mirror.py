@@ -80,7 +80,7 @@ def mirror_normals(
         table.values,
         table.roughness,
         np.ascontiguousarray(views, np.float64),
-        np.ascontiguousarray(np.broadcast_to(np.asarray(roughness, np.float64), count)),
+        np.full(count, roughness, np.float64),
         math.radians(config.spread_deg),
         config.rounds,
         out.normal,

@@ -65,7 +65,7 @@ def test_the_low_band_keeps_constants_and_never_reads_outside(seed, sigma, scale
     mask = rng.uniform(size=(24, 30)) > 0.5
     image = np.full((24, 30, 2), scale, np.float16)
     image[~mask] = [np.nan, -6e4]
-    found = low_band(image.view(np.uint16), mask, sigma)
+    found = low_band(image.view(np.uint16), mask.view(np.uint8), sigma)
     read = found.counts > 1e-5
     assert read.any()
     assert np.allclose(found.sums[read] / found.counts[read, None], image[mask][0], rtol=1e-3)
@@ -75,7 +75,7 @@ def test_the_low_band_keeps_constants_and_never_reads_outside(seed, sigma, scale
 def test_the_low_band_is_the_gaussian_blur_of_the_whole_picture(sigma):
     rng = np.random.default_rng(0)
     image = rng.normal(size=(160, 200, 1)).astype(np.float16)
-    found = low_band(image.view(np.uint16), np.ones((160, 200), bool), sigma)
+    found = low_band(image.view(np.uint16), np.ones((160, 200), np.uint8), sigma)
     blur = gaussian_filter(image[..., 0].astype(float), sigma, mode="constant")
     ones = gaussian_filter(np.ones((160, 200)), sigma, mode="constant")
     height, width = found.counts.shape
