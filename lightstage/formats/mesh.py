@@ -76,6 +76,22 @@ def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
 
 
+def connected(edges: np.ndarray, count: int) -> np.ndarray:
+    """Which connected part each vertex is in.
+
+    Args:
+        edges: (e, 2) vertices that are joined; either way round, any number of times.
+        count: of the vertices.
+
+    Returns:
+        (count,) labels from 0; a vertex without an edge is a part of its own.
+    """
+    from scipy import sparse
+
+    joined = sparse.coo_array((np.ones(len(edges), bool), tuple(edges.T)), shape=(count, count))
+    return np.asarray(sparse.csgraph.connected_components(joined, directed=False)[1])
+
+
 def read_obj(path: Path) -> Mesh:
     """Read an OBJ file's vertices, faces and texture coordinates, in the file's order.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import scipy.sparse as sp
 
+from lightstage.formats.mesh import connected
 from processing.registration.target import border_vertices
 
 
@@ -47,10 +47,10 @@ def coarsened(
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     alone = np.zeros(count, bool)
     alone[kept] = True
-    within = ends[(cell[ends[:, 0]] == cell[ends[:, 1]]).all(axis=1) & ~alone[ends].any(axis=1)].T
-    joined = sp.coo_matrix((np.ones(within.shape[1]), (within[0], within[1])), shape=(count, count))
-    number, patch = sp.csgraph.connected_components(joined, directed=False)
-    size = np.bincount(patch, minlength=number)
+    same = (cell[ends[:, 0]] == cell[ends[:, 1]]).all(axis=1)
+    patch = connected(ends[same & ~alone[ends].any(axis=1)], count)
+    number = int(patch.max()) + 1
+    size = np.bincount(patch)
     middle = np.stack([np.bincount(patch, axis, number) for axis in vertices.T], axis=1)
     away = np.linalg.norm(vertices - (middle / size[:, None])[patch], axis=1)
     # The mesh's own border stays where it is.

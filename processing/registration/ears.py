@@ -10,10 +10,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import Mesh, connected, vertex_normals
 from processing.errors import RegistrationError
 from processing.registration.rigid import Similarity, umeyama
 from processing.registration.target import Target
@@ -84,10 +83,7 @@ def spread(points: np.ndarray, count: int) -> np.ndarray:
 def _parts(triangles: np.ndarray, ears: np.ndarray) -> list[np.ndarray]:
     """Vertices of the region's two largest connected parts; isolated crumbs are no ear."""
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    ends = ends[ears[ends].all(axis=1)].T
-    count = len(ears)
-    joined = sp.coo_matrix((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(count, count))
-    _, label = sp.csgraph.connected_components(joined, directed=False)
+    label = connected(ends[ears[ends].all(axis=1)], len(ears))
     size = np.bincount(label[ears], minlength=label.max() + 1)
     largest = np.argsort(-size, kind="stable")[:2]
     return [np.flatnonzero(ears & (label == k)) for k in largest if size[k] >= 8]

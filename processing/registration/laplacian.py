@@ -6,6 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
+from lightstage.formats.mesh import connected
+
 LARGEST_COTANGENT = 20.0
 
 
@@ -66,10 +68,8 @@ def tie_components(vertices: np.ndarray, triangles: np.ndarray, strength: float)
         (n, n) symmetric, positive semidefinite; empty for a connected mesh.
     """
     count = len(vertices)
-    ends = triangles[:, [0, 1, 1, 2]].reshape(-1, 2).T
-    joined = sp.coo_matrix((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(count, count))
-    number, label = sp.csgraph.connected_components(joined, directed=False)
-    if number == 1:
+    label = connected(triangles[:, [0, 1, 1, 2]].reshape(-1, 2), count)
+    if not label.any():
         return sp.csr_matrix((count, count))
     largest = np.argmax(np.bincount(label))
     loose, body = np.flatnonzero(label != largest), np.flatnonzero(label == largest)

@@ -8,6 +8,7 @@ import functools
 import numpy as np
 from scipy import ndimage, sparse
 
+from lightstage.formats.mesh import connected
 from sim.errors import SimError
 from sim.light.texture import raster_uv
 from sim.reference.points import Points, Skin, unit
@@ -165,7 +166,5 @@ class Texels:
 def _charts(uv_triangles: np.ndarray) -> np.ndarray:
     """(t,) int64 which connected piece of the UV each triangle belongs to."""
     count = int(uv_triangles.max()) + 1
-    start, end = uv_triangles[:, [0, 1]].ravel(), uv_triangles[:, [1, 2]].ravel()
-    graph = sparse.coo_matrix((np.ones(len(start), bool), (start, end)), (count, count))
-    _, label = sparse.csgraph.connected_components(graph, directed=False)
+    label = connected(uv_triangles[:, [0, 1, 1, 2]].reshape(-1, 2), count)
     return label[uv_triangles[:, 0]].astype(np.int64)

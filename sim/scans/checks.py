@@ -6,10 +6,8 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
 
-from lightstage.formats.mesh import Mesh
+from lightstage.formats.mesh import Mesh, connected
 from sim.errors import SimError
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -258,8 +256,8 @@ def openings_mm(mesh: Mesh, up: np.ndarray) -> tuple[tuple[float, ...], float]:
         return (), 0.0
     used, inverse = np.unique(border, return_inverse=True)
     ends = inverse.reshape(-1, 2)
-    graph = sparse.coo_matrix((np.ones(len(ends)), ends.T), shape=(len(used), len(used)))
-    count, label = csgraph.connected_components(graph, directed=False)
+    label = connected(ends, len(used))
+    count = int(label.max()) + 1
     points = mesh.vertices[used]
     low, high = (mesh.vertices @ up).min(), (mesh.vertices @ up).max()
     sizes, heights = np.empty(count), np.empty(count)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from lightstage.errors import FormatError
 from lightstage.formats.mesh import (
     Mesh,
+    connected,
     read_mesh,
     read_obj,
     read_ply,
@@ -145,3 +146,18 @@ def test_an_obj_is_not_written_under_another_suffix(tmp_path):
     with pytest.raises(FormatError, match=r"found suffix '\.ply', expected \.obj"):
         write_obj(mesh, tmp_path / "mesh.ply")
     assert not list(tmp_path.iterdir())
+
+
+@given(
+    count=st.integers(1, 12),
+    pairs=st.lists(st.tuples(st.integers(0, 11), st.integers(0, 11)), max_size=300),
+)
+def test_connected_parts_are_those_of_painting_neighbours(count, pairs):
+    edges = np.array(pairs, np.int64).reshape(-1, 2) % count
+    colour = list(range(count))
+    for _ in range(count):
+        for a, b in edges:
+            colour[a] = colour[b] = min(colour[a], colour[b])
+    found = connected(edges, count)
+    assert sorted(set(found)) == list(range(len(set(colour))))
+    assert len(set(zip(found, colour, strict=True))) == len(set(colour))
