@@ -109,16 +109,16 @@ class Camera:
         rows = np.arange(self.height_px) + 0.5
         return self.centre_mm, self.rays_through(*np.meshgrid(columns, rows))
 
-    def rays_through(self, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
+    def rays_through(self, x_px: np.ndarray, y_px: np.ndarray, rounds: int = 8) -> np.ndarray:
         """(.., 3) unit directions in the world through places (..) of the picture, float64.
 
-        A pixel's centre is half a pixel from its corner; the distortion is undone by fixed-point
-        iteration.
+        A pixel's centre is half a pixel from its corner; the distortion is undone by so many
+        rounds of fixed-point iteration.
         """
         u, v = (x_px - self.cx_px) / self.fx_px, (y_px - self.cy_px) / self.fy_px
         x, y = u.copy(), v.copy()
         k1, k2, p1, p2, k3 = self.dist
-        for _ in range(8 if any(self.dist) else 0):
+        for _ in range(rounds if any(self.dist) else 0):
             r2 = x * x + y * y
             radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
             dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)

@@ -12,6 +12,7 @@ from lightstage.errors import FormatError, MotionError
 from lightstage.formats.files import read_json
 from lightstage.formats.landmarks import SCHEMA as LANDMARKS_SCHEMA
 from lightstage.formats.landmarks import read_points_px
+from lightstage.lines import nearest_equations
 from lightstage.rig import Camera
 
 SCHEMA = "lightstage.points/1"
@@ -95,12 +96,9 @@ def place(name: str, clicks: Mapping[str, np.ndarray], cameras: Mapping[str, Cam
             found=f"clicked in {', '.join(known) or 'no photograph of these cameras'}",
             expected="the photographs of two cameras at least",
         )
-    moment, right = np.zeros((3, 3)), np.zeros(3)
-    for camera, pixel in known.items():
-        ray = cameras[camera].rays_through(np.array([pixel[0]]), np.array([pixel[1]]))[0]
-        across = np.eye(3) - np.outer(ray, ray)
-        moment += across
-        right += across @ cameras[camera].centre_mm
+    centres = np.array([cameras[camera].centre_mm for camera in known])
+    rays = [cameras[camera].rays_through(*pixel[:, None])[0] for camera, pixel in known.items()]
+    moment, right = nearest_equations(centres, np.array(rays))
     # Rays that are nearly parallel meet nowhere in particular: the smaller eigenvalue is their
     # angle squared, half a degree here.
     if np.linalg.eigvalsh(moment)[0] < 1e-4:

@@ -8,6 +8,7 @@ import numpy as np
 
 from lightstage.errors import MotionError
 from lightstage.formats.template import default_template_path, load_template
+from lightstage.lines import nearest_equations
 from lightstage.motion.points import Clicks, place
 from lightstage.rig import Camera
 
@@ -115,13 +116,11 @@ def turned_by_cameras(
 
 def looked_at(cameras: Mapping[str, Camera], middle: np.ndarray) -> np.ndarray:
     """(3,) the point nearest to all cameras' axes; near `middle` where they run side by side."""
-    moment, right = np.eye(3) * PULL * len(cameras), PULL * len(cameras) * middle
-    for camera in cameras.values():
-        axis = camera.cam_from_world[2, :3]
-        across = np.eye(3) - np.outer(axis, axis)
-        moment = moment + across
-        right = right + across @ camera.centre_mm
-    return np.asarray(np.linalg.solve(moment, right))
+    centres = np.array([camera.centre_mm for camera in cameras.values()])
+    axes = np.array([camera.cam_from_world[2, :3] for camera in cameras.values()])
+    moment, right = nearest_equations(centres, axes)
+    pull = PULL * len(cameras)
+    return np.asarray(np.linalg.solve(moment + pull * np.eye(3), right + pull * middle))
 
 
 def moved(camera: Camera, scale: float, turn: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from lightstage.commands import ProgressCallback
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
 from lightstage.formats.session import Session
+from lightstage.lines import nearest_equations
 from lightstage.rig import Camera
 from processing.calibration.picture import read_mosaic
 from processing.colour import ColourCorrection
@@ -141,29 +142,13 @@ def half(camera: Camera) -> Camera:
 
 def rays_through(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """(n, 3) unit directions in the world through (n, 2) places of a picture."""
-    u, v = (
-        (np.asarray(pixels, float).reshape(-1, 2) - [camera.cx_px, camera.cy_px])
-        / [camera.fx_px, camera.fy_px]
-    ).T
-    x, y = u, v
-    k1, k2, p1, p2, k3 = camera.dist
-    for _ in range(UNDISTORT_ROUNDS if any(camera.dist) else 0):
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        dx, dy = 2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        x, y = (u - dx) / radial, (v - dy) / radial
-    plain = np.stack([x, y], axis=1)
-    local = np.concatenate([plain, np.ones((len(plain), 1))], axis=1)
-    local /= np.linalg.norm(local, axis=1, keepdims=True)
-    return np.asarray(local @ camera.cam_from_world[:, :3])
+    x, y = np.asarray(pixels, float).reshape(-1, 2).T
+    return camera.rays_through(x, y, UNDISTORT_ROUNDS)
 
 
 def nearest_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(3,) the place nearest to n lines, given (n, 3) places on them and unit directions."""
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    return np.asarray(
-        np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origins), rcond=None)[0]
-    )
+    return np.asarray(np.linalg.lstsq(*nearest_equations(origins, directions), rcond=None)[0])
 
 
 def radius_px(camera: Camera, radius_mm: float) -> float:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.lines import nearest_equations
 from lightstage.rig import Camera
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.patches import NO_MATCH, Stereo
@@ -20,13 +21,9 @@ from processing.reconstruction.views import Level, View, plane_slopes, pyramid
 
 def focus_point(cameras: Sequence[Camera]) -> np.ndarray:
     """(3,) the point nearest to all optical axes, mm: where the head is."""
-    lhs, rhs = np.zeros((3, 3)), np.zeros(3)
-    for camera in cameras:
-        axis = camera.cam_from_world[2, :3]
-        across = np.eye(3) - np.outer(axis, axis)
-        lhs += across
-        rhs += across @ camera.centre_mm
-    return np.linalg.lstsq(lhs, rhs, rcond=None)[0]
+    centres = np.array([camera.centre_mm for camera in cameras])
+    axes = np.array([camera.cam_from_world[2, :3] for camera in cameras])
+    return np.asarray(np.linalg.lstsq(*nearest_equations(centres, axes), rcond=None)[0])
 
 
 def pick_sources(

@@ -7,8 +7,11 @@ import itertools
 
 import numpy as np
 
+from lightstage.lines import nearest_equations
 from lightstage.rig import Camera
 from processing.rays import MeshRays
+
+UNDISTORT_ROUNDS = 20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,51 +44,20 @@ class Triangulated:
     outliers: tuple[Outlier, ...]
 
 
-def pixel_directions(camera: Camera, pixels: np.ndarray) -> np.ndarray:
-    """Unit world directions of the rays through pixels.
-
-    Args:
-        camera: the view.
-        pixels: (n, 2), any place in the picture.
-
-    Returns:
-        (n, 3) float64; NaN rows stay NaN.
-    """
-    u = (pixels[:, 0] - camera.cx_px) / camera.fx_px
-    v = (pixels[:, 1] - camera.cy_px) / camera.fy_px
-    x, y = u.copy(), v.copy()
-    k1, k2, p1, p2, k3 = camera.dist
-    for _ in range(20 if any(camera.dist) else 0):
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        x, y = (u - dx) / radial, (v - dy) / radial
-    local = np.stack([x, y, np.ones_like(x)], axis=1)
-    local /= np.linalg.norm(local, axis=1, keepdims=True)
-    return local @ camera.cam_from_world[:, :3]
-
-
-def nearest_point(
-    origins: np.ndarray, directions: np.ndarray, weights: np.ndarray
-) -> np.ndarray | None:
-    """The point with the least weighted sum of squared distances to rays.
+def nearest_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
+    """The point with the least sum of squared distances to rays.
 
     Args:
         origins: (m, 3).
         directions: (m, 3) unit.
-        weights: (m,).
 
     Returns:
         (3,), or None where the rays are parallel to within about half a degree.
     """
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    matrix = np.einsum("m,mij->ij", weights, across)
-    least = np.linalg.eigvalsh(matrix)[0]
-    if least < 5e-5 * weights.sum():
+    matrix, right = nearest_equations(origins, directions)
+    if np.linalg.eigvalsh(matrix)[0] < 5e-5 * len(directions):
         return None
-    point: np.ndarray = np.linalg.solve(matrix, np.einsum("m,mij,mj->i", weights, across, origins))
-    return point
+    return np.asarray(np.linalg.solve(matrix, right))
 
 
 def triangulate(
@@ -118,8 +90,11 @@ def triangulate(
     views = np.zeros(count, int)
     outliers: list[Outlier] = []
     origin = np.array([cameras[name].centre_mm for name in names]).reshape(-1, 3)
-    direction = np.array([pixel_directions(cameras[n], points_px[n]) for n in names])
-    direction = direction.reshape(len(names), count, 3)
+    rays = [
+        cameras[name].rays_through(points_px[name][:, 0], points_px[name][:, 1], UNDISTORT_ROUNDS)
+        for name in names
+    ]
+    direction = np.array(rays).reshape(len(names), count, 3)
     for index in range(count):
         seen = np.flatnonzero(np.isfinite(direction[:, index]).all(axis=1))
         if len(seen) == 1 and surface is not None:
@@ -149,7 +124,7 @@ def _agreed(
     best_score = (1, -np.inf)
     closest = np.inf
     for pair in itertools.combinations(range(len(origins)), 2):
-        point = nearest_point(origins[list(pair)], directions[list(pair)], np.ones(2))
+        point = nearest_point(origins[list(pair)], directions[list(pair)])
         if point is None:
             continue
         distance = _distances(point, origins, directions)
@@ -162,7 +137,7 @@ def _agreed(
         return None, np.full(len(origins), closest if len(origins) > 1 else 0.0)
     for _ in range(3):
         inlier = _distances(best, origins, directions) <= agree_mm
-        refined = nearest_point(origins[inlier], directions[inlier], np.ones(int(inlier.sum())))
+        refined = nearest_point(origins[inlier], directions[inlier])
         if refined is None:
             break
         best = refined

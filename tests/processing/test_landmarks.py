@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from processing.rays import MeshRays
-from processing.registration.landmarks import nearest_point, pixel_directions, triangulate
+from processing.registration.landmarks import UNDISTORT_ROUNDS, nearest_point, triangulate
 from tests.processing.shapes import camera, ellipsoid
 
 CAMERAS = {f"cam{i}": camera(f"cam{i}", a, dist=True) for i, a in enumerate((0, -40, 40, 70))}
@@ -93,7 +93,7 @@ def test_nearest_point_matches_a_plain_least_squares(seed, scale):
     origins = scale * rng.normal(size=(4, 3))
     directions = rng.normal(size=(4, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    found = nearest_point(origins, directions, np.ones(4))
+    found = nearest_point(origins, directions)
     rows, right = [], []
     for o, d in zip(origins, directions, strict=True):
         across = np.eye(3) - np.outer(d, d)
@@ -106,12 +106,12 @@ def test_nearest_point_matches_a_plain_least_squares(seed, scale):
 
 def test_parallel_rays_meet_nowhere():
     directions = np.array([[0.0, 0, 1], [0.0, 0, 1]])
-    assert nearest_point(np.eye(3)[:2], directions, np.ones(2)) is None
+    assert nearest_point(np.eye(3)[:2], directions) is None
 
 
 @pytest.mark.parametrize("place", [(0.5, 0.5), (121.3, 163.9), (239.5, 329.5), (-20.0, 400.0)])
-def test_pixel_directions_undo_projection(place):
+def test_rays_through_pixels_undo_projection(place):
     cam = CAMERAS["cam1"]
-    direction = pixel_directions(cam, np.array([place]))
+    direction = cam.rays_through(*np.array([place]).T, UNDISTORT_ROUNDS)
     back, _ = cam.project(cam.centre_mm + 900 * direction)
     assert np.allclose(back, [place], atol=1e-5)
