@@ -119,7 +119,7 @@ def albedo_of(
     folder = ProcessedFolder(out)
     decode(session, out, DecodeConfig())
     write_ply(shape or sphere(), folder.base_mesh)
-    refine(session, out, RefineConfig())
+    refine(session, out, RefineConfig(finest_mm=3.0))
     return folder.read_view("cam0", "diffuse_albedo"), folder.read_view("cam0", "confidence") > 0.5
 
 

@@ -35,6 +35,8 @@ CAMERA = RIG.cameras[0]
 SIGHT = lit_ball.see(BALL, CAMERA)
 MAPS = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "confidence")
 STAGES = ("separate", "refine")
+# Nothing casts a shadow on a ball: triangles need not be finer than pixels.
+CONFIG = RefineConfig(gloss_pixels=20_000, occlusion_directions=32, finest_mm=5.0)
 HALF_PX = 4
 """Patches of bad pixels are twice this and one more wide."""
 
@@ -150,7 +152,7 @@ def both_stages(session: Path, out: Path) -> dict[str, dict[str, np.ndarray]]:
         separate(loaded, out, SeparateConfig())
         found["separate"] = maps_of(out)
         write_ply(mesh(), ProcessedFolder(out).base_mesh)
-        refine(loaded, out, RefineConfig(gloss_pixels=20_000, occlusion_directions=32))
+        refine(loaded, out, CONFIG)
         found["refine"] = maps_of(out)
     return found
 
