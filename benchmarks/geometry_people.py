@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.geometry_displaced import displaced, write_shape
 from benchmarks.geometry_smooth import without_facets
 from benchmarks.reflectance_people import SCALE, Known, folder
 from lightstage.commands import quiet
@@ -19,6 +20,7 @@ from lightstage.formats.files import atomic_folder
 from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import default_rig
 from sim.light.world import World
+from sim.people.person import person_skin
 from sim.people.subjects import load_subject
 from sim.people.traits import Traits
 from sim.reference.world import ReferenceWorld
@@ -33,11 +35,13 @@ PEOPLE = (
     Known("freckled", 202, Traits("male", 35, 1, "freckled"), "own"),
     Known("ict", 203, None, "ICT"),
 )
+RELIEF = Known("relief", 201, Traits("female", 30, 3), "own")
+"""The plain person once more, the mesh displaced by its own relief (geometry_displaced.py)."""
 
 
 def person(name: str) -> Known:
     """A person of the benchmark by name."""
-    return next(known for known in PEOPLE if known.name == name)
+    return next(known for known in (*PEOPLE, RELIEF) if known.name == name)
 
 
 def session(known: Known, *, light: str = "direct", scale: float = SCALE) -> Path:
@@ -62,8 +66,13 @@ def _make(known: Known, light: str, scale: float, out: Path) -> None:
     rig = default_rig().scaled(scale)
     subject = load_subject(known.name, known.seed, None, TEXTURE_ROWS, known.traits)
     subject = without_facets(subject)
+    if known is RELIEF:
+        assert known.traits is not None
+        skin = person_skin(known.seed, known.traits, TEXTURE_ROWS)
+        subject = displaced(subject, skin.height_mm(subject.expression))
+        del skin
     world = World(subject, rig, samples=3)
-    write_truth(world, truth_path(out))
+    (write_shape if known is RELIEF else write_truth)(world, truth_path(out))
     config = SessionConfig(sequence="binary")
     if light == "direct":
         write_direct(world, out, config, known.seed, quiet)
