@@ -115,14 +115,13 @@ def boundary_loops(mesh: Mesh) -> Holes:
     """Lengths of the loops of edges that one triangle alone has."""
     from scipy import sparse
 
-    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
-    _, first, counts = np.unique(
-        np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    border = edges[first[counts == 1]]
+    count = len(mesh.vertices)
+    edges = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    keys = edges[:, 0] * np.int64(count) + edges[:, 1]
+    keys, counts = np.unique(keys, return_counts=True)
+    border = np.stack(np.divmod(keys[counts == 1], count), axis=1)
     if not len(border):
         return Holes(0.0, ())
-    count = len(mesh.vertices)
     graph = sparse.coo_array(
         (np.ones(len(border), np.int8), (border[:, 0], border[:, 1])), shape=(count, count)
     )

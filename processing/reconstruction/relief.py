@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy.fft import dctn, idctn, next_fast_len
+from numba import njit, prange
 
 TOLERANCE = 1e-4
 """Of the solver's residual, relative to its start: points move by less than a tenth of a
 millimetre, so that is .01 micrometre."""
-MOST_STEPS = 60
+MOST_STEPS = 300
 SHARE = 1 / 3
 """Of `bias_mm`: where normals are doubted, they are trusted in what is smaller than this alone."""
 USUAL = 2.0
@@ -107,19 +107,11 @@ def _in_box(
 
 
 def _box(some: np.ndarray) -> tuple[slice, slice] | None:
-    """The part of a picture that holds all true pixels, its sides of quick transforms' lengths."""
+    """The part of a picture that holds all true pixels."""
     if not some.any():
         return None
-    sides = []
-    for axis in (1, 0):
-        held = np.flatnonzero(some.any(axis=axis))
-        first, count = int(held[0]), int(held[-1] - held[0] + 1)
-        length, whole = int(next_fast_len(count, real=True)), some.shape[1 - axis]
-        if length > whole:
-            length = count
-        first = max(0, min(first, whole - length))
-        sides.append(slice(first, first + length))
-    return sides[0], sides[1]
+    rows, columns = (np.flatnonzero(some.any(axis=axis)) for axis in (1, 0))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _beyond(excess: np.ndarray, links: np.ndarray, sigma_px: float, doubt: float) -> np.ndarray:
@@ -166,55 +158,113 @@ def solve(
 ) -> np.ndarray:
     """The least-squares shift d: sum over links (d' - d + miss)^2 + weight * sum d^2.
 
-    Conjugate gradients; the same problem without a mask, which the cosine transform solves at once,
-    is the preconditioner.
+    Conjugate gradients, each pixel scaled by its own weight: staying weighs so much that forty
+    steps are enough, each a fraction of what a transform of the picture takes.
 
     Args:
         misses: across, (h, w - 1), and down, (h - 1, w): how far steps exceed the wanted ones.
-        links: bool, which of them count.
+        links: bool, which of them count; both their pixels are valid.
         valid: (h, w) bool.
         weight: of staying, above 0.
         tolerance: of the residual, as a share of its start.
-        most_steps: of the conjugate gradients; masks full of single holes take hundreds.
+        most_steps: of the conjugate gradients; a small weight takes hundreds.
 
     Returns:
         (h, w), 0 where not valid.
     """
-    height, width = valid.shape
-    kx = 2 - 2 * np.cos(np.pi * np.arange(width) / width)
-    ky = 2 - 2 * np.cos(np.pi * np.arange(height) / height)
-    spectrum = kx[None] + ky[:, None] + weight
-
-    def apply(d: np.ndarray) -> np.ndarray:
-        out = weight * d
-        for k in range(2):
-            _spread(np.where(links[k], np.diff(d, axis=1 - k), 0.0), 1 - k, out)
-        return np.where(valid, out, 0.0)
-
-    def without_mask(r: np.ndarray) -> np.ndarray:
-        return np.where(valid, idctn(dctn(r, norm="ortho") / spectrum, norm="ortho"), 0.0)
-
-    rhs = np.zeros(valid.shape)
+    residual = np.zeros(valid.shape)
     for k in range(2):
-        _spread(np.where(links[k], -misses[k], 0.0), 1 - k, rhs)
-    residual = np.where(valid, rhs, 0.0)
+        _spread(np.where(links[k], -misses[k], 0.0), 1 - k, residual)
+    residual[~valid] = 0
+    across, down = (np.ascontiguousarray(link) for link in links)
     out = np.zeros(valid.shape)
     start = float(np.linalg.norm(residual))
     if not start > 0:
         return out
-    better = without_mask(residual)
-    along, energy = better, float((residual * better).sum())
+    along, pushed, better = (np.zeros(valid.shape) for _ in range(3))
+    sums = np.zeros((2, len(valid)))
+    _advance(residual, pushed, along, out, 0.0, across, down, weight, better, sums)
+    energy, turn = float(sums[0].sum()), 0.0
     for _ in range(most_steps):
-        pushed = apply(along)
-        length = energy / float((along * pushed).sum())
-        out += length * along
-        residual -= length * pushed
-        if np.linalg.norm(residual) < tolerance * start:
+        _push(better, turn, along, across, down, weight, pushed, sums)
+        length = energy / float(sums[0].sum())
+        _advance(residual, pushed, along, out, length, across, down, weight, better, sums)
+        fresh, left = float(sums[0].sum()), float(sums[1].sum())
+        if np.sqrt(left) < tolerance * start:
             break
-        better = without_mask(residual)
-        fresh = float((residual * better).sum())
-        along, energy = better + (fresh / energy) * along, fresh
+        energy, turn = fresh, fresh / energy
     return out
+
+
+@njit(cache=True, parallel=True)
+def _push(
+    better: np.ndarray,
+    turn: float,
+    along: np.ndarray,
+    across: np.ndarray,
+    down: np.ndarray,
+    weight: float,
+    pushed: np.ndarray,
+    sums: np.ndarray,
+) -> None:
+    """The next direction, `better + turn * along`, into `along`; the matrix times it, `pushed`."""
+    height, width = better.shape
+    for row in prange(height):
+        for column in range(width):
+            along[row, column] = better[row, column] + turn * along[row, column]
+    for row in prange(height):
+        # Sums by rows: the same whatever the threads.
+        total = 0.0
+        for column in range(width):
+            own = along[row, column]
+            value = weight * own
+            if column > 0 and across[row, column - 1]:
+                value += own - along[row, column - 1]
+            if column < width - 1 and across[row, column]:
+                value += own - along[row, column + 1]
+            if row > 0 and down[row - 1, column]:
+                value += own - along[row - 1, column]
+            if row < height - 1 and down[row, column]:
+                value += own - along[row + 1, column]
+            pushed[row, column] = value
+            total += own * value
+        sums[0, row] = total
+
+
+@njit(cache=True, parallel=True)
+def _advance(
+    residual: np.ndarray,
+    pushed: np.ndarray,
+    along: np.ndarray,
+    out: np.ndarray,
+    length: float,
+    across: np.ndarray,
+    down: np.ndarray,
+    weight: float,
+    better: np.ndarray,
+    sums: np.ndarray,
+) -> None:
+    """One step of `length`; `better`, the residual by each pixel's weight; sums of both squares."""
+    height, width = out.shape
+    for row in prange(height):
+        energy = left = 0.0
+        for column in range(width):
+            out[row, column] += length * along[row, column]
+            rest = residual[row, column] - length * pushed[row, column]
+            residual[row, column] = rest
+            diagonal = weight
+            if column > 0 and across[row, column - 1]:
+                diagonal += 1
+            if column < width - 1 and across[row, column]:
+                diagonal += 1
+            if row > 0 and down[row - 1, column]:
+                diagonal += 1
+            if row < height - 1 and down[row, column]:
+                diagonal += 1
+            better[row, column] = rest / diagonal
+            energy += rest * rest / diagonal
+            left += rest * rest
+        sums[0, row], sums[1, row] = energy, left
 
 
 def at_pixels(links: np.ndarray, axis: int) -> np.ndarray:

@@ -8,6 +8,7 @@ or the other.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -22,25 +23,86 @@ TURNED = 0.5
 """Least cosine between a point's normal and the vertex's."""
 LEAST = 0.5
 """Weight of all points below which a vertex stays."""
-MOST_CELLS = 2**26
+SHORT = 0.9
+"""Normals whose mean is shorter than this contradict each other."""
+MOST_CELLS = 2**24
 
 
-def settled(mesh: Mesh, positions: np.ndarray, normals: np.ndarray, sigma_mm: float) -> Mesh:
+class Cells(NamedTuple):
+    """Oriented points, sorted by the cells of a grid.
+
+    Attributes:
+        points, facing: (n, 3) float64, cell by cell.
+        starts: (cells + 1,) index of each cell's first point.
+        origin: (3,) mm.
+        size: of a cell, mm.
+        shape: (3,) cells along each axis.
+    """
+
+    points: np.ndarray
+    facing: np.ndarray
+    starts: np.ndarray
+    origin: np.ndarray
+    size: float
+    shape: np.ndarray
+
+
+def settled(
+    mesh: Mesh,
+    positions: np.ndarray,
+    normals: np.ndarray,
+    sigma_mm: float,
+    rounds: int = ROUNDS,
+) -> Mesh:
     """Move each vertex along its normal onto the weighted mean of the points around it.
 
     Args:
         mesh: within a millimetre of the points.
         positions, normals: (n, 3) oriented points.
         sigma_mm: of the Gaussian weights; 0 leaves the mesh as it is.
+        rounds: one is enough from within a few hundredths of a millimetre.
 
     Returns:
         The mesh; vertices without points near stay.
     """
     if not sigma_mm > 0 or not len(positions):
         return mesh
-    size = math.hypot(REACH, OFF) * sigma_mm
-    origin = mesh.vertices.min(axis=0) - 2 * size
-    span = mesh.vertices.max(axis=0) + 2 * size - origin
+    vertices = np.ascontiguousarray(mesh.vertices, np.float64)
+    cells = _in_cells(vertices, positions, normals, math.hypot(REACH, OFF) * sigma_mm)
+    for _ in range(rounds):
+        own = np.ascontiguousarray(vertex_normals(vertices, mesh.faces), np.float64)
+        vertices = _moved(vertices, own, *cells, sigma_mm)
+    return Mesh(vertices, mesh.faces)
+
+
+def facing(
+    mesh: Mesh, positions: np.ndarray, normals: np.ndarray, sigma_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which way the points around each vertex face: the weighted mean of their normals.
+
+    Args:
+        mesh: within a millimetre of the points.
+        positions, normals: (n, 3) oriented points.
+        sigma_mm: of the Gaussian weights, above 0.
+
+    Returns:
+        (v, 3) unit normals, the mesh's own where no points are near or their mean is short; (v,)
+        bool, where it is theirs.
+    """
+    vertices = np.ascontiguousarray(mesh.vertices, np.float64)
+    own = np.ascontiguousarray(vertex_normals(vertices, mesh.faces), np.float64)
+    cells = _in_cells(vertices, positions, normals, math.hypot(REACH, OFF) * sigma_mm)
+    found = _faced(vertices, own, *cells, sigma_mm)
+    known = np.linalg.norm(found, axis=1) > 0
+    return np.where(known[:, None], found, own), known
+
+
+def _in_cells(
+    vertices: np.ndarray, positions: np.ndarray, normals: np.ndarray, size: float
+) -> Cells:
+    """Points in cells of a size or larger, as far as the vertices reach; others are left out."""
+    origin = vertices.min(axis=0) - 2 * size
+    span = vertices.max(axis=0) + 2 * size - origin
     # Far from each other few vertices share a grid of many cells: then cells are larger.
     size = max(size, float((span.prod() / MOST_CELLS) ** (1 / 3)))
     shape = np.ceil(span / size).astype(np.int64) + 1
@@ -49,14 +111,16 @@ def settled(mesh: Mesh, positions: np.ndarray, normals: np.ndarray, sigma_mm: fl
     place = place[inside].astype(np.int64)
     key = (place[:, 0] * shape[1] + place[:, 1]) * shape[2] + place[:, 2]
     order = np.argsort(key, kind="stable")
-    starts = np.searchsorted(key[order], np.arange(shape.prod() + 1))
-    points = np.ascontiguousarray(positions[inside][order], np.float64)
-    facing = np.ascontiguousarray(normals[inside][order], np.float64)
-    vertices = np.ascontiguousarray(mesh.vertices, np.float64)
-    for _ in range(ROUNDS):
-        own = np.ascontiguousarray(vertex_normals(vertices, mesh.faces), np.float64)
-        vertices = _moved(vertices, own, points, facing, starts, origin, size, shape, sigma_mm)
-    return Mesh(vertices, mesh.faces)
+    starts = np.zeros(shape.prod() + 1, np.int64)
+    np.cumsum(np.bincount(key, minlength=shape.prod()), out=starts[1:])
+    return Cells(
+        np.ascontiguousarray(positions[inside][order], np.float64),
+        np.ascontiguousarray(normals[inside][order], np.float64),
+        starts,
+        origin,
+        size,
+        shape,
+    )
 
 
 @njit(cache=True, parallel=True)
@@ -100,4 +164,47 @@ def _moved(
         if total > LEAST:
             for axis in range(3):
                 out[v, axis] = p[axis] + shift / total * n[axis]
+    return out
+
+
+@njit(cache=True, parallel=True)
+def _faced(
+    vertices: np.ndarray,
+    own: np.ndarray,
+    points: np.ndarray,
+    facing: np.ndarray,
+    starts: np.ndarray,
+    origin: np.ndarray,
+    size: float,
+    shape: np.ndarray,
+    sigma: float,
+) -> np.ndarray:
+    """(v, 3) unit means of the points' normals, 0 where there is none; arguments as `_moved`."""
+    out = np.zeros(vertices.shape)
+    for v in prange(len(vertices)):
+        p, n = vertices[v], own[v]
+        cx = int((p[0] - origin[0]) / size)
+        cy = int((p[1] - origin[1]) / size)
+        cz = int((p[2] - origin[2]) / size)
+        total = mx = my = mz = 0.0
+        for x in range(max(cx - 1, 0), min(cx + 2, shape[0])):
+            for y in range(max(cy - 1, 0), min(cy + 2, shape[1])):
+                line = (x * shape[1] + y) * shape[2]
+                first = starts[line + max(cz - 1, 0)]
+                last = starts[line + min(cz + 2, shape[2])]
+                for i in range(first, last):
+                    dx, dy, dz = points[i, 0] - p[0], points[i, 1] - p[1], points[i, 2] - p[2]
+                    off = dx * n[0] + dy * n[1] + dz * n[2]
+                    across = dx * dx + dy * dy + dz * dz - off * off
+                    if not (across < (REACH * sigma) ** 2 and abs(off) < OFF * sigma):
+                        continue
+                    ax, ay, az = facing[i, 0], facing[i, 1], facing[i, 2]
+                    if not ax * n[0] + ay * n[1] + az * n[2] > TURNED:
+                        continue
+                    weight = math.exp(-0.5 * across / sigma**2)
+                    total += weight
+                    mx, my, mz = mx + weight * ax, my + weight * ay, mz + weight * az
+        length = math.sqrt(mx * mx + my * my + mz * mz)
+        if total > LEAST and length > SHORT * total:
+            out[v, 0], out[v, 1], out[v, 2] = mx / length, my / length, mz / length
     return out

@@ -13,6 +13,7 @@ from processing.lighting.lights import PatternLights
 from processing.reconstruction.again import look_again, rays_of, sighted
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import Points, consistent_points
+from processing.reconstruction.finer import finer
 from processing.reconstruction.fusion import fuse
 from processing.reconstruction.shading import mended_normals
 from processing.reconstruction.stereo import sources_of
@@ -23,9 +24,11 @@ Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
 
 
 def meshed(found: Depths, config: ReconstructConfig) -> tuple[Points, Mesh]:
-    """Consistency and fusion of depth of all views."""
+    """Consistency and fusion of depth of all views, and the mesh made finer."""
     points = consistent_points(*found, config)
-    return points, fuse(points, config)
+    mesh = fuse(points, config)
+    sizes = config.finer_mm, config.finer_settle_mm, config.relief_mm
+    return points, finer(mesh, points.positions, points.normals, *sizes)
 
 
 def twice(
@@ -47,9 +50,10 @@ def twice(
     Returns:
         Depths, points and mesh.
     """
-    points, mesh = meshed(found, config)
     if not config.look_again:
-        return found, points, mesh
+        return found, *meshed(found, config)
+    # The second look needs planes and shadows alone.
+    _, mesh = meshed(found, dataclasses.replace(config, finer_mm=0.0))
     level = found[0]
     fine = pictures_of(views, config.finest_rows)
     rays, normals = rays_of(mesh)

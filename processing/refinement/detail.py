@@ -17,6 +17,7 @@ from scipy import sparse
 
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.rig import Camera
+from processing.displacement import curved_middles, heights_of_steps
 from processing.rays import MeshRays
 from processing.surface import split
 
@@ -25,8 +26,6 @@ LEAST_COSINE = 0.25
 """A camera that sees the surface under a smaller one does not tell its relief."""
 STEEPEST = 1.0
 """Slopes of relief are cut there: 45 degrees."""
-TOLERANCE, MOST_STEPS = 1e-5, 400
-"""Of the conjugate gradients."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,18 +92,6 @@ def displaced(
     height = heights(vertices, slopes, known, edges, (mean_mm / below_mm) ** 2)
     moved = vertices + height[:, None] * normals
     return Detailed(Mesh(moved, triangles.astype(np.int32)), height, known)
-
-
-def curved_middles(vertices: np.ndarray, normals: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """(m, 3) middles of edges (m, 2), on the cubic curves that are square to the ends' normals.
-
-    Straight middles would leave the mesh's facets in the fine one.
-    """
-    along = vertices[ends[:, 1]] - vertices[ends[:, 0]]
-    first, second = normals[ends[:, 0]], normals[ends[:, 1]]
-    rise = np.einsum("mk,mk->m", along, second)[:, None] * second
-    rise -= np.einsum("mk,mk->m", along, first)[:, None] * first
-    return np.asarray(vertices[ends].mean(axis=1) + rise / 8)
 
 
 def normals_at(
@@ -223,35 +210,12 @@ def heights(
     Returns:
         (v,) mm.
     """
-    count = len(vertices)
     used = edges[known[edges].all(axis=1)]
     first, second = used.T
     step = np.einsum(
         "ek,ek->e", 0.5 * (slopes[first] + slopes[second]), vertices[second] - vertices[first]
     )
-    right = np.bincount(second, step, count) - np.bincount(first, step, count)
-    rows = np.concatenate([first, second])
-    columns = np.concatenate([second, first])
-    links = sparse.coo_array((np.ones(len(rows)), (rows, columns)), (count, count)).tocsr()
-    diagonal = np.bincount(rows, minlength=count) + weight
-    height = np.zeros(count)
-    residual = right.copy()
-    start = float(np.linalg.norm(residual))
-    if not start > 0:
-        return height
-    better = residual / diagonal
-    along, energy = better, float(residual @ better)
-    for _ in range(MOST_STEPS):
-        pushed = diagonal * along - links @ along
-        length = energy / float(along @ pushed)
-        height += length * along
-        residual -= length * pushed
-        if np.linalg.norm(residual) < TOLERANCE * start:
-            break
-        better = residual / diagonal
-        fresh = float(residual @ better)
-        along, energy = better + (fresh / energy) * along, fresh
-    return height
+    return heights_of_steps(len(vertices), used, step, weight)
 
 
 def edges_of(triangles: np.ndarray) -> np.ndarray:

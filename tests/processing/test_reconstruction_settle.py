@@ -5,7 +5,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh, vertex_normals
-from processing.reconstruction.settle import LEAST, OFF, REACH, ROUNDS, TURNED, settled
+from processing.reconstruction.settle import (
+    LEAST,
+    OFF,
+    REACH,
+    ROUNDS,
+    SHORT,
+    TURNED,
+    facing,
+    settled,
+)
 
 RADIUS_MM = 20.0
 
@@ -86,6 +95,61 @@ def test_it_is_its_plain_twin(seed: int, sigma: float, shift: float, bad: float)
     found = settled(moved, points + shift, normals, sigma).vertices - shift
     twin = plain(mesh, points[np.abs(points).max(axis=1) < 1e6], normals_of(points, normals), sigma)
     np.testing.assert_allclose(found, twin, atol=1e-6)
+
+
+def plain_facing(
+    mesh: Mesh, points: np.ndarray, normals: np.ndarray, sigma: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same, over all points, one vertex after the other."""
+    own = vertex_normals(mesh.vertices, mesh.faces)
+    out, known = own.copy(), np.zeros(len(own), bool)
+    for k, (p, n) in enumerate(zip(mesh.vertices, own, strict=True)):
+        apart = points - p
+        off = apart @ n
+        across = (apart**2).sum(axis=1) - off**2
+        kept = (across < (REACH * sigma) ** 2) & (np.abs(off) < OFF * sigma)
+        kept &= normals @ n > TURNED
+        weight = np.exp(-0.5 * across[kept] / sigma**2)
+        total = weight @ normals[kept]
+        length = np.linalg.norm(total)
+        if weight.sum() > LEAST and length > SHORT * weight.sum():
+            out[k], known[k] = total / length, True
+    return out, known
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    sigma=st.floats(0.2, 2.0),
+    shift=st.sampled_from([0.0, 1e5]),
+    bad=st.sampled_from([np.nan, np.inf, -np.inf, 1e12]),
+)
+def test_what_points_face_is_its_plain_twin(
+    seed: int, sigma: float, shift: float, bad: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    mesh = cap(4.0)
+    points, normals = points_on_ball(1.0)
+    points = points + rng.normal(0, 0.2, points.shape)
+    normals = normals + rng.normal(0, 0.3, normals.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points[rng.random(len(points)) < 0.05] = bad
+    found, known = facing(Mesh(mesh.vertices + shift, mesh.faces), points + shift, normals, sigma)
+    good = np.abs(points).max(axis=1) < 1e6
+    twin, twin_known = plain_facing(mesh, points[good], normals[good], sigma)
+    np.testing.assert_array_equal(known, twin_known)
+    np.testing.assert_allclose(found, twin, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-9)
+
+
+def test_points_that_contradict_each_other_tell_no_direction() -> None:
+    mesh = cap(2.0)
+    points, normals = points_on_ball()
+    tipped = normals + 0.9 * np.where(np.arange(len(points))[:, None] % 2, 1.0, -1.0) * [1, 0, 0]
+    tipped /= np.linalg.norm(tipped, axis=1, keepdims=True)
+    found, known = facing(mesh, points, tipped, 0.6)
+    assert not known.any()
+    np.testing.assert_array_equal(found, vertex_normals(mesh.vertices, mesh.faces))
 
 
 def normals_of(points: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh
+from processing.displacement import unsplit
 from processing.surface import (
     LitSurface,
     _in_part,
@@ -160,6 +161,35 @@ def test_only_what_cameras_see_is_asked_for_lights() -> None:
     used = np.unique(sight.shadows.corners)
     np.testing.assert_array_equal(surface.visible[used], everywhere.visible[used])
     assert surface.visible.any(axis=1).sum() < 0.9 * everywhere.visible.any(axis=1).sum()
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_what_was_split_is_made_whole(times: int) -> None:
+    whole = ball_mesh(2)
+    vertices, triangles = whole.vertices, whole.triangles()
+    for _ in range(times):
+        triangles, ends = split(triangles, len(vertices))
+        vertices = np.concatenate([vertices, vertices[ends].mean(axis=1)])
+    found = unsplit(Mesh(vertices, triangles.astype(np.int32)), len(whole.triangles()))
+    np.testing.assert_array_equal(found.triangles(), whole.triangles())
+    np.testing.assert_array_equal(found.vertices, whole.vertices)
+    kept, faces = thinned(Mesh(vertices, triangles.astype(np.int32)), len(whole.triangles()))
+    np.testing.assert_array_equal(faces, whole.triangles())
+    np.testing.assert_array_equal(kept, whole.vertices)
+
+
+@given(seed=st.integers(0, 2**31), at=st.integers(0, 79), corner=st.integers(0, 2))
+@settings(max_examples=30, deadline=None)
+def test_a_mesh_that_was_not_split_stays(seed: int, at: int, corner: int) -> None:
+    vertices, triangles = random_mesh(seed)
+    np.testing.assert_array_equal(unsplit(Mesh(vertices, triangles)).triangles(), triangles)
+    parts, ends = split(triangles, len(vertices))
+    other = parts.astype(np.int32)
+    # One corner elsewhere, and it is no split mesh.
+    other[at, corner] = (other[at, corner] + 1) % (len(vertices) + len(ends))
+    finer = np.concatenate([vertices, vertices[ends].mean(axis=1)])
+    found = unsplit(Mesh(finer, other)).triangles()
+    assert len(found) == len(other) or (at % 4 < 3 and corner == at % 4)
 
 
 def test_a_denser_mesh_is_thinned_and_a_small_one_is_left() -> None:
