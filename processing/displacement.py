@@ -7,7 +7,7 @@ from scipy import sparse
 
 from lightstage.formats.mesh import Mesh
 
-TOLERANCE, MOST_STEPS = 1e-5, 400
+TOLERANCE, MOST_STEPS = 1e-7, 400
 """Of the conjugate gradients: share of the first residual that may be left, and steps."""
 
 

@@ -44,9 +44,9 @@ class ReconstructConfig:
         cell_mm: width of the finest cells of the fused surface.
         settle_mm: the mesh's vertices are moved onto the points' mean under a Gaussian of this
             sigma; 0 leaves them where the fused surface is.
-        finer_mm: the mesh's triangles are split until their edges' mean length is at most this, and
-            follow the points' positions and normals more closely; 0 leaves the mesh as it was.
-        finer_settle_mm: `settle_mm` of the finer mesh.
+        splits: how often the fused surface's triangles are split in four; the finer mesh follows
+            the points' positions and normals more closely.
+        split_settle_mm: `settle_mm` of the split mesh.
         trim_mm: the surface is cut where no point lies within this distance.
         colmap_to: folder to which pictures, poses and depth maps are written in COLMAP's formats;
             empty for none.
@@ -79,8 +79,8 @@ class ReconstructConfig:
     doubt_deg: float = 2.0
     cell_mm: float = 1.2
     settle_mm: float = 0.6
-    finer_mm: float = 0.8
-    finer_settle_mm: float = 0.4
+    splits: int = 1
+    split_settle_mm: float = 0.4
     trim_mm: float = 2.0
     colmap_to: str = ""
     colmap_from: str = ""

@@ -30,7 +30,7 @@ def finer(
     mesh: Mesh,
     positions: np.ndarray,
     normals: np.ndarray,
-    edge_mm: float,
+    splits: int,
     sigma_mm: float,
     relief_mm: float,
 ) -> Mesh:
@@ -39,21 +39,17 @@ def finer(
     Args:
         mesh: triangles, mm, world, within a millimetre of the points.
         positions, normals: (n, 3) oriented points.
-        edge_mm: triangles are split until their edges' mean length is at most this; 0 leaves the
-            mesh as it is.
+        splits: how often triangles are split in four; 0 leaves the mesh as it is.
         sigma_mm: of the Gaussian under which points are averaged.
         relief_mm: shapes smaller than this come from the normals; 0 for none.
     """
-    if not edge_mm > 0 or not len(positions):
+    if splits < 1 or not len(positions):
         return mesh
     vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
-    sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
-    length_mm = float(np.linalg.norm(sides, axis=2).mean())
-    while length_mm > edge_mm:
+    for _ in range(splits):
         own = vertex_normals(vertices, faces)
         faces, ends = split(faces, len(vertices))
         vertices = np.concatenate([vertices, curved_middles(vertices, own, ends)])
-        length_mm /= 2
     fine = Mesh(vertices, faces.astype(np.int32))
     fine = settled(fine, positions, normals, sigma_mm, rounds=1)
     if not relief_mm > 0 or not sigma_mm > 0:

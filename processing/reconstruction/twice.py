@@ -27,8 +27,8 @@ def meshed(found: Depths, config: ReconstructConfig) -> tuple[Points, Mesh]:
     """Consistency and fusion of depth of all views, and the mesh made finer."""
     points = consistent_points(*found, config)
     mesh = fuse(points, config)
-    sizes = config.finer_mm, config.finer_settle_mm, config.relief_mm
-    return points, finer(mesh, points.positions, points.normals, *sizes)
+    how = config.splits, config.split_settle_mm, config.relief_mm
+    return points, finer(mesh, points.positions, points.normals, *how)
 
 
 def twice(
@@ -53,7 +53,7 @@ def twice(
     if not config.look_again:
         return found, *meshed(found, config)
     # The second look needs planes and shadows alone.
-    _, mesh = meshed(found, dataclasses.replace(config, finer_mm=0.0))
+    _, mesh = meshed(found, dataclasses.replace(config, splits=0))
     level = found[0]
     fine = pictures_of(views, config.finest_rows)
     rays, normals = rays_of(mesh)

@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from lightstage.formats.mesh import Mesh, read_ply, vertex_normals
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera, Rig, default_rig
-from processing.displacement import curved_middles, edges_of
+from processing.displacement import curved_middles
 from processing.refinement.config import RefineConfig
 from processing.refinement.detail import (
     STEEPEST,
     NormalView,
     displaced,
+    edges_of,
     heights,
     slopes_beyond,
     small_part,

@@ -6,8 +6,9 @@ from hypothesis import strategies as st
 from lightstage.formats.mesh import Mesh, vertex_normals
 from processing.displacement import heights_of_steps
 from processing.reconstruction.finer import LINKS, SMALL, STEEPEST, finer, lifted
+from processing.reconstruction.settle import settled
 
-EDGE_MM, SIGMA_MM, RELIEF_MM = 0.8, 0.4, 1.5
+SPLITS, SIGMA_MM, RELIEF_MM = 1, 0.4, 1.5
 
 
 def height(x: np.ndarray, y: np.ndarray, wave_mm: float) -> np.ndarray:
@@ -54,8 +55,8 @@ def errors(mesh: Mesh, wave_mm: float = 4.0) -> tuple[float, float]:
 
 def test_relief_between_the_vertices_is_found() -> None:
     points, normals = waves()
-    coarse = finer(sheet(1.2), points, normals, 2.0, SIGMA_MM, 0.0)
-    found = finer(sheet(1.2), points, normals, EDGE_MM, SIGMA_MM, RELIEF_MM)
+    coarse = settled(sheet(1.2), points, normals, SIGMA_MM)
+    found = finer(sheet(1.2), points, normals, SPLITS, SIGMA_MM, RELIEF_MM)
     assert len(found.faces) == 4 * len(coarse.faces)
     assert errors(found)[1] < 0.5 * errors(coarse)[1]
     assert errors(found)[0] < 0.5 * errors(coarse)[0]
@@ -66,8 +67,8 @@ def test_normals_bring_back_what_noisy_points_have_lost() -> None:
     rng = np.random.default_rng(0)
     # Matched points are too smooth, besides.
     noisy = points * [1, 1, 0.7] + [0, 0, 1] * rng.normal(0, 0.02, (len(points), 1))
-    alone = finer(sheet(1.2), noisy, normals, EDGE_MM, SIGMA_MM, 0.0)
-    both = finer(sheet(1.2), noisy, normals, EDGE_MM, SIGMA_MM, RELIEF_MM)
+    alone = finer(sheet(1.2), noisy, normals, SPLITS, SIGMA_MM, 0.0)
+    both = finer(sheet(1.2), noisy, normals, SPLITS, SIGMA_MM, RELIEF_MM)
     assert errors(both)[0] < 0.7 * errors(alone)[0]
     assert errors(both)[1] < 0.8 * errors(alone)[1]
 
@@ -77,8 +78,8 @@ def test_slowly_tipped_normals_do_not_bend_the_mesh() -> None:
     tip = np.radians(3) * np.stack([np.sin(points[:, 0] / 30), np.cos(points[:, 1] / 30)], axis=1)
     tipped = normals + np.column_stack([tip, np.zeros(len(tip))])
     tipped /= np.linalg.norm(tipped, axis=1, keepdims=True)
-    found = finer(sheet(1.2), points, normals, EDGE_MM, SIGMA_MM, RELIEF_MM)
-    bent = finer(sheet(1.2), points, tipped, EDGE_MM, SIGMA_MM, RELIEF_MM)
+    found = finer(sheet(1.2), points, normals, SPLITS, SIGMA_MM, RELIEF_MM)
+    bent = finer(sheet(1.2), points, tipped, SPLITS, SIGMA_MM, RELIEF_MM)
     inner = (np.abs(found.vertices[:, :2]) < 5).all(axis=1)
     # 3 degrees over 8 mm are .4 mm.
     assert np.abs(bent.vertices - found.vertices)[inner].max() < 0.04
@@ -140,16 +141,15 @@ def test_a_mesh_stays_where_there_is_nothing_to_go_by() -> None:
     mesh, (points, normals) = sheet(1.2), waves()
     none = np.zeros((0, 3))
     for found in (
-        finer(mesh, points, normals, 0.0, SIGMA_MM, RELIEF_MM),
-        finer(mesh, none, none, EDGE_MM, SIGMA_MM, RELIEF_MM),
-        finer(mesh, points, normals, 2.0, 0.0, RELIEF_MM),
-        finer(mesh, points + 50.0, normals, 2.0, SIGMA_MM, RELIEF_MM),
+        finer(mesh, points, normals, 0, SIGMA_MM, RELIEF_MM),
+        finer(mesh, none, none, SPLITS, SIGMA_MM, RELIEF_MM),
+        lifted(mesh, np.zeros_like(mesh.vertices), np.zeros(len(mesh.vertices), bool), RELIEF_MM),
     ):
         np.testing.assert_array_equal(found.vertices, mesh.vertices)
 
 
 def test_split_vertices_without_points_near_lie_between_their_neighbours() -> None:
-    found = finer(sheet(1.2), *(points + 50.0 for points in waves()), EDGE_MM, SIGMA_MM, RELIEF_MM)
+    found = finer(sheet(1.2), *(points + 50.0 for points in waves()), SPLITS, SIGMA_MM, RELIEF_MM)
     assert len(found.faces) == 4 * len(sheet(1.2).faces)
     np.testing.assert_allclose(found.vertices[:, 2], 0.0, atol=1e-12)
 

@@ -16,7 +16,9 @@ from processing.reconstruction.views import Level, View, finest_level, halved, m
 from tests.processing import lit_ball, textured_ball
 from tests.processing.textured_ball import RADIUS_MM
 
-CONFIG = ReconstructConfig(cell_mm=3.0, trim_mm=5.0, agree_mm=1.5, settle_mm=1.5)
+CONFIG = ReconstructConfig(
+    cell_mm=3.0, trim_mm=5.0, agree_mm=1.5, settle_mm=1.5, split_settle_mm=1.0
+)
 LIGHTS = lit_ball.lights_of_rig(lit_ball.small_rig())
 
 
