@@ -3,7 +3,8 @@
 `python -m benchmarks.geometry_accuracy --people plain,lps --parts ours,peer`, results gathering in
 one file (--keep), so that a person and a part fit into four minutes; a run without --people and
 --parts does all and writes RESULTS.md. Parts: `ours`, `peer` (OpenCV SGBM, the same fusion),
-`normals` (positions and normals together: off, on, and with normals tipped by 3 degrees),
+`normals` (positions and normals together: off, on, and with normals tipped by 3 degrees; the
+person `relief` has shape and shading of one relief),
 `patterns` (which photographs the matcher saw), `floor` (true cameras, no noise). --told writes the
 tables of what is kept.
 """
@@ -121,16 +122,23 @@ def normals(case: Case) -> Meshes:
     views, (level, inverse, costs), _, _ = _ours(case)
     coarse = pyramid(views, CONFIG.finest_rows, CONFIG.coarsest_rows)[-1]
     tipped = dataclasses.replace(level, normals=_tipped(level, TIPPED_DEG))
-    cases: list[tuple[str, Level, float]] = [
-        ("points alone, their planes' normals", _toward_cameras(level), 0.0),
-        ("points alone, normals of both", level, 0.0),
-        ("with coarse normals", coarse, CONFIG.relief_mm),
-        ("with mended normals", level, CONFIG.relief_mm),
-        ("with mended normals tipped", tipped, CONFIG.relief_mm),
+    alone = dataclasses.replace(CONFIG, relief_mm=0.0)
+    cases: list[tuple[str, Level, ReconstructConfig]] = [
+        ("points alone, their planes' normals, not split", _toward_cameras(level), _whole(alone)),
+        ("points alone, their planes' normals", _toward_cameras(level), alone),
+        ("points alone, normals of both", level, alone),
+        ("with coarse normals", coarse, CONFIG),
+        ("with mended normals, not split", level, _whole(CONFIG)),
+        ("with mended normals", level, CONFIG),
+        ("with mended normals tipped", tipped, CONFIG),
     ]
-    for name, seen, relief_mm in cases:
-        config = dataclasses.replace(CONFIG, relief_mm=relief_mm)
+    for name, seen, config in cases:
         yield Made(name, *_meshed(case, (seen, inverse, costs), config, 0.0))
+
+
+def _whole(config: ReconstructConfig) -> ReconstructConfig:
+    """The mesh left as it is fused."""
+    return dataclasses.replace(config, splits=0)
 
 
 def _toward_cameras(level: Level) -> Level:
@@ -248,7 +256,8 @@ def tables(results: dict[str, dict[str, Row]]) -> None:
             turned,
             f"`tipped`: normals off by up to {TIPPED_DEG:g} degrees more, slowly changing. Points "
             "are those of the second look. The people's finest relief is in their shading alone, "
-            "not in their shape: what light shows is its mean over half a millimetre.",
+            "not in their shape, but for `relief`, the plain person once more, displaced by it. "
+            "What light shows is the mean of shading normals over half a millimetre.",
         )
     if sets:
         record(

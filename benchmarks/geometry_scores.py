@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import cv2
 import numpy as np
@@ -44,6 +45,11 @@ class Skin:
     views: np.ndarray
     regions: dict[str, np.ndarray]
     mesh: Mesh
+
+    @functools.cached_property
+    def surface(self) -> Surface:
+        """The truth to ask: of millions of triangles, it takes longer to build than to answer."""
+        return Surface(self.mesh)
 
 
 class Surface:
@@ -185,7 +191,7 @@ def score(mesh: Mesh, skin: Skin) -> Scores:
     """Compare, both in the truth's world."""
     ours = Surface(mesh)
     gap, normals = ours.nearest(skin.places)
-    away = Surface(skin.mesh).nearest(points_on(mesh, 60_000))[0]
+    away = skin.surface.nearest(points_on(mesh, 60_000))[0]
     near = gap < 1.0
     return Scores(
         _two(away),

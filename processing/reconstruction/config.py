@@ -80,7 +80,7 @@ class ReconstructConfig:
     cell_mm: float = 1.2
     settle_mm: float = 0.6
     splits: int = 1
-    split_settle_mm: float = 0.4
+    split_settle_mm: float = 0.5
     trim_mm: float = 2.0
     colmap_to: str = ""
     colmap_from: str = ""

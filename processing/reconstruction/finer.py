@@ -22,7 +22,7 @@ TOLERANCE = 1e-3
 """Of the solver: its heights are then right to .1 micrometres."""
 LINKS = 1.5
 """What six edges at a vertex weigh beside the four of a grid of squares."""
-SMALL = 0.6
+SMALL = 0.3
 """Of the points' own relief: they follow their normals already, the mesh lost the finest alone."""
 
 

@@ -130,7 +130,9 @@ def make_view(
     """
     usable = valid & mask
     rgb = np.ascontiguousarray(images[:, usable].transpose(1, 0, 2), np.float32)
-    found = rgb.reshape(len(rgb), 3 * len(basis)) @ basis.reshape(-1, basis.shape[2]).astype(np.float32)
+    found = rgb.reshape(len(rgb), 3 * len(basis)) @ basis.reshape(-1, basis.shape[2]).astype(
+        np.float32
+    )
     finite = np.isfinite(found).all(axis=1)
     usable[usable] = finite
     textures = np.zeros((*mask.shape, TEXTURES), np.float32)

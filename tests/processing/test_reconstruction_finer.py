@@ -8,7 +8,7 @@ from processing.displacement import heights_of_steps
 from processing.reconstruction.finer import LINKS, SMALL, STEEPEST, finer, lifted
 from processing.reconstruction.settle import settled
 
-SPLITS, SIGMA_MM, RELIEF_MM = 1, 0.4, 1.5
+SPLITS, SIGMA_MM, RELIEF_MM = 1, 0.4, 3.0
 
 
 def height(x: np.ndarray, y: np.ndarray, wave_mm: float) -> np.ndarray:
