@@ -15,6 +15,7 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.formats.template import Template
 from processing.colour import srgb_from_linear
+from processing.displacement import unsplit
 from processing.errors import RegistrationError
 from processing.rays import MeshRays
 from processing.registration.ears import EarConfig, ear_guides
@@ -28,6 +29,9 @@ from processing.registration.rigid import Similarity, robust_umeyama
 from processing.registration.sky import sky_share
 from processing.registration.start import first_pose, require_surface
 from processing.registration.target import Target
+
+ENOUGH_FACES = 100_000
+"""A mesh that was split for its finest relief is taken as it was before, where it had so many."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +81,7 @@ def register(
         FormatError: no mesh.
     """
     folder = ProcessedFolder(out)
-    scan = read_ply(folder.base_mesh)
+    scan = unsplit(read_ply(folder.base_mesh), ENOUGH_FACES)
     points_px = _landmarks(session, folder, config)
     found = triangulate(
         points_px,

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh, vertex_normals
-from processing.displacement import heights_of_steps
+from processing.displacement import heights_of_steps, unsplit
 from processing.reconstruction.finer import LINKS, SMALL, STEEPEST, finer, lifted
 from processing.reconstruction.settle import settled
 
@@ -152,6 +152,13 @@ def test_split_vertices_without_points_near_lie_between_their_neighbours() -> No
     found = finer(sheet(1.2), *(points + 50.0 for points in waves()), SPLITS, SIGMA_MM, RELIEF_MM)
     assert len(found.faces) == 4 * len(sheet(1.2).faces)
     np.testing.assert_allclose(found.vertices[:, 2], 0.0, atol=1e-12)
+
+
+def test_later_stages_find_the_coarse_mesh_in_it() -> None:
+    mesh = sheet(1.2)
+    found = unsplit(finer(mesh, *waves(), SPLITS, SIGMA_MM, RELIEF_MM), len(mesh.faces))
+    np.testing.assert_array_equal(found.faces, mesh.faces)
+    assert len(found.vertices) == len(mesh.vertices)
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
