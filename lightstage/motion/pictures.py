@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from lightstage.errors import FormatError
-from lightstage.formats.exr import MAGIC, read_exr
+from lightstage.formats.exr import read_exr
+from lightstage.photograph import identify_file
 
 LARGEST_PX = 2000
 """Longer side of the pictures that features are looked for in, at most."""
@@ -44,11 +45,10 @@ def read_grey(path: Path) -> GreyPicture:
         FormatError: unreadable, or of less than 64 pixels a side.
     """
     try:
-        with path.open("rb") as handle:
-            linear = handle.read(4) == MAGIC
+        kind = identify_file(path)
     except OSError as error:
         raise FormatError(path, found=error.strerror or str(error), expected="a file") from None
-    if linear:
+    if kind.encoding == "linear":
         image = read_exr(path)
         light = image if image.ndim == 2 else image.mean(axis=2)
         size, times = (image.shape[1], image.shape[0]), 1

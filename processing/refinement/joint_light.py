@@ -22,6 +22,8 @@ UNSHADOWED = np.float32(0.390625)
 class Lamps(NamedTuple):
     """The stage's light as compiled code takes it: L lights in groups, P patterns, V vertices.
 
+    Fields of `SeenLights` stand here again: numba's parallel loops take no tuple within a tuple.
+
     Attributes:
         visible: (V, L) uint8.
         position, radius, weight, levels, group_end, exponent, diffuse_share: as of `PatternLights`,
