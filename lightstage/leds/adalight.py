@@ -8,11 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from lightstage.errors import DeviceError
 from lightstage.leds.address import AdalightOptions
 from lightstage.leds.controller import Hello, LightLostError, level_steps
 from lightstage.leds.guard import LastWill
-from lightstage.leds.line import Line
+from lightstage.leds.line import Line, opened
 from lightstage.leds.unanswered import UnansweredLeds
 
 BOOT_WORD = b"Ada\n"
@@ -117,15 +116,7 @@ class AdalightLeds(UnansweredLeds):
 
     def _open(self) -> SerialLine:
         """Open the line and give a board that starts then the time to say so."""
-        try:
-            line = self._connect()
-        except OSError as error:
-            raise DeviceError(
-                self._where,
-                found=str(error),
-                expected="a port that opens",
-                hint="Is the device plugged in and switched on?",
-            ) from None
+        line = opened(self._connect, self._where)
         try:
             heard = b""
             until = time.monotonic() + self._timeout_s

@@ -9,8 +9,9 @@ import select
 import socket
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO, Protocol, TypeVar
 
 from lightstage.errors import DeviceError
 
@@ -34,6 +35,30 @@ class Line(Protocol):
 
     def close(self) -> None:
         """Give the line back."""
+
+
+AnyLine = TypeVar("AnyLine", bound=Line)
+
+
+def opened(connect: Callable[[], AnyLine], where: str) -> AnyLine:
+    """What `connect` opens.
+
+    Args:
+        connect: opens a line.
+        where: the device's name in messages.
+
+    Raises:
+        DeviceError: it cannot be opened.
+    """
+    try:
+        return connect()
+    except OSError as error:
+        raise DeviceError(
+            where,
+            found=str(error),
+            expected="a port that opens",
+            hint="Is the device plugged in and switched on?",
+        ) from None
 
 
 class SocketLine:

@@ -14,7 +14,7 @@ from lightstage.errors import DeviceError
 from lightstage.leds import wire
 from lightstage.leds.controller import Hello, LightLostError
 from lightstage.leds.guard import LastWill
-from lightstage.leds.line import BUSY_WAIT_S, Line
+from lightstage.leds.line import BUSY_WAIT_S, Line, opened
 from lightstage.leds.wire import Kind, Packet, PacketReader
 
 HELLO_TIMEOUT_S = 2.0
@@ -157,15 +157,7 @@ class WireLeds(Closing):
         self._line.close()
 
     def _open(self) -> Line:
-        try:
-            return self._connect()
-        except OSError as error:
-            raise DeviceError(
-                self._where,
-                found=str(error),
-                expected="a port that opens",
-                hint="Is the device plugged in and switched on?",
-            ) from None
+        return opened(self._connect, self._where)
 
     def _reopened(self) -> Line:
         until = time.monotonic() + RECOVER_S
