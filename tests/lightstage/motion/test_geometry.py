@@ -187,5 +187,5 @@ def test_a_large_raw_becomes_a_small_picture(tmp_path: Path, dng) -> None:  # ty
     assert (picture.width_px, picture.height_px, picture.times) == (200, 300, 2)
     assert picture.grey.shape == (150, 100)
     (tmp_path / "cut.dng").write_bytes((tmp_path / "a.dng").read_bytes()[:3000])
-    with pytest.raises(FormatError, match="3000 bytes.*truncated"):
+    with pytest.raises(FormatError, match=r"3000 bytes.*truncated"):
         read_grey(tmp_path / "cut.dng")
