@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,7 @@ def take(
 
     brightest = 1.1 * float(light(patterns[0], rig.cameras[0]).max())
 
+    @functools.cache
     def read(name: str, camera_id: str) -> Picture:
         camera = rig.camera(camera_id)
         seed = [len(camera_id), list(levels).index(name), rig.cameras.index(camera)]
