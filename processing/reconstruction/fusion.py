@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import open3d
 
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import Mesh, connected, vertex_normals
 from processing.errors import ReconstructionError
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import Points
@@ -74,18 +74,11 @@ def fuse(points: Points, config: ReconstructConfig) -> Mesh:
 
 def largest_component(triangles: np.ndarray, vertices: int) -> np.ndarray:
     """The triangles of the part, connected through shared vertices, that has most of them."""
-    from scipy import sparse
-
     if not len(triangles):
         raise ReconstructionError(
             "fusion", found="a surface far from every point", expected="a mesh"
         )
-    ones = np.ones(2 * len(triangles), np.int8)
-    rows = np.concatenate([triangles[:, 0], triangles[:, 1]])
-    columns = np.concatenate([triangles[:, 1], triangles[:, 2]])
-    graph = sparse.coo_array((ones, (rows, columns)), shape=(vertices, vertices))
-    labels = sparse.csgraph.connected_components(graph, directed=False)[1]
-    part = labels[triangles[:, 0]]
+    part = connected(triangles[:, [0, 1, 1, 2]].reshape(-1, 2), vertices)[triangles[:, 0]]
     return triangles[part == np.bincount(part).argmax()]
 
 
@@ -113,8 +106,6 @@ def oriented(mesh: Mesh, positions: np.ndarray, normals: np.ndarray) -> Mesh:
 
 def boundary_loops(mesh: Mesh) -> Holes:
     """Lengths of the loops of edges that one triangle alone has."""
-    from scipy import sparse
-
     count = len(mesh.vertices)
     edges = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     keys = edges[:, 0] * np.int64(count) + edges[:, 1]
@@ -122,10 +113,7 @@ def boundary_loops(mesh: Mesh) -> Holes:
     border = np.stack(np.divmod(keys[counts == 1], count), axis=1)
     if not len(border):
         return Holes(0.0, ())
-    graph = sparse.coo_array(
-        (np.ones(len(border), np.int8), (border[:, 0], border[:, 1])), shape=(count, count)
-    )
-    labels = sparse.csgraph.connected_components(graph, directed=False)[1][border[:, 0]]
+    labels = connected(border, count)[border[:, 0]]
     length = np.linalg.norm(mesh.vertices[border[:, 0]] - mesh.vertices[border[:, 1]], axis=1)
     loops = np.bincount(labels, weights=length)
     ordered = np.sort(loops[loops > 0])[::-1]
