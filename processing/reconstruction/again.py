@@ -7,6 +7,7 @@ fraction of a pixel: what is left is the minimum of a parabola.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,9 +20,12 @@ from processing.rays import Hits, MeshRays, interpolate
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.patches import NO_MATCH
 from processing.reconstruction.stereo import make_stereo
-from processing.reconstruction.sweeps import polish
+from processing.reconstruction.sweeps import polish, search
 from processing.reconstruction.views import Level
 
+REACH_PX = 5
+"""Where the mesh rests on one view alone, or this view did not agree, so far is searched, px of
+disparity, in patches twice as wide."""
 DELTAS_PX = (0.5, 0.3)
 """Steps of the parabolas, px of disparity: a pixel moves by at most half of each."""
 
@@ -83,6 +87,7 @@ def look_again(
     fine: Level,
     seen: Sequence[Sighted],
     sources: Sequence[np.ndarray],
+    unsure: Sequence[np.ndarray],
     config: ReconstructConfig,
     progress: ProgressCallback = quiet,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -92,6 +97,7 @@ def look_again(
         fine: the pictures, of the size of `seen` or twice it.
         seen: what each view sees of the mesh.
         sources: the views that each is matched with.
+        unsure: of each view (h, w) of `seen`, bool: no other view agreed.
         config: the stage's settings.
         progress: called after each view.
 
@@ -104,7 +110,7 @@ def look_again(
         depth = np.zeros(shape, np.float32)
         cost = np.full(shape, NO_MATCH, np.float32)
         if len(sources[index]) and len(sight.rows):
-            _look(fine, index, sight, sources[index], config, depth, cost)
+            _look(fine, index, sight, sources[index], unsure[index], config, depth, cost)
         depths.append(depth)
         costs.append(cost)
         progress(index + 1, len(seen))
@@ -116,6 +122,7 @@ def _look(
     index: int,
     sight: Sighted,
     sources: np.ndarray,
+    unsure: np.ndarray,
     config: ReconstructConfig,
     depth: np.ndarray,
     cost: np.ndarray,
@@ -128,13 +135,24 @@ def _look(
         normals = cv2.resize(normals, (2 * normals.shape[1], 2 * normals.shape[0]))
         length = np.linalg.norm(normals, axis=2, keepdims=True)
         normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.1)
-    stereo = make_stereo(fine, index, sources, config, normals[:height, :width])
+    normals = normals[:height, :width]
+    stereo = make_stereo(fine, index, sources, config, normals)
     usable = ~np.isnan(fine.pictures[index, ::every, ::every, 0])
     # A coarse pixel's centre lies half a fine pixel beyond that of its first fine pixel.
     slopes = stereo.slopes[::every, ::every]
     beyond = 1 + 0.5 * (every - 1) * slopes.sum(axis=2)
     now = np.zeros((height, width), np.float32)
     now[::every, ::every] = np.where(usable, sight.inverse_depth / beyond, 0)
+    wanted = unsure & (now[::every, ::every] > 0)
+    if wanted.any():
+        wide = dataclasses.replace(
+            config,
+            patch_radius_px=2 * config.patch_radius_px,
+            patch_stride_px=2 * config.patch_stride_px,
+        )
+        steps = np.arange(1, REACH_PX + 1)
+        steps = (np.stack([steps, -steps], axis=1).ravel() * stereo.step).astype(np.float32)
+        search(make_stereo(fine, index, sources, wide, normals), steps, every, wanted, now)
     judged = np.full((height, width), NO_MATCH, np.float32)
     still = np.zeros((height, width), bool)
     for delta in DELTAS_PX:

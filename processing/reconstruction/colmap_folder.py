@@ -14,8 +14,7 @@ import pycolmap
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_folder, write_bytes, write_json
-from processing.reconstruction.consistency import depth_to_points
-from processing.reconstruction.views import Level
+from processing.reconstruction.views import Level, depth_to_points
 
 SCHEMA = "lightstage.colmap-folder/1"
 NAME = "lightstage.json"

@@ -23,7 +23,8 @@ class ReconstructConfig:
         source_views: each view is matched with this many others.
         min_angle_deg, max_angle_deg: between the directions of two views that are matched.
         patch_radius_px, patch_stride_px: a patch has (2 radius / stride + 1)^2 samples.
-        min_cosine: a view that sees a plane under a smaller cosine does not judge it.
+        min_cosine: a view that sees a plane under a smaller cosine does not judge it,
+        graze_cosine: unless no view sees it better, and this one under more than this.
         contrast_floor: share of the radiance below which contrast is noise.
         smoothness: weight of the neighbours' planes beside the matching cost.
         iterations: sweeps of propagation a level, from the coarsest level to the finest.
@@ -33,6 +34,11 @@ class ReconstructConfig:
         max_cost: a depth of a higher matching cost is dropped.
         agree_mm: two views agree where their surfaces lie within this, along the normal.
         agree_views: a point is kept when at least this many other views agree.
+        alone_cost: a depth that no other view agrees on is taken where its matching cost is lower
+            and the surface passes there that normals carry on from points that others agree on.
+        carry_mm: where there is no such depth, normals alone carry the surface on until it may be
+            so far off, by how much they differ from the points around; 0 has only points that
+            other views agree on.
         look_again: look a second time, with the first mesh's planes, pictures of twice the size,
             and normals mended for the shadows that it casts.
         relief_mm: shapes smaller than this come from the normals, larger ones from matched depth;
@@ -66,6 +72,7 @@ class ReconstructConfig:
     patch_radius_px: int = 2
     patch_stride_px: int = 1
     min_cosine: float = 0.2
+    graze_cosine: float = 0.05
     contrast_floor: float = 0.003
     smoothness: float = 0.01
     iterations: tuple[int, ...] = (3, 2, 1)
@@ -73,6 +80,8 @@ class ReconstructConfig:
     max_cost: float = 0.7
     agree_mm: float = 0.4
     agree_views: int = 1
+    alone_cost: float = 0.6
+    carry_mm: float = 0.2
     look_again: bool = True
     relief_mm: float = 1.5
     bias_mm: float = 3.0
@@ -81,6 +90,6 @@ class ReconstructConfig:
     settle_mm: float = 0.6
     splits: int = 1
     split_settle_mm: float = 0.5
-    trim_mm: float = 2.0
+    trim_mm: float = 1.2
     colmap_to: str = ""
     colmap_from: str = ""

@@ -10,9 +10,10 @@ import numpy as np
 from numba import njit, prange
 
 from processing.parallel import over_views, workers
+from processing.reconstruction.carry import CONFIRMED, carried
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.relief import with_relief
-from processing.reconstruction.views import Level, plane_slopes
+from processing.reconstruction.views import Level, depth_to_points, plane_slopes
 
 PIXEL_BYTES = 400
 """That a pixel of a view takes, at most."""
@@ -44,27 +45,6 @@ class Oriented(NamedTuple):
     normals: np.ndarray
     weights: np.ndarray
     projection: np.ndarray
-
-
-def depth_to_points(inverse_depth: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """World points of a depth map.
-
-    Args:
-        inverse_depth: (h, w) 1/mm along the optical axis, 0 where there is none.
-        lens: (4,) fx, fy, cx, cy.
-        pose: (3, 4) cam_from_world.
-
-    Returns:
-        (h, w, 3) float32 mm, NaN where there is none.
-    """
-    height, width = inverse_depth.shape
-    fx, fy, cx, cy = lens
-    depth = np.full((height, width), np.nan)
-    np.divide(1.0, inverse_depth, out=depth, where=inverse_depth > 0)
-    x = ((np.arange(width) + 0.5 - cx) / fx)[None] * depth
-    y = ((np.arange(height) + 0.5 - cy) / fy)[:, None] * depth
-    local = np.stack([x, y, depth], axis=-1)
-    return ((local - pose[:, 3]) @ pose[:, :3]).astype(np.float32)
 
 
 @njit(cache=True, parallel=True)
@@ -217,23 +197,35 @@ def consistent_points(
     every = [found for _, found in over_views(oriented, views, at_once)]
     points, normals, weights, projections = (np.stack(part) for part in zip(*every, strict=True))
 
-    def joined(index: int) -> tuple[np.ndarray, ...]:
-        merged = np.empty_like(points[index])
-        agreeing = np.empty(merged.shape[:2], np.int32)
-        merge_view(
-            index, points, normals, weights, projections, config.agree_mm, 5.0, merged, agreeing
-        )  # fmt: skip
-        good, facing = agreeing >= config.agree_views, normals[index]
-        if config.relief_mm > 0:
-            merged, facing = _relief(
-                level, index, np.where(good[..., None], merged, np.nan), facing, config
-            )
-        return merged[good], facing[good], agreeing[good], np.full(good.sum(), index), agreeing
+    merged = np.empty_like(points)
+    agreeing = np.empty(points.shape[:3], np.int32)
 
-    parts = [found for _, found in over_views(joined, views, at_once)]
-    *joint, agreeing = zip(*parts, strict=True)
-    places, facing, agreed, seen_by = (np.concatenate(part) for part in joint)
-    return Points(places, facing, agreed, seen_by, agreeing)
+    def joined(index: int) -> None:
+        merge_view(
+            index, points, normals, weights, projections, config.agree_mm, 5.0,
+            merged[index], agreeing[index],
+        )  # fmt: skip
+
+    for _ in over_views(joined, views, at_once):
+        pass
+    merged[agreeing < config.agree_views] = np.nan
+    slopes = [plane_slopes(level.normals[k], level.lenses[k], level.poses[k]) for k in views]
+    if config.carry_mm > 0:
+        merged, kinds = carried(level, depths, costs, merged, slopes, config)
+        alone = kinds > CONFIRMED
+        normals[alone], agreeing[alone] = level.normals[alone], 0
+
+    def settled(index: int) -> tuple[np.ndarray, ...]:
+        places, facing = merged[index], normals[index]
+        if config.relief_mm > 0:
+            places, facing = _relief(level, index, places, facing, slopes[index], config)
+        good = np.isfinite(places[..., 0])
+        seen_by = np.full(good.sum(), index)
+        return places[good], facing[good], agreeing[index][good], seen_by
+
+    parts = [found for _, found in over_views(settled, views, at_once)]
+    places, facing, agreed, seen_by = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Points(places, facing, agreed, seen_by, tuple(agreeing))
 
 
 def _oriented(
@@ -260,12 +252,12 @@ def _relief(
     index: int,
     points: np.ndarray,
     normals: np.ndarray,
+    slopes: np.ndarray,
     config: ReconstructConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A view's points and normals together; points without a photometric normal as they were."""
     lens, pose, guide = level.lenses[index], level.poses[index], level.normals[index]
     known = np.einsum("hwk,hwk->hw", guide, guide) > 0.5
-    slopes = plane_slopes(guide, lens, pose)
     scales = config.relief_mm, config.bias_mm, config.doubt_deg
     moved, mended = with_relief(points, slopes, known, lens, pose, *scales)
     return moved, np.where(np.isnan(mended), normals, mended)

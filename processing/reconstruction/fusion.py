@@ -13,6 +13,7 @@ from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import Points
 from processing.reconstruction.settle import settled
 
+SOME = 4
 MIN_POINTS = 500
 """Fewer points make no surface."""
 
@@ -102,6 +103,24 @@ def oriented(mesh: Mesh, positions: np.ndarray, normals: np.ndarray) -> Mesh:
     own = vertex_normals(mesh.vertices, mesh.faces)[some]
     inward = np.einsum("nk,nk->n", own, normals[nearest]).sum() < 0
     return Mesh(mesh.vertices, mesh.faces[:, ::-1].copy()) if inward else mesh
+
+
+def alone_share(mesh: Mesh, points: Points) -> float:
+    """Share of a mesh's vertices whose nearest point no other view agrees on.
+
+    Args:
+        mesh: fused from the points.
+        points: of which every SOME-th is asked.
+    """
+    from scipy.spatial import cKDTree
+
+    lone = points.views < 1
+    if not lone.any():
+        return 0.0
+    near = [
+        cKDTree(points.positions[some][::SOME]).query(mesh.vertices)[0] for some in (lone, ~lone)
+    ]
+    return float(np.mean(near[0] < near[1]))
 
 
 def boundary_loops(mesh: Mesh) -> Holes:

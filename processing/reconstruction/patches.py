@@ -50,7 +50,8 @@ class Stereo(NamedTuple):
         centres: (s, 3) the sources' centres in the reference camera's axes, mm.
         slopes: (h, w, 2) a, b of every pixel's plane.
         offsets: (k, 2) int64 du, dv of the patch's samples.
-        min_cosine: a view that sees the plane at a smaller cosine does not judge.
+        min_cosine: a view that sees the plane at a smaller cosine does not judge,
+        graze_cosine: unless all do, and it sees it at more than this.
         contrast_floor: share of the radiance below which contrast is noise.
         step: inverse depth of one pixel's disparity.
     """
@@ -65,6 +66,7 @@ class Stereo(NamedTuple):
     slopes: np.ndarray
     offsets: np.ndarray
     min_cosine: np.float32
+    graze_cosine: np.float32
     contrast_floor: np.float32
     step: np.float32
 
@@ -250,7 +252,11 @@ def plane_cost(
     Returns:
         Cost, NO_MATCH where no view can judge.
     """
-    if facing_views(stereo, row, column, plane, patch.seen) == 0:
+    facing = facing_views(stereo, row, column, plane, stereo.min_cosine, patch.seen)
+    if facing == 0:
+        # Better one that sees it from the side than none.
+        facing = facing_views(stereo, row, column, plane, stereo.graze_cosine, patch.seen)
+    if facing == 0:
         return NO_MATCH
     best, second = NO_MATCH, NO_MATCH
     for index in range(stereo.sources.shape[0]):
@@ -269,13 +275,16 @@ def plane_cost(
 
 
 @njit(cache=True, fastmath=FAST)
-def facing_views(stereo: Stereo, row: int, column: int, plane: Plane, seen: np.ndarray) -> int:
-    """Mark the sources before which a plane neither turns away nor grazes.
+def facing_views(
+    stereo: Stereo, row: int, column: int, plane: Plane, least: np.float32, seen: np.ndarray
+) -> int:
+    """Mark the sources that see a plane at more than some cosine.
 
     Args:
         stereo: the views.
         row, column: the reference's pixel.
         plane: w, a, b there.
+        least: the cosine.
         seen: (s,) bool, filled.
 
     Returns:
@@ -294,6 +303,6 @@ def facing_views(stereo: Stereo, row: int, column: int, plane: Plane, seen: np.n
         dx, dy = px - stereo.centres[k, 0], py - stereo.centres[k, 1]
         dz = depth - stereo.centres[k, 2]
         distance = np.float32(math.sqrt(dx * dx + dy * dy + dz * dz))
-        seen[k] = dx * nx + dy * ny + dz * nz > stereo.min_cosine * length * distance
+        seen[k] = dx * nx + dy * ny + dz * nz > least * length * distance
         count += seen[k]
     return count

@@ -19,7 +19,7 @@ from processing.lighting.lights import PatternLights, pattern_lights
 from processing.parallel import over_views, workers
 from processing.reconstruction.colmap_folder import read_colmap, write_colmap
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.fusion import Holes, boundary_loops
+from processing.reconstruction.fusion import Holes, alone_share, boundary_loops
 from processing.reconstruction.pictures import coverage, write_pictures
 from processing.reconstruction.poses import (
     PoseReport,
@@ -210,7 +210,8 @@ def reconstruct_views(
     facts: dict[str, Any] = {
         "matched_pixels": matched,
         "points": len(points.positions),
-        "agreeing_share": round(len(points.positions) / max(matched, 1), 4),
+        "agreeing_share": round(int((points.views > 0).sum()) / max(matched, 1), 4),
+        "alone_share": round(alone_share(mesh, points), 4),
     }
     facts["coverage"] = {
         name: round(float((count > 0).sum() / max(int(mask.sum()), 1)), 3)

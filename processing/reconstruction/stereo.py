@@ -97,6 +97,7 @@ def make_stereo(
         plane_slopes(level.normals[reference] if normals is None else normals, lens, pose),
         offsets.astype(np.int64),
         np.float32(config.min_cosine),
+        np.float32(min(config.graze_cosine, config.min_cosine)),
         np.float32(config.contrast_floor),
         np.float32(1.0 / (lens[:2].mean() * baselines.mean())),
     )

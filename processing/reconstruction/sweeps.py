@@ -245,3 +245,40 @@ def polish(
                 move = HALF * (before - after) / curvature
                 out[row, column] = w + delta * min(max(move, -HALF), HALF)
                 still[row, column] = abs(move) < still_share
+
+
+@njit(cache=True, fastmath=FAST, parallel=True)
+def search(
+    stereo: Stereo,
+    steps: np.ndarray,
+    every: int,
+    wanted: np.ndarray,
+    inverse_depth: np.ndarray,
+) -> None:
+    """Move wanted pixels by that step which fits best, if it fits better than none.
+
+    Args:
+        stereo: the views.
+        steps: (n,) in inverse depth, the nearest to 0 first.
+        every: 1 for all pixels, 2 for every second one of every second row.
+        wanted: (h / every, w / every) bool.
+        inverse_depth: (h, w), 0 where there is none; changed in place.
+    """
+    for line in prange(wanted.shape[0]):
+        patch = new_patch(stereo)
+        row = line * every
+        for place in range(wanted.shape[1]):
+            column = place * every
+            w = inverse_depth[row, column]
+            if not (wanted[line, place] and w > ZERO):
+                continue
+            count, floor = gather_patch(stereo, row, column, patch)
+            a, b = stereo.slopes[row, column, 0], stereo.slopes[row, column, 1]
+            best = plane_cost(stereo, row, column, (w, a, b), patch, count, floor)
+            for index in range(steps.shape[0]):
+                moved = w + steps[index]
+                if moved > ZERO:
+                    cost = plane_cost(stereo, row, column, (moved, a, b), patch, count, floor)
+                    if cost < best:
+                        best = cost
+                        inverse_depth[row, column] = moved

@@ -23,6 +23,10 @@ Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
 """A level, and of each view inverse depth and cost, as of `match_views`."""
 
 
+WIDER = 1.6
+"""The first mesh reaches so much farther from its points: the second look tells what is true."""
+
+
 def meshed(found: Depths, config: ReconstructConfig) -> tuple[Points, Mesh]:
     """Consistency and fusion of depth of all views, and the mesh made finer."""
     points = consistent_points(*found, config)
@@ -52,13 +56,20 @@ def twice(
     """
     if not config.look_again:
         return found, *meshed(found, config)
-    # The second look needs planes and shadows alone.
-    _, mesh = meshed(found, dataclasses.replace(config, splits=0))
+    wider = dataclasses.replace(
+        config,
+        carry_mm=WIDER * config.carry_mm,
+        trim_mm=WIDER * config.trim_mm,
+        splits=0,  # The second look needs planes and shadows alone.
+    )
+    points, mesh = meshed(found, wider)
     level = found[0]
     fine = pictures_of(views, config.finest_rows)
     rays, normals = rays_of(mesh)
     seen = sighted(level, mesh, rays, normals)
-    depths, costs = look_again(fine, seen, sources_of(views, config), config, progress)
+    unsure = [count < 1 for count in points.agreeing]
+    sources = sources_of(views, config)
+    depths, costs = look_again(fine, seen, sources, unsure, config, progress)
     mended = None
     if lights is not None:
         same = fine.masks.shape == level.masks.shape

@@ -264,6 +264,27 @@ def plane_slopes(normals: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.
     return slopes.astype(np.float32)
 
 
+def depth_to_points(inverse_depth: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """World points of a depth map.
+
+    Args:
+        inverse_depth: (h, w) 1/mm along the optical axis, 0 where there is none.
+        lens: (4,) fx, fy, cx, cy.
+        pose: (3, 4) cam_from_world.
+
+    Returns:
+        (h, w, 3) float32 mm, NaN where there is none.
+    """
+    height, width = inverse_depth.shape
+    fx, fy, cx, cy = lens
+    depth = np.full((height, width), np.nan)
+    np.divide(1.0, inverse_depth, out=depth, where=inverse_depth > 0)
+    x = ((np.arange(width) + 0.5 - cx) / fx)[None] * depth
+    y = ((np.arange(height) + 0.5 - cy) / fy)[:, None] * depth
+    local = np.stack([x, y, depth], axis=-1)
+    return ((local - pose[:, 3]) @ pose[:, :3]).astype(np.float32)
+
+
 def block_sum(values: np.ndarray) -> np.ndarray:
     """Sums over 2 x 2 pixels of (views, h, w, c); odd sides are padded with zeros."""
     views, height, width, channels = values.shape

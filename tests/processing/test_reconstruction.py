@@ -7,8 +7,9 @@ import pytest
 from lightstage.formats.mesh import Mesh, vertex_normals
 from processing.errors import ReconstructionError
 from processing.reconstruction.config import ReconstructConfig
-from processing.reconstruction.consistency import consistent_points, smooth_normals
+from processing.reconstruction.consistency import Points, consistent_points, smooth_normals
 from processing.reconstruction.fusion import (
+    alone_share,
     boundary_loops,
     compact,
     fuse,
@@ -177,9 +178,17 @@ def test_largest_component_and_loops_of_a_grid_with_a_hole() -> None:
         assert (vertex_normals(turned.vertices, turned.faces)[:, 2] > 0.99).all()
 
 
-def test_too_few_points_are_refused() -> None:
-    from processing.reconstruction.consistency import Points
+def test_the_share_of_the_surface_that_rests_on_one_view_is_told() -> None:
+    x, y = np.meshgrid(np.arange(40.0), np.arange(40.0))
+    places = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    mesh = Mesh(places, np.zeros((0, 3), np.int32))
+    for end in (0, 10, 20):
+        views = np.where(places[:, 0] < end, 0, 2)
+        points = Points(places, places, views, np.zeros(len(places), int))
+        assert alone_share(mesh, points) == pytest.approx(end / 40, abs=0.05)
 
+
+def test_too_few_points_are_refused() -> None:
     few = Points(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3, int), np.zeros(3, int))
     with pytest.raises(ReconstructionError, match="3 points"):
         fuse(few, CONFIG)

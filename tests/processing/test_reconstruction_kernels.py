@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ from processing.reconstruction.patches import (
     Stereo,
     gather_patch,
     new_patch,
+    plane_cost,
     source_cost,
 )
 from processing.reconstruction.stereo import make_stereo
@@ -135,6 +137,21 @@ def test_degenerate_pictures_give_no_false_match(value: float, where: str) -> No
     assert 0 <= cost <= 2
     if where in ("all", "reference", "source"):
         assert cost > 0.5
+
+
+def test_a_view_that_grazes_judges_where_no_other_can() -> None:
+    row, column, w = 130, 90, 1 / 1010
+    usual = make_stereo(LEVEL, 0, np.array([1]), CONFIG)
+    wanted = kernel_cost(usual, row, column, w)
+    for least, grazing, judged in ((0.2, 0.05, True), (1.0, 0.05, True), (1.0, 1.0, False)):
+        config = dataclasses.replace(CONFIG, min_cosine=least, graze_cosine=grazing)
+        stereo = make_stereo(LEVEL, 0, np.array([1]), config)
+        patch = new_patch(stereo)
+        count, floor = gather_patch(stereo, row, column, patch)
+        plane = (np.float32(w), *stereo.slopes[row, column])
+        cost = float(plane_cost(stereo, row, column, plane, patch, count, floor))
+        # One view alone costs a little more.
+        assert cost == pytest.approx(wanted + 0.05 if judged else 2.0, abs=1e-4)
 
 
 def test_a_patch_of_one_colour_is_uncorrelated() -> None:

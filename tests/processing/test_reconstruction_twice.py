@@ -41,6 +41,13 @@ def seen_by(level: Level, mesh: Mesh) -> list[Sighted]:
     return sighted(level, mesh, *rays_of(mesh))
 
 
+def looked(
+    views: list[View], fine: Level, seen: list[Sighted], unsure: bool = False
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    asked = [np.full(sight.inverse_depth.shape, unsure) for sight in seen]
+    return look_again(fine, seen, sources_of(views, CONFIG), asked, CONFIG)
+
+
 def depth_error(level: Level, index: int, inverse_depth: np.ndarray) -> np.ndarray:
     """How far points lie off the ball, mm, where there is depth and the ball is not grazed."""
     (fx, fy, cx, cy), pose = level.lenses[index], level.poses[index]
@@ -64,7 +71,7 @@ def test_a_mesh_is_seen_where_it_is(fine: Level) -> None:
 def test_the_second_look_finds_the_surface(views: list[View], fine: Level, times: int) -> None:
     level = fine if times == 1 else halved(fine)
     seen = seen_by(level, ball(RADIUS_MM - 0.3))
-    depths, costs = look_again(fine, seen, sources_of(views, CONFIG), CONFIG)
+    depths, costs = looked(views, fine, seen)
     for index in range(len(views)):
         before = depth_error(level, index, seen[index].inverse_depth)
         kept = np.where(costs[index] < CONFIG.max_cost, depths[index], 0)
@@ -74,10 +81,28 @@ def test_the_second_look_finds_the_surface(views: list[View], fine: Level, times
         assert np.median(np.abs(after)) < 0.5 * np.median(np.abs(before))
 
 
+@pytest.mark.parametrize("times", [1, 2])
+def test_where_the_mesh_is_unsure_the_second_look_searches(
+    views: list[View], fine: Level, times: int
+) -> None:
+    """A mesh two pixels off: too far for a parabola, near enough for a search."""
+    level = fine if times == 1 else halved(fine)
+    seen = seen_by(level, ball(RADIUS_MM - 4.0))
+    share = []
+    for unsure in (False, True):
+        depths, _ = looked(views, fine, seen, unsure)
+        off = np.concatenate(
+            [np.abs(depth_error(level, index, depth)) for index, depth in enumerate(depths)]
+        )
+        share.append(float((off < 0.5).mean()))
+    assert share[0] < 0.2
+    assert share[1] > 0.6
+
+
 def test_nothing_seen_gives_no_depth(views: list[View], fine: Level) -> None:
     near = ball(resolution=10)
     far = Mesh(near.vertices + np.array([1e4, 0, 0]), near.faces)
-    depths, costs = look_again(fine, seen_by(fine, far), sources_of(views, CONFIG), CONFIG)
+    depths, costs = looked(views, fine, seen_by(fine, far), unsure=True)
     assert not any(depth.any() for depth in depths)
     assert all((cost == 2).all() for cost in costs)
 
