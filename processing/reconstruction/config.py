@@ -53,7 +53,7 @@ class ReconstructConfig:
         splits: how often the fused surface's triangles are split in four; the finer mesh follows
             the points' positions and normals more closely.
         split_settle_mm: `settle_mm` of the split mesh.
-        trim_mm: the surface is cut where no point lies within this distance.
+        trim_mm: the surface is cut where no point lies within this distance, or two pixels.
         colmap_to: folder to which pictures, poses and depth maps are written in COLMAP's formats;
             empty for none.
         colmap_from: such a folder whose depth maps are taken in place of our own matching; empty
@@ -90,6 +90,6 @@ class ReconstructConfig:
     settle_mm: float = 0.6
     splits: int = 1
     split_settle_mm: float = 0.5
-    trim_mm: float = 1.2
+    trim_mm: float = 1.0
     colmap_to: str = ""
     colmap_from: str = ""

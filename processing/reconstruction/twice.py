@@ -23,14 +23,28 @@ Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
 """A level, and of each view inverse depth and cost, as of `match_views`."""
 
 
-WIDER = 1.6
+WIDER = 2.0
 """The first mesh reaches so much farther from its points: the second look tells what is true."""
+
+
+TRIM_PX = 2.0
+"""No surface is cut nearer to a point than so many pixels: neighbours would be parted."""
+
+
+def spacing_mm(level: Level, points: Points) -> float:
+    """Width of a pixel where the points are, the median of all; 0 without points."""
+    if not len(points.positions):
+        return 0.0
+    centres = np.stack([-pose[:, :3].T @ pose[:, 3] for pose in level.poses])
+    away = np.linalg.norm(points.positions - centres[points.seen_by], axis=1)
+    return float(np.median(away / level.lenses[points.seen_by, 0]))
 
 
 def meshed(found: Depths, config: ReconstructConfig) -> tuple[Points, Mesh]:
     """Consistency and fusion of depth of all views, and the mesh made finer."""
     points = consistent_points(*found, config)
-    mesh = fuse(points, config)
+    trim_mm = max(config.trim_mm, TRIM_PX * spacing_mm(found[0], points))
+    mesh = fuse(points, dataclasses.replace(config, trim_mm=trim_mm))
     how = config.splits, config.split_settle_mm, config.relief_mm
     return points, finer(mesh, points.positions, points.normals, *how)
 

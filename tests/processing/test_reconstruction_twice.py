@@ -9,9 +9,10 @@ from processing.lighting.interface import skin_interface
 from processing.lighting.lights import Shadows, irradiance_vectors
 from processing.reconstruction.again import Sighted, look_again, rays_of, sighted
 from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.consistency import Points
 from processing.reconstruction.shading import mended_normals
 from processing.reconstruction.stereo import match_views, sources_of
-from processing.reconstruction.twice import twice
+from processing.reconstruction.twice import spacing_mm, twice
 from processing.reconstruction.views import Level, View, finest_level, halved, make_view
 from tests.processing import lit_ball, textured_ball
 from tests.processing.textured_ball import RADIUS_MM
@@ -97,6 +98,17 @@ def test_where_the_mesh_is_unsure_the_second_look_searches(
         share.append(float((off < 0.5).mean()))
     assert share[0] < 0.2
     assert share[1] > 0.6
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_a_pixel_is_as_wide_as_its_ray_is_long(fine: Level, scale: float) -> None:
+    centre = -fine.poses[1][:, :3].T @ fine.poses[1][:, 3]
+    toward = np.array([[0.0, 0, 1]])
+    places = centre + scale * toward
+    points = Points(places, toward, np.ones(1, int), np.ones(1, int))
+    assert spacing_mm(fine, points) == pytest.approx(scale / fine.lenses[1, 0], rel=1e-6)
+    none = Points(places[:0], toward[:0], np.ones(0, int), np.ones(0, int))
+    assert spacing_mm(fine, none) == 0
 
 
 def test_nothing_seen_gives_no_depth(views: list[View], fine: Level) -> None:
