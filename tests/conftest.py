@@ -19,8 +19,12 @@ hypothesis.settings.load_profile("project")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest test goes first, that no worker is left alone with it at the end."""
-    items.sort(key=lambda item: item.path.name != "test_end_to_end.py")
+    """The longest test goes before the simulator's.
+
+    Most of what it runs is compiled by then, and the other worker is left enough to do beside it.
+    """
+    longest, simulator = "tests/test_end_to_end.py", "tests/sim/"
+    items.sort(key=lambda i: 2 * i.nodeid.startswith(simulator) + i.nodeid.startswith(longest))
 
 
 def head_data_path() -> Path | None:
