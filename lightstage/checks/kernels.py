@@ -1,11 +1,13 @@
-"""One pass over a mosaic: light, clipping and fine detail in square cells (see cells.py)."""
+"""One pass over a mosaic: light, clipping and fine detail in square cells."""
 
 from __future__ import annotations
 
 import numba
 import numpy as np
 
-from lightstage.checks.cells import FAR, REACH
+FAR = 3
+"""Step of the longer second difference, in quads; the shorter one's is a quad."""
+REACH = 2 * FAR
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -28,7 +30,13 @@ def cells_kernel(
         black: (2, 2) float64 counts without light, by place.
         white: counts from which a pixel is clipped.
         quads: side of a cell.
-        light, detail, clipped, extremes: see Cells; overwritten.
+        light: (rows, columns, 3) float64, overwritten: mean above black of each colour.
+        detail: (rows, columns, 3) float64, overwritten: variance of a green pixel from the
+            difference of a quad's two greens; mean squared second difference of greens (a quad's
+            mean) at steps of one quad and of `FAR` quads, along rows and columns.
+        clipped: (rows, columns, 3) int64, overwritten: clipped pixels of each colour.
+        extremes: (4,) float64, overwritten: least and greatest count, how many pixels have the
+            greatest, how many are not finite.
     """
     rows, columns = light.shape[0], light.shape[1]
     least, greatest, pile, wild = np.inf, -np.inf, 0, 0
@@ -94,3 +102,50 @@ def cells_kernel(
                     light[row, cell, colour] /= number[colour]
                 detail[row, cell, colour] /= quads * quads
     extremes[0], extremes[1], extremes[2], extremes[3] = least, greatest, pile, wild
+
+
+def cells_twin(
+    counts: np.ndarray, colours: np.ndarray, black: np.ndarray, white: float, quads: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same in plain float64 numpy, without the extremes: light, detail, clipped."""
+    wide = counts.astype(float)
+    high, long = wide.shape[0] // 2, wide.shape[1] // 2
+    rows, columns = high // quads, long // quads
+    light = np.zeros((rows, columns, 3))
+    clipped = np.zeros((rows, columns, 3), np.int64)
+    number = np.zeros(3)
+    planes: list[np.ndarray] = []
+    for y in range(2):
+        for x in range(2):
+            plane = wide[y : 2 * high : 2, x : 2 * long : 2]
+            above = np.where(np.isfinite(plane), plane - black[y, x], 0.0)
+            full = np.where(np.isfinite(plane), plane, black[y, x]) >= white
+            colour = colours[y, x]
+            light[..., colour] += _pooled(above, quads).sum(axis=(1, 3))
+            clipped[..., colour] += _pooled(full, quads).sum(axis=(1, 3))
+            number[colour] += quads**2
+            if colour == 1:
+                planes.append(above)
+    light /= np.maximum(number, 1)
+    green = np.mean(planes, axis=0)
+    detail = np.zeros((rows, columns, 3))
+    if len(planes) == 2:
+        detail[..., 0] = _pooled(0.5 * (planes[1] - planes[0]) ** 2, quads).mean(axis=(1, 3))
+    for index, lag in ((1, 1), (2, FAR)):
+        energy = np.zeros_like(green)
+        inner = slice(0, max(high - REACH, 0)), slice(0, max(long - REACH, 0))
+        here = green[inner]
+        tall, broad = here.shape
+        across = (
+            here - 2 * green[:tall, lag : lag + broad] + green[:tall, 2 * lag : 2 * lag + broad]
+        )
+        down = here - 2 * green[lag : lag + tall, :broad] + green[2 * lag : 2 * lag + tall, :broad]
+        energy[inner] = 0.5 * (across**2 + down**2)
+        detail[..., index] = _pooled(energy, quads).mean(axis=(1, 3))
+    return light, detail, clipped
+
+
+def _pooled(plane: np.ndarray, quads: int) -> np.ndarray:
+    """(rows, quads, columns, quads) of the whole cells."""
+    rows, columns = plane.shape[0] // quads, plane.shape[1] // quads
+    return plane[: rows * quads, : columns * quads].reshape(rows, quads, columns, quads)

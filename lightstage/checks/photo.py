@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 
-from lightstage.checks.cells import sum_cells
 from lightstage.checks.noise import DIFFERENCE_GAIN, fit_noise
 from lightstage.errors import FormatError
 from lightstage.formats.exr import MAGIC, read_exr
@@ -181,6 +180,8 @@ def measure_counts(
     Raises:
         FormatError: fewer than 8 x 8 pixels.
     """
+    from lightstage.checks.kernels import cells_kernel
+
     high, wide = counts.shape[0] // 2, counts.shape[1] // 2
     if min(high, wide) < MIN_QUADS:
         raise FormatError(
@@ -191,23 +192,28 @@ def measure_counts(
         )
     quads = -(-max(high, wide) // thumbnail_px)
     quads = min(quads, min(high, wide))
-    cells = sum_cells(counts, colours, black, white, quads)
-    pixels = 4 * quads * quads * (high // quads) * (wide // quads)
-    greatest, pile = float(cells.extremes[1]), int(cells.extremes[2])
+    rows, columns = high // quads, wide // quads
+    light, detail = np.empty((rows, columns, 3)), np.empty((rows, columns, 3))
+    clipped, extremes = np.empty((rows, columns, 3), np.int64), np.empty(4)
+    colours = np.ascontiguousarray(colours, np.int64)
+    dark = np.full((2, 2), black, float)
+    cells_kernel(counts, colours, dark, white, quads, light, detail, clipped, extremes)
+    pixels = 4 * quads * quads * rows * columns
+    greatest, pile = float(extremes[1]), int(extremes[2])
     span_dn = float(np.mean(span))
     full_early = math.isfinite(white) and PILE_FROM * white <= greatest < white
     if full_early and pile > max(PILE_SHARE * pixels, 16):
-        cells = sum_cells(counts, colours, black, greatest, quads)
-    digest = hashlib.sha256(cells.light.tobytes() + cells.clipped.tobytes()).hexdigest()
+        cells_kernel(counts, colours, dark, greatest, quads, light, detail, clipped, extremes)
+    digest = hashlib.sha256(light.tobytes() + clipped.tobytes()).hexdigest()
     return _photo(
-        cells.light / span_dn,
-        cells.detail / span_dn**2,
-        cells.clipped,
+        light / span_dn,
+        detail / span_dn**2,
+        clipped,
         encoding=encoding,
         size_px=size_px,
         quads=quads,
-        per_quad=np.bincount(np.ravel(colours), minlength=3),
-        wild=int(cells.extremes[3]),
+        per_quad=np.bincount(colours.ravel(), minlength=3),
+        wild=int(extremes[3]),
         digest=digest,
     )
 
