@@ -10,8 +10,9 @@ import numpy as np
 from numba import njit, prange
 
 from processing.parallel import over_views, workers
-from processing.reconstruction.carry import CONFIRMED, carried
+from processing.reconstruction.carry import carried
 from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.grow import CONFIRMED
 from processing.reconstruction.relief import with_relief
 from processing.reconstruction.views import Level, depth_to_points, plane_slopes
 

@@ -26,7 +26,6 @@ Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
 WIDER = 2.0
 """The first mesh reaches so much farther from its points: the second look tells what is true."""
 
-
 TRIM_PX = 2.0
 """No surface is cut nearer to a point than so many pixels: neighbours would be parted."""
 

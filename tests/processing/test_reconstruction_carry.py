@@ -6,7 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.reconstruction.carry import (
+from processing.reconstruction.carry import carried, disagreement, laid_over
+from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.grow import (
     CARRIED,
     CONFIRMED,
     FEWEST,
@@ -15,12 +17,8 @@ from processing.reconstruction.carry import (
     NONE,
     WINDOW_PX,
     Grown,
-    carried,
-    disagreement,
     grow,
-    laid_over,
 )
-from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.views import Level, depth_to_points, plane_slopes
 from tests.processing.test_reconstruction_relief import LENS, POSE, surface, turned
 
@@ -236,6 +234,72 @@ def test_what_another_view_has_or_contradicts_is_left_out() -> None:
         moved[1, ..., 2] -= away
         both = np.stack([alone[0], np.full(SHAPE, CONFIRMED)])
         assert kept_of(moved, both, masks, projections)[:, :100].all() == stays
+
+
+def plain_laid_over(
+    view: int,
+    positions: np.ndarray,
+    kinds: np.ndarray,
+    cosines: np.ndarray,
+    masks: np.ndarray,
+    projections: np.ndarray,
+    near_mm: float,
+) -> np.ndarray:
+    """The same in float64, point by point."""
+    kept = kinds[view] == CONFIRMED
+    for at in np.argwhere(kinds[view] > CONFIRMED):
+        row, column = at
+        place = np.append(positions[view, row, column].astype(float), 1.0)
+        good = True
+        for k in range(len(projections)):
+            seen = projections[k] @ place
+            if k == view or not seen[2] > 0:
+                continue
+            x, y = seen[:2] / seen[2]
+            if not (0 <= x < kinds.shape[2] and 0 <= y < kinds.shape[1]):
+                continue
+            cell = k, int(y), int(x)
+            if not masks[cell]:
+                good = False
+                continue
+            if kinds[cell] == NONE:
+                continue
+            there = projections[k, 2] @ np.append(positions[cell].astype(float), 1.0)
+            behind = there - seen[2]
+            if kinds[cell] == CONFIRMED:
+                good &= bool(behind <= -near_mm)
+            elif abs(behind) < near_mm:
+                here, other = cosines[view, row, column], cosines[cell]
+                good &= bool(here > other or (here == other and view < k))
+        kept[row, column] = good
+    return kept
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10_000), st.floats(-6, 6))
+def test_laying_over_is_that_of_its_plain_twin_at_every_scale(seed: int, exponent: float) -> None:
+    rng = np.random.default_rng(seed)
+    shape, scale = (3, 7, 9), 10.0**exponent
+    rows, columns = np.indices(shape[1:])
+    positions = np.empty((*shape, 3))
+    projections = np.empty((3, 3, 4))
+    for k in range(3):
+        depth = 100 + rng.normal(0, 3, shape[1:])
+        # Cameras side by side: a pixel each is a millimetre across at 100 mm.
+        matrix = np.array([[100, 0, 4.5], [0, 100, 3.5], [0, 0, 1.0]])
+        shift = np.array([rng.uniform(-3, 3), rng.uniform(-2, 2), 0])
+        local = np.stack([(columns + 0.5 - 4.5) / 100, (rows + 0.5 - 3.5) / 100, depth * 0 + 1], -1)
+        positions[k] = scale * (local * depth[..., None] - shift)
+        projections[k] = matrix @ np.concatenate([np.eye(3), scale * shift[:, None]], axis=1)
+    kinds = rng.integers(NONE, CARRIED + 1, shape).astype(np.int8)
+    positions[kinds == NONE] = np.nan
+    cosines = rng.integers(1, 5, shape).astype(np.float32) / 4
+    masks = rng.random(shape) < 0.8
+    given_ = positions.astype(np.float32), kinds, cosines, masks, projections, 3.0 * scale
+    for view in range(3):
+        kept = np.zeros(shape[1:], bool)
+        laid_over(view, *given_, kept)
+        np.testing.assert_array_equal(kept, plain_laid_over(view, *given_))
 
 
 def test_confirmed_points_stay_whatever_others_see() -> None:
