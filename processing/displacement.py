@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import cg
 
 from lightstage.formats.mesh import Mesh
 
@@ -56,7 +57,7 @@ def heights_of_steps(
 ) -> np.ndarray:
     """The height h with sum over edges (h' - h - step)^2 + weight * sum h^2 least.
 
-    Conjugate gradients, each height scaled by its own weight.
+    Conjugate gradients, scaled by the matrix's diagonal.
 
     Args:
         count: of vertices, v.
@@ -74,21 +75,7 @@ def heights_of_steps(
     columns = np.concatenate([second, first])
     links = sparse.coo_array((np.ones(len(rows)), (rows, columns)), (count, count)).tocsr()
     diagonal = np.bincount(rows, minlength=count) + weight
-    height = np.zeros(count)
-    residual = right.copy()
-    start = float(np.linalg.norm(residual))
-    if not start > 0:
-        return height
-    better = residual / diagonal
-    along, energy = better, float(residual @ better)
-    for _ in range(MOST_STEPS):
-        pushed = diagonal * along - links @ along
-        length = energy / float(along @ pushed)
-        height += length * along
-        residual -= length * pushed
-        if np.linalg.norm(residual) < tolerance * start:
-            break
-        better = residual / diagonal
-        fresh = float(residual @ better)
-        along, energy = better + (fresh / energy) * along, fresh
-    return height
+    matrix = sparse.diags_array(diagonal) - links
+    scaled = sparse.diags_array(1 / diagonal)
+    height, _ = cg(matrix, right, rtol=tolerance, maxiter=MOST_STEPS, M=scaled)
+    return np.asarray(height)
