@@ -32,7 +32,7 @@ class DemoConfig:
     atlas_rows: int = 1536
     people: int = 4
     patch_px: int = 512
-    train_seconds: int = 100
+    train_seconds: int = 70
 
 
 @dataclasses.dataclass(frozen=True)
