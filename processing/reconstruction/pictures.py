@@ -74,8 +74,8 @@ def mesh_section(out: Path) -> Section | None:
     if mesh is None:
         return None
     said = (
-        "The mesh from three sides. Skin should be smooth without ripples, holes only where no two "
-        "cameras looked; blue is its inside."
+        "The mesh from three sides. Skin should be smooth without ripples, holes only where no "
+        "camera looks squarely; blue is its inside."
     )
     parts: list[str | Picture] = [Picture(mesh, said, "mesh", lossless=True)]
     distance = _read(_distance(out))
