@@ -32,7 +32,7 @@ SETTINGS = {
 def main() -> None:
     """Measure and record."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--person", choices=PEOPLE, default="lps")
+    parser.add_argument("--person", choices=[known.name for known in PEOPLE], default="lps")
     parser.add_argument("--light", default="frontal-direct")
     chosen = parser.parse_args()
     case = Case(chosen.person, chosen.light)

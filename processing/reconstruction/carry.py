@@ -73,8 +73,7 @@ def carried(
 
     for _ in over_views(grown, views, at_once):
         pass
-    matrices = [np.array([[f, 0, cx], [0, g, cy], [0, 0, 1]]) for f, g, cx, cy in level.lenses]
-    projections = np.stack([m @ pose for m, pose in zip(matrices, level.poses, strict=True)])
+    projections = level.projections()
     # A view that shows nothing at all says nothing about where the head is.
     masks = level.masks | ~level.masks.any(axis=(1, 2), keepdims=True)
     kept = np.zeros(kinds.shape, bool)

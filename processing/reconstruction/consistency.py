@@ -40,12 +40,11 @@ class Points:
 
 
 class Oriented(NamedTuple):
-    """One view's points: (h, w, 3), normals (h, w, 3), trust (h, w), pixel_from_world (3, 4)."""
+    """One view's points: (h, w, 3), normals (h, w, 3) and trust (h, w)."""
 
     points: np.ndarray
     normals: np.ndarray
     weights: np.ndarray
-    projection: np.ndarray
 
 
 @njit(cache=True, parallel=True)
@@ -196,7 +195,8 @@ def consistent_points(
         return _oriented(level, index, depths[index], costs[index], config)
 
     every = [found for _, found in over_views(oriented, views, at_once)]
-    points, normals, weights, projections = (np.stack(part) for part in zip(*every, strict=True))
+    points, normals, weights = (np.stack(part) for part in zip(*every, strict=True))
+    projections = level.projections()
 
     merged = np.empty_like(points)
     agreeing = np.empty(points.shape[:3], np.int32)
@@ -244,8 +244,7 @@ def _oriented(
     cosine = np.einsum("hwk,hwk->hw", sight, turned)
     facing = np.where((cosine > config.min_cosine)[..., None], turned, np.float32(np.nan))
     trust = np.clip(1 - cost, 0.05, 1) * np.clip(cosine, 0, 1) ** 2
-    matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
-    return Oriented(grid, facing, trust.astype(np.float32), matrix @ pose)
+    return Oriented(grid, facing, trust.astype(np.float32))
 
 
 def _relief(

@@ -14,6 +14,7 @@ from processing.reconstruction.consistency import Points
 from processing.reconstruction.settle import settled
 
 SOME = 4
+"""Of so many points one is asked which part of a mesh rests on one view."""
 MIN_POINTS = 500
 """Fewer points make no surface."""
 

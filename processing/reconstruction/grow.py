@@ -40,6 +40,7 @@ def grow(
     cosine: np.ndarray,
     agree_mm: float,
     carry_mm: float,
+    jump_mm: float = JUMP_MM,
 ) -> Grown:
     """Carry a view's surface on from its confirmed pixels.
 
@@ -51,6 +52,7 @@ def grow(
         cosine: (h, w) of the normal to the line of sight, 0 where the surface may not go.
         agree_mm: a match agrees with the surface within this along the normal.
         carry_mm: without matches the surface goes on until it may be off by this.
+        jump_mm: see JUMP_MM.
     """
     depth = np.array(confirmed, np.float64)
     kind = np.where(np.isfinite(depth), CONFIRMED, NONE).astype(np.int8)
@@ -61,7 +63,7 @@ def grow(
     by_match = True
     while len(left):
         around = depth, kind, risk, matched, slopes, doubt, cosine
-        _ring(left, *around, agree_mm, carry_mm, by_match, found, taken, far)
+        _ring(left, *around, agree_mm, carry_mm, jump_mm, by_match, found, taken, far)
         new = taken[: len(left)] > NONE
         if not new.any() and not by_match:
             break
@@ -86,6 +88,7 @@ def _ring(
     cosine: np.ndarray,
     agree_mm: float,
     carry_mm: float,
+    jump_mm: float,
     by_match: bool,
     found: np.ndarray,
     taken: np.ndarray,
@@ -113,7 +116,7 @@ def _ring(
             continue
         z = total / count
         distance = math.exp(-z)
-        if not (high - low) * distance < JUMP_MM:
+        if not (high - low) * distance < jump_mm:
             continue
         if by_match:
             off = abs(matched[row, column] - z) * distance * cosine[row, column]

@@ -71,7 +71,10 @@ def settled(
     cells = _in_cells(vertices, positions, normals, math.hypot(REACH, OFF) * sigma_mm)
     for _ in range(rounds):
         own = np.ascontiguousarray(vertex_normals(vertices, mesh.faces), np.float64)
-        vertices = _moved(vertices, own, *cells, sigma_mm)
+        total, shift = _sums(vertices, own, *cells, sigma_mm)[:, :2].T
+        some = total > LEAST
+        height = np.divide(shift, total, out=np.zeros_like(shift), where=some)
+        vertices = vertices + height[:, None] * own
     return Mesh(vertices, mesh.faces)
 
 
@@ -92,9 +95,11 @@ def facing(
     vertices = np.ascontiguousarray(mesh.vertices, np.float64)
     own = np.ascontiguousarray(vertex_normals(vertices, mesh.faces), np.float64)
     cells = _in_cells(vertices, positions, normals, math.hypot(REACH, OFF) * sigma_mm)
-    found = _faced(vertices, own, *cells, sigma_mm)
-    known = np.linalg.norm(found, axis=1) > 0
-    return np.where(known[:, None], found, own), known
+    sums = _sums(vertices, own, *cells, sigma_mm)
+    total, mean = sums[:, 0], sums[:, 2:]
+    length = np.linalg.norm(mean, axis=1)
+    known = (total > LEAST) & (length > SHORT * total)
+    return np.where(known[:, None], mean / np.maximum(length, 1e-9)[:, None], own), known
 
 
 def _in_cells(
@@ -124,7 +129,7 @@ def _in_cells(
 
 
 @njit(cache=True, parallel=True)
-def _moved(
+def _sums(
     vertices: np.ndarray,
     own: np.ndarray,
     points: np.ndarray,
@@ -135,14 +140,16 @@ def _moved(
     shape: np.ndarray,
     sigma: float,
 ) -> np.ndarray:
-    """(v, 3) vertices after one round; points sorted by cells of `size`, `starts` of each cell."""
-    out = vertices.copy()
+    """(v, 5) sums over the points around each vertex: of weights, of weighted heights along its
+    normal, of weighted normals; points sorted by cells of `size`, `starts` of each cell.
+    """
+    out = np.empty((len(vertices), 5))
     for v in prange(len(vertices)):
         p, n = vertices[v], own[v]
         cx = int((p[0] - origin[0]) / size)
         cy = int((p[1] - origin[1]) / size)
         cz = int((p[2] - origin[2]) / size)
-        total = shift = 0.0
+        total = shift = mx = my = mz = 0.0
         # Cells along z lie one behind the other: three in one run.
         for x in range(max(cx - 1, 0), min(cx + 2, shape[0])):
             for y in range(max(cy - 1, 0), min(cy + 2, shape[1])):
@@ -161,50 +168,7 @@ def _moved(
                     weight = math.exp(-0.5 * across / sigma**2)
                     total += weight
                     shift += weight * 0.5 * (off + dx * ax + dy * ay + dz * az)
-        if total > LEAST:
-            for axis in range(3):
-                out[v, axis] = p[axis] + shift / total * n[axis]
-    return out
-
-
-@njit(cache=True, parallel=True)
-def _faced(
-    vertices: np.ndarray,
-    own: np.ndarray,
-    points: np.ndarray,
-    facing: np.ndarray,
-    starts: np.ndarray,
-    origin: np.ndarray,
-    size: float,
-    shape: np.ndarray,
-    sigma: float,
-) -> np.ndarray:
-    """(v, 3) unit means of the points' normals, 0 where there is none; arguments as `_moved`."""
-    out = np.zeros(vertices.shape)
-    for v in prange(len(vertices)):
-        p, n = vertices[v], own[v]
-        cx = int((p[0] - origin[0]) / size)
-        cy = int((p[1] - origin[1]) / size)
-        cz = int((p[2] - origin[2]) / size)
-        total = mx = my = mz = 0.0
-        for x in range(max(cx - 1, 0), min(cx + 2, shape[0])):
-            for y in range(max(cy - 1, 0), min(cy + 2, shape[1])):
-                line = (x * shape[1] + y) * shape[2]
-                first = starts[line + max(cz - 1, 0)]
-                last = starts[line + min(cz + 2, shape[2])]
-                for i in range(first, last):
-                    dx, dy, dz = points[i, 0] - p[0], points[i, 1] - p[1], points[i, 2] - p[2]
-                    off = dx * n[0] + dy * n[1] + dz * n[2]
-                    across = dx * dx + dy * dy + dz * dz - off * off
-                    if not (across < (REACH * sigma) ** 2 and abs(off) < OFF * sigma):
-                        continue
-                    ax, ay, az = facing[i, 0], facing[i, 1], facing[i, 2]
-                    if not ax * n[0] + ay * n[1] + az * n[2] > TURNED:
-                        continue
-                    weight = math.exp(-0.5 * across / sigma**2)
-                    total += weight
                     mx, my, mz = mx + weight * ax, my + weight * ay, mz + weight * az
-        length = math.sqrt(mx * mx + my * my + mz * mz)
-        if total > LEAST and length > SHORT * total:
-            out[v, 0], out[v, 1], out[v, 2] = mx / length, my / length, mz / length
+        out[v, 0], out[v, 1] = total, shift
+        out[v, 2], out[v, 3], out[v, 4] = mx, my, mz
     return out

@@ -16,7 +16,6 @@ from lightstage.formats.session import Session
 from processing.errors import ReconstructionError
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import PatternLights, pattern_lights
-from processing.parallel import over_views, workers
 from processing.reconstruction.colmap_folder import read_colmap, write_colmap
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import Holes, alone_share, boundary_loops
@@ -30,7 +29,6 @@ from processing.reconstruction.poses import (
     tone_mapped,
 )
 from processing.reconstruction.small_views import (
-    SmallView,
     matched_times,
     of_cells,
     small_view,
@@ -44,8 +42,6 @@ __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
 
 CHECKED_ROWS = 1600
 """Poses are checked in pictures of at most twice so many rows."""
-READ_BYTES = 24
-"""That reading a view takes for each of its pixels, at most."""
 
 
 class Reconstructed(NamedTuple):
@@ -152,21 +148,18 @@ def read_views(
     cameras = session.camera_ids()
     wanted = tuple(patterns or read_frames(out, cameras[0]).patterns)
 
-    def smaller(name: str) -> SmallView:
+    small = []
+    for name in cameras:
         frames, mask = read_frames(out, name), read_foreground(out, name)
         normals = folder.read_view(name, "diffuse_normal")
-        return small_view(session.rig.camera(name), frames, mask, normals, times, wanted)
-
-    pixels = max(camera.height_px * camera.width_px for camera in session.rig.cameras)
-    at_once = workers(READ_BYTES * pixels)
-    small = [view for _, view in over_views(smaller, cameras, at_once)]
+        small.append(small_view(session.rig.camera(name), frames, mask, normals, times, wanted))
     lights = pattern_lights(session, wanted)
     basis = common_basis([s.images for s in small], [s.mask & s.valid for s in small])
 
-    def made(s: SmallView) -> View:
-        return make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis, lights.colour)
-
-    return [view for _, view in over_views(made, small, at_once)], lights
+    return [
+        make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis, lights.colour)
+        for s in small
+    ], lights
 
 
 def reconstruct_views(

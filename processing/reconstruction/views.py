@@ -67,6 +67,11 @@ class Level:
     lenses: np.ndarray
     poses: np.ndarray
 
+    def projections(self) -> np.ndarray:
+        """(views, 3, 4) pixel_from_world."""
+        matrices = [np.array([[f, 0, x], [0, g, y], [0, 0, 1]]) for f, g, x, y in self.lenses]
+        return np.stack(matrices) @ self.poses
+
 
 def common_basis(images: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.ndarray:
     """Weights from patterns and colours to the textures that carry most local contrast.
