@@ -11,7 +11,7 @@ import open3d
 from scipy import sparse
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import Mesh, directed_edges, vertex_normals
 from lightstage.rig import Camera
 from processing.displacement import unsplit
 from processing.lighting.lights import PatternLights, Shadows
@@ -188,7 +188,7 @@ def split(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         (4 t, 3) triangles: at the first, second and third corner, and the one between; and (m, 2)
         the vertices in whose middle the new vertices count, count + 1 .. lie.
     """
-    ends = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+    ends = directed_edges(triangles)
     keys, index = np.unique(ends.min(axis=1) * count + ends.max(axis=1), return_inverse=True)
     ab, bc, ca = (count + index.reshape(-1, 3)).T
     a, b, c = triangles.T
@@ -380,8 +380,8 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 def _average(triangles: np.ndarray, count: int) -> sparse.csr_array:
     """(count, count) sparse: the mean of a vertex and its neighbours."""
-    rows = np.concatenate([triangles[:, [0, 1, 2]].ravel(), triangles[:, [1, 2, 0]].ravel()])
-    columns = np.concatenate([triangles[:, [1, 2, 0]].ravel(), triangles[:, [0, 1, 2]].ravel()])
+    first, second = directed_edges(triangles).T
+    rows, columns = np.concatenate([first, second]), np.concatenate([second, first])
     ones = np.ones(len(rows))
     joined = sparse.csr_array((ones, (rows, columns)), shape=(count, count))
     joined.data[:] = 1

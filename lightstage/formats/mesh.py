@@ -76,6 +76,23 @@ def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
 
 
+def directed_edges(triangles: np.ndarray) -> np.ndarray:
+    """(3 t, 2) int64 edges of (t, 3) triangles as these run round, one triangle after the other."""
+    return triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+
+
+def edge_counts(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every edge of (t, 3) triangles once: (e, 2) int64, in order, the lower vertex first.
+
+    Returns:
+        The edges, and (e,) how many triangles have each: the border's one.
+    """
+    ends = np.sort(directed_edges(triangles), axis=1)
+    count = int(ends.max(initial=0)) + 1
+    keys, counts = np.unique(ends[:, 0] * count + ends[:, 1], return_counts=True)
+    return np.stack(np.divmod(keys, count), axis=1), counts
+
+
 def connected(edges: np.ndarray, count: int) -> np.ndarray:
     """Which connected part each vertex is in.
 

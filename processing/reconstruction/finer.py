@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import Mesh, directed_edges, vertex_normals
 from processing.displacement import curved_middles, heights_of_steps
 from processing.reconstruction.settle import facing, settled
 from processing.surface import split
@@ -67,7 +67,7 @@ def lifted(mesh: Mesh, wanted: np.ndarray, known: np.ndarray, relief_mm: float) 
         relief_mm: of the points; shapes smaller than SMALL of it come from the normals here.
     """
     vertices = np.asarray(mesh.vertices, float)
-    edges = mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges = directed_edges(mesh.faces)
     # Two triangles have an edge, one each way; of the outline's edges half are enough.
     edges = edges[(edges[:, 0] < edges[:, 1]) & known[edges].all(axis=1)]
     if not len(edges):

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import open3d
 
-from lightstage.formats.mesh import Mesh, connected, vertex_normals
+from lightstage.formats.mesh import Mesh, connected, edge_counts, vertex_normals
 from processing.errors import ReconstructionError
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import Points
@@ -126,14 +126,11 @@ def alone_share(mesh: Mesh, points: Points) -> float:
 
 def boundary_loops(mesh: Mesh) -> Holes:
     """Lengths of the loops of edges that one triangle alone has."""
-    count = len(mesh.vertices)
-    edges = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    keys = edges[:, 0] * np.int64(count) + edges[:, 1]
-    keys, counts = np.unique(keys, return_counts=True)
-    border = np.stack(np.divmod(keys[counts == 1], count), axis=1)
+    edges, counts = edge_counts(mesh.faces)
+    border = edges[counts == 1]
     if not len(border):
         return Holes(0.0, ())
-    labels = connected(border, count)[border[:, 0]]
+    labels = connected(border, len(mesh.vertices))[border[:, 0]]
     length = np.linalg.norm(mesh.vertices[border[:, 0]] - mesh.vertices[border[:, 1]], axis=1)
     loops = np.bincount(labels, weights=length)
     ordered = np.sort(loops[loops > 0])[::-1]

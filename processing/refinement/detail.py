@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from scipy import sparse
 
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import Mesh, edge_counts, vertex_normals
 from lightstage.rig import Camera
 from processing.displacement import curved_middles, heights_of_steps
 from processing.rays import MeshRays
@@ -75,7 +75,8 @@ def displaced(
     rays = MeshRays(vertices, triangles)
     normals = vertex_normals(vertices, triangles)
     coarse_mm = mean_mm = _mean_edge(vertices, triangles)
-    coarse, halfway = edges_of(triangles), []
+    coarse, _ = edge_counts(triangles)
+    halfway = []
     for _ in range(MOST_SPLITS):
         if mean_mm <= edge_mm:
             break
@@ -85,7 +86,7 @@ def displaced(
         normals = _unit(np.concatenate([normals, normals[ends].mean(axis=1)]))
         mean_mm /= 2
     told, known = normals_at(vertices, normals, rays, views, offset_mm)
-    edges = edges_of(triangles)
+    edges, _ = edge_counts(triangles)
     slopes = slopes_beyond(told, normals, known)
     slopes = small_part(slopes, known, halfway, coarse, below_mm / coarse_mm)
     slopes -= np.einsum("vk,vk->v", slopes, normals)[:, None] * normals
@@ -218,14 +219,6 @@ def heights(
     return heights_of_steps(len(vertices), used, step, weight)
 
 
-def edges_of(triangles: np.ndarray) -> np.ndarray:
-    """(e, 2) every edge of triangles once."""
-    ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    count = int(ends.max(initial=0)) + 1
-    keys = np.unique(ends[:, 0] * count + ends[:, 1])
-    return np.stack([keys // count, keys % count], axis=1)
-
-
 def _sampled(layer: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(n,) bilinear samples; 0 outside. OpenCV takes maps of less than 32768 a side."""
     out = np.zeros(len(x), np.float32)
@@ -238,7 +231,7 @@ def _sampled(layer: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _mean_edge(vertices: np.ndarray, triangles: np.ndarray) -> float:
-    ends = vertices[edges_of(triangles)]
+    ends = vertices[edge_counts(triangles)[0]]
     return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()) if len(ends) else 0.0
 
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from lightstage.formats.mesh import connected
+from lightstage.formats.mesh import connected, directed_edges
 from processing.registration.target import border_vertices
 
 
@@ -44,7 +44,7 @@ def coarsened(
     """
     count = len(vertices)
     cell = np.floor(vertices / cell_mm).astype(np.int64)
-    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    ends = directed_edges(triangles)
     alone = np.zeros(count, bool)
     alone[kept] = True
     same = (cell[ends[:, 0]] == cell[ends[:, 1]]).all(axis=1)

@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lightstage.formats.mesh import Mesh, connected, vertex_normals
+from lightstage.formats.mesh import Mesh, connected, directed_edges, vertex_normals
 from processing.errors import RegistrationError
 from processing.registration.rigid import Similarity, umeyama
 from processing.registration.target import Target
@@ -82,7 +82,7 @@ def spread(points: np.ndarray, count: int) -> np.ndarray:
 
 def _parts(triangles: np.ndarray, ears: np.ndarray) -> list[np.ndarray]:
     """Vertices of the region's two largest connected parts; isolated crumbs are no ear."""
-    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    ends = directed_edges(triangles)
     label = connected(ends[ears[ends].all(axis=1)], len(ears))
     size = np.bincount(label[ears], minlength=label.max() + 1)
     largest = np.argsort(-size, kind="stable")[:2]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import open3d
 
+from lightstage.formats.mesh import directed_edges
 from processing.registration.laplacian import neighbour_mean
 
 FOLD_COS = -0.5
@@ -47,7 +48,7 @@ def folded_triangles(rest: np.ndarray, vertices: np.ndarray, triangles: np.ndarr
 
 def edge_pairs(triangles: np.ndarray) -> np.ndarray:
     """(p, 2) pairs of triangles that share an edge (edges of exactly two triangles)."""
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
+    edges = np.sort(directed_edges(triangles), axis=1)
     key = edges[:, 0] * (int(triangles.max()) + 1) + edges[:, 1]
     order = np.argsort(key, kind="stable")
     _, first, times = np.unique(key[order], return_index=True, return_counts=True)

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-from lightstage.formats.mesh import connected
+from lightstage.formats.mesh import connected, directed_edges
 
 LARGEST_COTANGENT = 20.0
 
@@ -82,7 +82,7 @@ def tie_components(vertices: np.ndarray, triangles: np.ndarray, strength: float)
 
 def neighbour_mean(triangles: np.ndarray, count: int) -> sp.csr_matrix:
     """(n, n) matrix that averages each vertex's neighbours."""
-    ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    ends = directed_edges(triangles)
     both = np.concatenate([ends, ends[:, ::-1]])
     joined = sp.coo_matrix((np.ones(len(both)), both.T), shape=(count, count)).tocsr()
     joined.data[:] = 1

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import open3d
 
-from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.mesh import Mesh, edge_counts, vertex_normals
 from processing.rays import MeshRays
 from processing.registration.laplacian import neighbour_mean
 from processing.registration.sky import sky_share
@@ -99,10 +99,7 @@ class Target:
 
 def border_vertices(triangles: np.ndarray, count: int) -> np.ndarray:
     """(count,) bool: vertices on an edge that a single triangle has."""
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
-    unique, times = np.unique(edges[:, 0] * count + edges[:, 1], return_counts=True)
-    single = unique[times == 1]
+    edges, times = edge_counts(triangles)
     border = np.zeros(count, bool)
-    border[single // count] = True
-    border[single % count] = True
+    border[edges[times == 1]] = True
     return border

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lightstage.formats.mesh import Mesh, connected
+from lightstage.formats.mesh import Mesh, connected, directed_edges, edge_counts
 from sim.errors import SimError
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -214,7 +214,7 @@ def turned_edges(faces: np.ndarray) -> tuple[int, int]:
     Args:
         faces: (t, 3).
     """
-    directed = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    directed = directed_edges(faces)
     forward = directed[:, 0] < directed[:, 1]
     _, inverse, counts = np.unique(
         np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -249,8 +249,7 @@ def openings_mm(mesh: Mesh, up: np.ndarray) -> tuple[tuple[float, ...], float]:
         mesh: triangles, vertices merged.
         up: unit direction of the crown.
     """
-    directed = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    edges, counts = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    edges, counts = edge_counts(mesh.faces)
     border = edges[counts == 1]
     if not len(border):
         return (), 0.0

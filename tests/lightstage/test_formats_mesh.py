@@ -1,5 +1,7 @@
 """Meshes: topology and UV kept, damage refused, normals against known shapes."""
 
+import collections
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,8 @@ from lightstage.errors import FormatError
 from lightstage.formats.mesh import (
     Mesh,
     connected,
+    directed_edges,
+    edge_counts,
     read_mesh,
     read_obj,
     read_ply,
@@ -146,6 +150,28 @@ def test_an_obj_is_not_written_under_another_suffix(tmp_path):
     with pytest.raises(FormatError, match=r"found suffix '\.ply', expected \.obj"):
         write_obj(mesh, tmp_path / "mesh.ply")
     assert not list(tmp_path.iterdir())
+
+
+@given(
+    st.lists(st.tuples(*3 * [st.integers(0, 9)]), max_size=60),
+    st.sampled_from([1, 10**6]),
+    st.sampled_from([np.int32, np.int64]),
+)
+def test_every_edge_is_counted_once_for_each_triangle_that_has_it(faces, apart, kind):
+    triangles = (np.array(faces, np.int64).reshape(-1, 3) * apart).astype(kind)
+    expected = collections.Counter(
+        tuple(sorted((int(face[k]), int(face[(k + 1) % 3]))))
+        for face in triangles
+        for k in range(3)
+    )
+    edges, counts = edge_counts(triangles)
+    assert [tuple(edge) for edge in edges.tolist()] == sorted(expected)
+    assert counts.tolist() == [expected[edge] for edge in sorted(expected)]
+
+
+def test_edges_run_round_their_triangles():
+    found = directed_edges(np.array([[4, 7, 2], [7, 4, 9]], np.int32))
+    assert found.tolist() == [[4, 7], [7, 2], [2, 4], [7, 4], [4, 9], [9, 7]]
 
 
 @given(

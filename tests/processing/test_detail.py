@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightstage.formats.mesh import Mesh, read_ply, vertex_normals
+from lightstage.formats.mesh import Mesh, edge_counts, read_ply, vertex_normals
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import Camera, Rig, default_rig
 from processing.displacement import curved_middles
@@ -19,7 +19,6 @@ from processing.refinement.detail import (
     STEEPEST,
     NormalView,
     displaced,
-    edges_of,
     heights,
     slopes_beyond,
     small_part,
@@ -189,20 +188,10 @@ def test_heights_are_those_of_the_dense_twin(
     vertices = unit * (mesh.vertices + rng.normal(0, 0.1, mesh.vertices.shape))
     slopes = rng.normal(size=vertices.shape)
     known = rng.random(len(vertices)) < share
-    edges = edges_of(mesh.faces)
+    edges = edge_counts(mesh.faces)[0]
     found = heights(vertices, slopes, known, edges, weight)
     twin = dense_heights(vertices, slopes, known, edges, weight)
     np.testing.assert_allclose(found, twin, atol=2e-4 * max(float(np.abs(twin).max()), 1e-12))
-
-
-def test_every_edge_is_there_once() -> None:
-    mesh = sheet(4)
-    expected = {
-        tuple(sorted((int(f[k]), int(f[(k + 1) % 3])))) for f in mesh.faces for k in range(3)
-    }
-    found = [tuple(edge) for edge in edges_of(mesh.faces).tolist()]
-    assert len(found) == len(set(found))
-    assert set(found) == expected
 
 
 @given(st.lists(st.floats(-5, 5), min_size=3, max_size=3), st.booleans())
@@ -233,5 +222,5 @@ def test_what_is_the_same_everywhere_is_no_relief(splits: int) -> None:
     known = np.ones(count, bool)
     known[:40] = False
     slopes = np.where(known[:, None], [0.3, -0.2, 0.0], 0.0)
-    found = small_part(slopes, known, halfway, edges_of(mesh.faces), 4.0)
+    found = small_part(slopes, known, halfway, edge_counts(mesh.faces)[0], 4.0)
     assert np.abs(found).max() < 1e-9
