@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
+from processing.reconstruction.grow import JUMP_MM
+
 TOLERANCE = 1e-4
 """Of the solver's residual, relative to its start: points move by less than a tenth of a
 millimetre, so that is .01 micrometre."""
@@ -23,8 +25,6 @@ SHARE = 1 / 3
 """Of `bias_mm`: where normals are doubted, they are trusted in what is smaller than this alone."""
 USUAL = 2.0
 """Disagreement less than so many times the median is noise of the points, and no doubt."""
-JUMP_MM = 1.0
-"""Neighbours whose points miss the step that their normals give by more are not on one surface."""
 
 
 def with_relief(
