@@ -193,6 +193,8 @@ def _told(scene: pycolmap.Reconstruction) -> dict[str, Any]:
 def main() -> None:
     """Solve the job of the folder that is named."""
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    # Else each run leaves three files in the system's temporary folder.
+    pycolmap.logging.logtostderr = True
     folder = Path(sys.argv[1])
     result = solve(folder, int(sys.argv[2]))
     (folder / "result.json").write_text(json.dumps(result))

@@ -74,6 +74,8 @@ def find_matches(
     """Matches (first, second, (n, 2, 2) undistorted pixels) that fit one essential matrix."""
     pycolmap.set_random_seed(0)
     pycolmap.logging.minloglevel = pycolmap.logging.Level.WARNING.value
+    # Else it leaves files in the system's temporary folder.
+    pycolmap.logging.logtostderr = True
     total = len(pictures) + len(cameras) * (len(cameras) - 1) // 2
     points, descriptors = [], []
     for picture, mask, camera in zip(pictures, masks, cameras, strict=True):

@@ -51,7 +51,10 @@ def test_depths_come_back(workspace: Path) -> None:
         assert ((cost < 1) == (true > 0)).all()
 
 
-def test_colmaps_own_fusion_takes_them(workspace: Path, tmp_path: Path) -> None:
+def test_colmaps_own_fusion_takes_them(
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pycolmap.logging, "logtostderr", True)
     options = pycolmap.StereoFusionOptions()
     options.num_threads = 1
     options.min_num_pixels = 2
