@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
+from numba import njit
 
+from lightstage.formats.half import half_bits
 from lightstage.formats.processed import ProcessedFolder
 
 
@@ -46,10 +49,26 @@ def pasted(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
 
     What half floats cannot hold becomes infinite, and is refused when it is written.
     """
+    count, channels = int(np.count_nonzero(mask)), math.prod(values.shape[1:])
+    if len(values) != count:
+        raise ValueError(f"{len(values)} values for a mask of {count} pixels")
     image = np.zeros((*mask.shape, *values.shape[1:]), np.float16)
-    with np.errstate(over="ignore"):
-        image[mask] = values.astype(np.float16)
+    flat = np.ascontiguousarray(values, np.float32).reshape(count, channels)
+    bits = image.view(np.uint16).reshape(*mask.shape, channels)
+    _paste(np.ascontiguousarray(mask), flat, bits)
     return image
+
+
+@njit(cache=True, nogil=True)
+def _paste(mask: np.ndarray, values: np.ndarray, image: np.ndarray) -> None:
+    """Fill (h, w, c) half floats' bits with (n, c) values where the mask is true."""
+    place = 0
+    for row in range(mask.shape[0]):
+        for column in range(mask.shape[1]):
+            if mask[row, column]:
+                for c in range(values.shape[1]):
+                    image[row, column, c] = half_bits(values[place, c])
+                place += 1
 
 
 def write_maps(folder: ProcessedFolder, camera_id: str, mask: np.ndarray, maps: PixelMaps) -> None:

@@ -18,7 +18,8 @@ def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
 
     Args:
         path: target, ending in .exr.
-        image: (h, w), (h, w, 1) or (h, w, 3), any float; row 0 is the top of the picture.
+        image: (h, w), (h, w, 1) or (h, w, 3), any float; row 0 is the top of the picture. Half
+            floats are written as they are.
         half: 16-bit floats (eleven bits of precision, at most 65504); else 32-bit.
 
     Returns:
@@ -32,10 +33,7 @@ def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
         pixels = pixels[:, :, 0]
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)) or pixels.size == 0:
         raise FormatError(path, found=f"shape {pixels.shape}", expected="(h, w), (h, w, 1 or 3)")
-    with np.errstate(over="ignore"):
-        pixels = np.ascontiguousarray(pixels, np.float32)
-    if half:
-        pixels = _narrowed(pixels, path)
+    pixels = _narrowed(pixels, path) if half else _floats(pixels)
     channels = {"Y": pixels} if pixels.ndim == 2 else {"RGB": pixels}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic_path(path) as beside, OpenEXR.File(header, channels) as file:
@@ -94,10 +92,20 @@ def read_half_exr(path: Path) -> np.ndarray:
     return _narrowed(wide, path)
 
 
-def _narrowed(image: np.ndarray, where: Path) -> np.ndarray:
-    from lightstage.formats.half import half_from_float
+def _floats(image: np.ndarray) -> np.ndarray:
+    """The picture in float32, C-contiguous; what is too large becomes infinite."""
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(image, np.float32)
 
-    half, fits = half_from_float(image)
+
+def _narrowed(image: np.ndarray, where: Path) -> np.ndarray:
+    from lightstage.formats.half import half_from_float, has_infinity
+
+    if image.dtype == np.float16:
+        half = np.ascontiguousarray(image)
+        fits = not has_infinity(half)
+    else:
+        half, fits = half_from_float(_floats(image))
     if not fits:
         raise FormatError(where, found="values above 65504", expected="values that half can hold")
     return half

@@ -16,6 +16,8 @@ LARGEST = 65504.0
 """The largest finite half float."""
 _SPECIAL = 0x7C00
 """The exponent of infinities and NaN."""
+_SIZE = 0x7FFF
+"""All bits but the sign."""
 
 
 @intrinsic
@@ -90,6 +92,24 @@ def is_finite(half: np.ndarray) -> bool:
         half: float16 of any shape, C-contiguous.
     """
     return bool(_special(half.view(np.uint16).reshape(-1)) == 0)
+
+
+def has_infinity(half: np.ndarray) -> bool:
+    """Whether a value is infinite; NaN are not.
+
+    Args:
+        half: float16 of any shape, C-contiguous.
+    """
+    return bool(_infinite(half.view(np.uint16).reshape(-1)) > 0)
+
+
+@njit(cache=True, nogil=True)
+def _infinite(bits: np.ndarray) -> int:
+    """How many are infinite."""
+    infinite = 0
+    for i in range(len(bits)):
+        infinite += (bits[i] & _SIZE) == _SPECIAL
+    return infinite
 
 
 @njit(cache=True, nogil=True)

@@ -23,9 +23,9 @@ from processing.atlas.geometry import Geometry
 from processing.atlas.sampling import room, side_by_side
 from processing.atlas.seen import Seen
 from processing.atlas.weights import Sampler, Texels, ViewSamples
+from processing.closest import ClosestPoints
 from processing.errors import AtlasError
 from processing.parallel import Behind, over_views
-from processing.registration.target import Target
 
 BLENDED = (
     "diffuse_albedo",
@@ -251,7 +251,8 @@ def _cameras(session: Session, folder: ProcessedFolder, config: AtlasConfig) -> 
 
 def _trust(folder: ProcessedFolder, shape: Geometry, config: AtlasConfig) -> np.ndarray:
     """(n, 1) per vertex: 1 on the scan, falling to 0 at the largest gap."""
-    gap = Target(read_ply(folder.base_mesh)).closest(shape.vertices).distance_mm
+    scan = read_ply(folder.base_mesh)
+    gap = ClosestPoints(scan.vertices, scan.triangles()).query(shape.vertices).distance_mm
     ratio: np.ndarray = np.clip(gap / config.largest_gap_mm, 0, 1)
     return (1 - ratio**2)[:, None]
 

@@ -46,7 +46,7 @@ def write_refined(
         """Write one map; the sum of the coarse values that it keeps."""
         image, kept = pasted(mask, getattr(maps, field)), 0.0
         if any_hole:
-            coarse = folder.read_view(camera_id, name)[holes]
+            coarse = folder.read_half_view(camera_id, name)[holes].astype(np.float32)
             if field == "confidence":
                 coarse *= np.float32(share)
             image[holes] = coarse

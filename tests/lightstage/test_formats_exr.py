@@ -49,11 +49,22 @@ def test_other_shapes_are_refused(tmp_path, shape):
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("value", [65536.0, -1e6, np.inf])
+@pytest.mark.parametrize("value", [65536.0, -1e6, np.inf, np.float16(-np.inf)])
 def test_values_beyond_half_are_refused(tmp_path, value):
     with pytest.raises(FormatError, match="65504"):
         write_exr(tmp_path / "a.exr", np.full((2, 2), value))
     assert os.listdir(tmp_path) == []
+
+
+def test_half_floats_are_written_as_they_are(tmp_path):
+    every = np.arange(1 << 16, dtype=np.uint16)
+    known = every[(every & 0x7FFF) <= 0x7BFF]
+    image = known.view(np.float16).reshape(-1, 31)
+    for same in (image, image.astype(np.float32), image[::-1][::-1]):
+        path = write_exr(tmp_path / "a.exr", same)
+        assert np.array_equal(read_half_exr(path).view(np.uint16).ravel(), known)
+    wide = write_exr(tmp_path / "wide.exr", image, half=False)
+    assert np.array_equal(read_exr(wide), image.astype(np.float32))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
