@@ -6,6 +6,7 @@ import cv2
 import numba
 import numpy as np
 
+from lightstage.formats.half import half_bits
 from processing.atlas.raster import Raster
 
 FILL_WEIGHT = 0.02
@@ -47,8 +48,9 @@ def picture(
     texels: np.ndarray,
     gutter: tuple[np.ndarray, np.ndarray],
     outside: float,
+    half: bool,
 ) -> np.ndarray:
-    """Texels' values as a picture.
+    """Texels' values as a picture; what half floats cannot hold becomes infinite.
 
     Args:
         values: (k,) or (k, c).
@@ -56,14 +58,20 @@ def picture(
         texels: (k,) flat indices.
         gutter: flat indices of the gutter's texels and of those they copy.
         outside: value of all others.
+        half: in half floats.
 
     Returns:
-        (rows, columns, c) float32.
+        (rows, columns, c) float16 or float32.
     """
-    flat = values.reshape(len(values), -1)
-    image = np.full((shape[0] * shape[1], flat.shape[1]), outside, np.float32)
-    _place(flat, texels, image)
-    _copy(gutter[0], gutter[1], image)
+    flat = np.asarray(values.reshape(len(values), -1), np.float32)
+    kind = np.float16 if half else np.float32
+    image = np.full((shape[0] * shape[1], flat.shape[1]), outside, kind)
+    if half:
+        _place_half(flat, texels, image.view(np.uint16))
+        _copy(gutter[0], gutter[1], image.view(np.uint16))
+    else:
+        _place(flat, texels, image)
+        _copy(gutter[0], gutter[1], image)
     return image.reshape(*shape, -1)
 
 
@@ -147,6 +155,13 @@ def _place(values: np.ndarray, texels: np.ndarray, image: np.ndarray) -> None:
     for k in numba.prange(len(texels)):
         for c in range(values.shape[1]):
             image[texels[k], c] = values[k, c]
+
+
+@numba.njit(cache=True, parallel=True)
+def _place_half(values: np.ndarray, texels: np.ndarray, image: np.ndarray) -> None:
+    for k in numba.prange(len(texels)):
+        for c in range(values.shape[1]):
+            image[texels[k], c] = half_bits(values[k, c])
 
 
 @numba.njit(cache=True, parallel=True)

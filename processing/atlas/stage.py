@@ -149,7 +149,8 @@ def atlas(
 
         def write(name: str, values: np.ndarray) -> None:
             outside = -1.0 if name == "view" else 0.0
-            behind.do(folder.write_atlas, name, picture(values, size, flat, gutter, outside))
+            image = picture(values, size, flat, gutter, outside, MAPS[name].half)
+            behind.do(folder.write_atlas, name, image)
 
         write("position", texels.positions)
         write("view", seen.heaviest)

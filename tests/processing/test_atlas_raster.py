@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from processing.atlas.fill import MeshFill, mirrored_vertices
-from processing.atlas.finish import gutter_sources
+from processing.atlas.finish import gutter_sources, picture
 from processing.atlas.raster import overlap_share, rasterise, texel_size_mm
 from tests.processing.shapes import ellipsoid
 
@@ -130,6 +130,27 @@ def test_gutter_copies_the_nearest_texel_and_ends():
 @pytest.mark.parametrize("covered", [np.ones((6, 4), bool), np.zeros((6, 4), bool)])
 def test_no_gutter_where_all_or_nothing_is_covered(covered):
     assert len(gutter_sources(covered, 16)[0]) == 0
+
+
+@pytest.mark.parametrize("channels", [(), (1,), (3,)])
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int16])
+def test_a_picture_holds_its_texels_and_the_gutter_in_floats_of_either_size(channels, kind):
+    rng = np.random.default_rng(4)
+    covered = rng.uniform(size=(9, 7)) < 0.3
+    texels = rng.permutation(np.flatnonzero(covered)).astype(np.int32)
+    values = (100 * rng.normal(size=(len(texels), *channels))).astype(kind)
+    if kind != np.int16:
+        values.flat[:2] = 1e6, np.nan
+    gutter = gutter_sources(covered, 2)
+    right = np.full((63, *channels), -1, np.float32)
+    right[texels] = values
+    right[gutter[0]] = right[gutter[1]]
+    right = right.reshape(9, 7, -1)
+    with np.errstate(over="ignore"):
+        for half, exact in ((False, right), (True, right.astype(np.float16))):
+            found = picture(values, (9, 7), texels, gutter, -1.0, half)
+            assert found.dtype == exact.dtype
+            assert np.array_equal(found, exact, equal_nan=True)
 
 
 def test_unseen_parts_continue_what_was_seen_across_the_seam():
