@@ -4,6 +4,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
+# Errors alone: pip warns of every package that one of a machine's own indexes does not have.
+INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-cache-dir
 # Waiting threads sleep instead of spinning: two test workers share the cores.
 export OMP_WAIT_POLICY := PASSIVE
 # Every step and many tests start a process: they need not compile this code again.
@@ -32,9 +34,10 @@ setup: $(READY) ## system packages and the virtual environment, pinned
 $(READY): requirements.lock pyproject.toml scripts/system-packages
 	PYTHON=$(PYTHON) scripts/system-packages
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --requirement requirements.lock
-	$(BIN)/python -m pip install --quiet --no-deps --editable .
+	$(INSTALL) --upgrade pip
+	@[ -e $(READY) ] || scripts/disk-space $(VENV)
+	$(INSTALL) --requirement requirements.lock
+	$(INSTALL) --no-deps --editable .
 	touch $(READY)
 
 lock: $(READY) ## resolve pyproject.toml again into requirements.lock
