@@ -1,7 +1,7 @@
 """The mesh displaced by specular normals, against a person whose relief is known to the micrometre.
 
-Run `python -m benchmarks.geometry_detail` (people of the reflectance benchmarks; the session is
-reconstructed and refined first where that is missing). Truth: the smooth head plus the height of
+Run `python -m benchmarks.geometry_detail` (people of the reflectance benchmarks; their
+sessions are reconstructed and refined first). Truth: the smooth head plus the height of
 its relief along its normals, texel by texel, where some camera sees skin. Position is asked in
 whole, and in the fine: less its mean within 3 mm, which is what pores and wrinkles are.
 """
@@ -9,6 +9,7 @@ whole, and in the fine: less its mean within 3 mm, which is what pores and wrink
 from __future__ import annotations
 
 import argparse
+import tempfile
 import time
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
 from processing import pipeline
 from processing.refinement.config import RefineConfig
-from processing.refinement.detail import displaced
+from processing.refinement.detail import NormalView, displaced
 from processing.refinement.stage import read_normals
 from sim.head.maps import to_window
 from sim.people.person import person_skin
@@ -131,21 +132,20 @@ class Truth:
         return np.asarray(out[np.abs(out) < 0.5])
 
 
-def processed(name: str) -> tuple[Path, Path]:
-    """A person's session, and its folder with mesh and refined maps."""
-    path, out = session(person(name)), folder() / f"detail-out-{name}"
-    config = pipeline.read_config(None)
-    pipeline.run(path, out, default_template_path(), config, until="refine")
-    return path, out
+def processed(name: str) -> tuple[Mesh, list[NormalView]]:
+    """A person's mesh, and the specular normals that `refine` found on it."""
+    path, config = session(person(name)), pipeline.read_config(None)
+    with tempfile.TemporaryDirectory() as place:
+        out = ProcessedFolder(Path(place))
+        pipeline.run(path, out.root, default_template_path(), config, until="refine")
+        return read_ply(out.base_mesh), read_normals(out, load_session(path).rig, 0.0)
 
 
 def rows_of(name: str, sizes: list[tuple[float, float]]) -> list[Row]:
     """The mesh as it is, and displaced."""
-    path, out = processed(name)
+    mesh, views = processed(name)
     truth = Truth(name)
-    mesh = read_ply(ProcessedFolder(out).base_mesh)
     truth.ask_near(mesh)
-    views = read_normals(ProcessedFolder(out), load_session(path).rig, 0.0)
     rows: list[Row] = [(name, "as it is", len(mesh.vertices), *truth.score(mesh), "")]
     print(*rows[-1], f"true relief {truth.fine_um():.1f} um", flush=True)
     for edge_mm, below_mm in sizes:
