@@ -38,7 +38,7 @@ def import_command(
     ),
     out: Path = typer.Option(..., "--out", help="The session's folder, new."),
     subject: str = typer.Option("subject-1", help="Pseudonym of the person."),
-    expression: str = typer.Option("neutral"),
+    expression: str = typer.Option("neutral", help="What the face does."),
     colour: Path | None = typer.Option(
         None, help="A calibration folder, or a colour calibration alone."
     ),
