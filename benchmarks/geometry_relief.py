@@ -101,12 +101,11 @@ def peer_best(
 
 def ours(noisy: np.ndarray, normals: np.ndarray, relief_mm: float) -> tuple[np.ndarray, float]:
     """Our points and processor seconds."""
-    config = ReconstructConfig()
+    config = ReconstructConfig(relief_mm=relief_mm)
     start = time.process_time()
     slopes = plane_slopes(normals.astype(np.float32), LENS, POSE)
     known = np.ones(SHAPE, bool)
-    scales = relief_mm, config.bias_mm, config.doubt_deg
-    moved, _ = with_relief(noisy.astype(np.float32), slopes, known, LENS, POSE, *scales)
+    moved, _ = with_relief(noisy.astype(np.float32), slopes, known, LENS, POSE, config)
     return moved.astype(float), time.process_time() - start
 
 

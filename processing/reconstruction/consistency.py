@@ -258,6 +258,5 @@ def _relief(
     """A view's points and normals together; points without a photometric normal as they were."""
     lens, pose, guide = level.lenses[index], level.poses[index], level.normals[index]
     known = np.einsum("hwk,hwk->hw", guide, guide) > 0.5
-    scales = config.relief_mm, config.bias_mm, config.doubt_deg
-    moved, mended = with_relief(points, slopes, known, lens, pose, *scales)
+    moved, mended = with_relief(points, slopes, known, lens, pose, config)
     return moved, np.where(np.isnan(mended), normals, mended)

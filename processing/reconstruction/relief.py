@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
+from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.grow import JUMP_MM
 
 TOLERANCE = 1e-4
@@ -33,9 +34,7 @@ def with_relief(
     known: np.ndarray,
     lens: np.ndarray,
     pose: np.ndarray,
-    relief_mm: float,
-    bias_mm: float,
-    doubt_deg: float,
+    config: ReconstructConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move a view's points along their rays so that they follow the normals in the small.
 
@@ -45,10 +44,7 @@ def with_relief(
         known: (h, w) bool, where there is a normal.
         lens: (4,) fx, fy, cx, cy.
         pose: (3, 4) cam_from_world.
-        relief_mm: shapes smaller than this come from the normals, larger ones from the points.
-        bias_mm: normals are trusted in what is smaller than this alone, and in what is a third of
-            it where they are doubted.
-        doubt_deg: disagreement with the points between these two scales that is half a doubt.
+        config: its `relief_mm`, `bias_mm` and `doubt_deg`.
 
     Returns:
         Points (h, w, 3) float32, NaN where there was none, and (h, w, 3) float32 unit normals,
@@ -59,10 +55,9 @@ def with_relief(
     box = _box(np.isfinite(points[..., 0]))
     if box is not None:
         shifted = lens - [0, 0, box[1].start, box[0].start]
-        inside = _in_box(
-            points[box], slopes[box], known[box], shifted, pose, relief_mm, bias_mm, doubt_deg
+        moved[box], normals[box] = _in_box(
+            points[box], slopes[box], known[box], shifted, pose, config
         )
-        moved[box], normals[box] = inside
     return moved, normals
 
 
@@ -72,9 +67,7 @@ def _in_box(
     known: np.ndarray,
     lens: np.ndarray,
     pose: np.ndarray,
-    relief_mm: float,
-    bias_mm: float,
-    doubt_deg: float,
+    config: ReconstructConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
     """As `with_relief`, of a part of the picture that holds points."""
     depth = points.astype(float) @ pose[2, :3] + pose[2, 3]
@@ -91,13 +84,13 @@ def _in_box(
         both &= np.abs(np.diff(z, axis=axis) - step) * middle < JUMP_MM
         steps.append(step)
         links.append(both)
-    sigma_px = bias_mm / pixel_mm
+    sigma_px = config.bias_mm / pixel_mm
     excess = [np.diff(z, axis=1 - k) - steps[k] for k in range(2)]
     # (h, w) slopes that the points have beyond the normals' own, in the large.
-    doubt = np.tan(np.radians(doubt_deg)) * pixel_mm / middle
+    doubt = np.tan(np.radians(config.doubt_deg)) * pixel_mm / middle
     beyond = [_beyond(excess[k], links[k], sigma_px, doubt) for k in range(2)]
     misses = [excess[k] - beyond[k] for k in range(2)]
-    shift = solve(misses, links, valid, (pixel_mm / relief_mm) ** 2)
+    shift = solve(misses, links, valid, (pixel_mm / config.relief_mm) ** 2)
     centre = -pose[:, :3].T @ pose[:, 3]
     moved[valid] = (centre + (points - centre) * np.exp(-shift)[..., None])[valid]
     turned = [slopes[..., k] + at_pixels(beyond[k], 1 - k) for k in range(2)]

@@ -71,7 +71,7 @@ def settled(
     cells = _in_cells(vertices, positions, normals, math.hypot(REACH, OFF) * sigma_mm)
     for _ in range(rounds):
         own = np.ascontiguousarray(vertex_normals(vertices, mesh.faces), np.float64)
-        total, shift = _sums(vertices, own, *cells, sigma_mm)[:, :2].T
+        total, shift = _sums(vertices, own, cells, sigma_mm)[:, :2].T
         some = total > LEAST
         height = np.divide(shift, total, out=np.zeros_like(shift), where=some)
         vertices = vertices + height[:, None] * own
@@ -95,7 +95,7 @@ def facing(
     vertices = np.ascontiguousarray(mesh.vertices, np.float64)
     own = np.ascontiguousarray(vertex_normals(vertices, mesh.faces), np.float64)
     cells = _in_cells(vertices, positions, normals, math.hypot(REACH, OFF) * sigma_mm)
-    sums = _sums(vertices, own, *cells, sigma_mm)
+    sums = _sums(vertices, own, cells, sigma_mm)
     total, mean = sums[:, 0], sums[:, 2:]
     length = np.linalg.norm(mean, axis=1)
     known = (total > LEAST) & (length > SHORT * total)
@@ -129,20 +129,11 @@ def _in_cells(
 
 
 @njit(cache=True, parallel=True)
-def _sums(
-    vertices: np.ndarray,
-    own: np.ndarray,
-    points: np.ndarray,
-    facing: np.ndarray,
-    starts: np.ndarray,
-    origin: np.ndarray,
-    size: float,
-    shape: np.ndarray,
-    sigma: float,
-) -> np.ndarray:
+def _sums(vertices: np.ndarray, own: np.ndarray, cells: Cells, sigma: float) -> np.ndarray:
     """(v, 5) sums over the points around each vertex: of weights, of weighted heights along its
-    normal, of weighted normals; points sorted by cells of `size`, `starts` of each cell.
+    normal, of weighted normals.
     """
+    points, facing, starts, origin, size, shape = cells
     out = np.empty((len(vertices), 5))
     for v in prange(len(vertices)):
         p, n = vertices[v], own[v]

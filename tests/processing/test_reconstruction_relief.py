@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.relief import low_pass, normals_of, solve, with_relief
 from processing.reconstruction.views import plane_slopes
 
@@ -56,9 +57,8 @@ def relief(
 ) -> tuple[np.ndarray, np.ndarray]:
     known = np.linalg.norm(normals, axis=-1) > 0.5
     slopes = plane_slopes(normals.astype(np.float32), LENS, POSE)
-    return with_relief(
-        points.astype(np.float32), slopes, known, LENS, POSE, 2.0, bias_mm, doubt_deg
-    )
+    config = ReconstructConfig(relief_mm=2.0, bias_mm=bias_mm, doubt_deg=doubt_deg)
+    return with_relief(points.astype(np.float32), slopes, known, LENS, POSE, config)
 
 
 @pytest.mark.parametrize("bias_deg", [0.0, 3.0])
