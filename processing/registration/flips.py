@@ -10,6 +10,8 @@ from processing.registration.laplacian import neighbour_mean
 
 FOLD_COS = -0.5
 """Neighbours whose normals are more than 120 degrees apart make a fold."""
+FEATHER = (0.3, 0.1)
+"""What the first ring of vertices around a fault takes of its mending, and the second."""
 
 
 def folded_triangles(rest: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -64,6 +66,15 @@ def grown(chosen: np.ndarray, triangles: np.ndarray, rings: int) -> np.ndarray:
     return out
 
 
+def feathered(chosen: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(n,) float: 1 at chosen vertices, and the shares of `FEATHER` at the rings around them."""
+    share = chosen.astype(float)
+    for less in FEATHER:
+        ring = grown(share > 0, triangles, 1) & (share == 0)
+        share[ring] = less
+    return share
+
+
 def crossing_triangles(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Triangles that an edge of the mesh pierces, edges that share a vertex with them aside.
 
@@ -103,7 +114,8 @@ def mend(
     """Smooth the places where a deformation folded the mesh or made it cross itself.
 
     Each round moves the faulty triangles' vertices, and rings of neighbours that grow with the
-    rounds, toward the mean of their neighbours: a Tutte-like embedding, which has no folds.
+    rounds, toward the mean of their neighbours: a Tutte-like embedding, which has no folds. The
+    vertices around follow less and less, or what was smoothed would end in a step.
 
     Args:
         rest: (n, 3) the undeformed mesh.
@@ -129,9 +141,9 @@ def mend(
             break
         seeds = np.zeros(len(rest), bool)
         seeds[triangles[trial_faulty]] = True
-        patch = grown(seeds, triangles, turn // 3)[:, None]
+        share = feathered(grown(seeds, triangles, turn // 3), triangles)[:, None]
         for _ in range(10):
-            trial = np.where(patch, 0.5 * (trial + mean @ trial), trial)
+            trial = trial + 0.5 * share * (mean @ trial - trial)
         trial_faulty = faults(trial)
         if trial_faulty.sum() < faulty.sum():
             vertices, faulty = trial, trial_faulty
