@@ -1,6 +1,7 @@
 """Light sets and the common scale: a white diffuser at the origin under `full` reads 1."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,15 @@ def read_of_white(lights, normal, at=(0, 0, 0)):
         cosine = max(0.0, float(np.dot(normal, away / distance)))
         total += rgb * cosine * (np.linalg.norm(place) / distance) ** 2
     return total
+
+
+def test_the_manual_s_light_set_is_one(tmp_path):
+    manual = Path(__file__).resolve().parents[2] / "docs" / "renderer.md"
+    path = tmp_path / "key.json"
+    path.write_text(manual.read_text().split("```json\n")[1].split("```")[0])
+    lights = read_lights(path)
+    assert (lights.name, len(lights.rgb)) == ("key", 2)
+    assert np.allclose(read_of_white(lights, [0, 0, 1])[0] + lights.ambient_rgb[0], 0.76, atol=0.01)
 
 
 def test_white_at_the_origin_under_full_reads_one():
