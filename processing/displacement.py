@@ -1,12 +1,10 @@
-"""Meshes that are split and displaced: middles without facets, and heights from their steps."""
+"""Split meshes displaced: middles without facets, and heights from their steps."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import cg
-
-from lightstage.formats.mesh import Mesh
 
 TOLERANCE, MOST_STEPS = 1e-7, 400
 """Of the conjugate gradients: share of the first residual that may be left, and steps."""
@@ -22,30 +20,6 @@ def curved_middles(vertices: np.ndarray, normals: np.ndarray, ends: np.ndarray) 
     rise = np.einsum("mk,mk->m", along, second)[:, None] * second
     rise -= np.einsum("mk,mk->m", along, first)[:, None] * first
     return np.asarray(vertices[ends].mean(axis=1) + rise / 8)
-
-
-def unsplit(mesh: Mesh, least: int = 1) -> Mesh:
-    """The mesh before it was split (`surface.split`); as it is where it never was.
-
-    Args:
-        mesh: triangles, in the order in which `surface.split` leaves them.
-        least: triangles that are left, at least.
-    """
-    triangles = mesh.triangles()
-    while len(triangles) % 4 == 0 and len(triangles) >= 4 * least:
-        corner, second, third, between = triangles.reshape(-1, 4, 3).transpose(1, 0, 2)
-        coarse = np.stack([corner[:, 0], second[:, 1], third[:, 2]], axis=1)
-        count = int(coarse.max()) + 1
-        ab, bc, ca = between.T
-        middles = [corner[:, 1:] == np.stack([ab, ca], axis=1)]
-        middles += [second[:, [0, 2]] == np.stack([ab, bc], axis=1)]
-        middles += [third[:, :2] == np.stack([ca, bc], axis=1), between >= count]
-        if not all(same.all() for same in middles):
-            break
-        triangles = coarse
-    if len(triangles) == len(mesh.triangles()):
-        return mesh
-    return Mesh(mesh.vertices[: int(triangles.max()) + 1], np.ascontiguousarray(triangles))
 
 
 def heights_of_steps(

@@ -7,15 +7,14 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import open3d
 from scipy import sparse
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh, directed_edges, vertex_normals
 from lightstage.rig import Camera
-from processing.displacement import unsplit
 from processing.lighting.lights import PatternLights, Shadows
 from processing.rays import MeshRays
+from processing.splitting import in_part, split, thinned
 
 MOST_ROUNDS = 100
 MOST_SPLITS = 4
@@ -177,36 +176,6 @@ def lit_surface(
     )
 
 
-def split(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split every triangle into four at the middles of its edges.
-
-    Args:
-        triangles: (t, 3) of `count` vertices.
-        count: vertices that there are.
-
-    Returns:
-        (4 t, 3) triangles: at the first, second and third corner, and the one between; and (m, 2)
-        the vertices in whose middle the new vertices count, count + 1 .. lie.
-    """
-    ends = directed_edges(triangles)
-    keys, index = np.unique(ends.min(axis=1) * count + ends.max(axis=1), return_inverse=True)
-    ab, bc, ca = (count + index.reshape(-1, 3)).T
-    a, b, c = triangles.T
-    parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-    children = np.array(parts).transpose(2, 0, 1).reshape(-1, 3)
-    return children, np.stack([keys // count, keys % count], axis=1)
-
-
-def _in_part(face: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which part of a split triangle a place lies in, and its barycentric weights there."""
-    largest = weights.argmax(axis=1)
-    corner = np.take_along_axis(weights, largest[:, None], axis=1)[:, 0] >= 0.5
-    inner = 1 - 2 * weights[:, [2, 0, 1]]
-    outer = 2 * weights
-    outer[np.arange(len(face)), largest] -= 1
-    return 4 * face + np.where(corner, largest, 3), np.where(corner[:, None], outer, inner)
-
-
 def _faces_seen(
     rays: MeshRays,
     triangles: np.ndarray,
@@ -280,7 +249,7 @@ def _see_pixels(
     distance_mm, directions = hits.distance_mm[found], directions[found]
     face, weights = hits.face[found].astype(np.int64), hits.barycentric[found].astype(np.float64)
     for _ in range(surface.splits):
-        face, weights = _in_part(face, weights)
+        face, weights = in_part(face, weights)
     weights = np.ascontiguousarray(weights, np.float32)
     corners = np.ascontiguousarray(surface.triangles[face], np.int32)
     at_vertices = np.column_stack([surface.normals, surface.occlusion]).astype(np.float32)
@@ -322,22 +291,6 @@ def at_vertices_to(values: np.ndarray, corners: np.ndarray, weights: np.ndarray)
 
 def _like(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     return weights.reshape(-1, *[1] * (values.ndim - 1))
-
-
-def thinned(mesh: Mesh, most_faces: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of a mesh, thinned by quadric edge collapse where it has too many.
-
-    Source: [Garland1997].
-    """
-    # To collapse the edges of a mesh that was split takes ten times as long as of what it was.
-    mesh = unsplit(mesh, most_faces)
-    triangles = mesh.triangles()
-    if len(triangles) <= most_faces:
-        return mesh.vertices, triangles
-    shape = open3d.geometry.TriangleMesh(
-        open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(triangles)
-    ).simplify_quadric_decimation(most_faces)
-    return np.asarray(shape.vertices), np.asarray(shape.triangles, np.int32)
 
 
 def depth_edges(depth_mm: np.ndarray, step_mm: float) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from lightstage.formats.mesh import Mesh, directed_edges, vertex_normals
 from processing.displacement import curved_middles, heights_of_steps
 from processing.reconstruction.settle import facing, settled
-from processing.surface import split
+from processing.splitting import split
 
 FACING = 0.75
 """Sigma of the mean of normals, beside that of positions: they are the less noisy."""

@@ -19,7 +19,7 @@ from lightstage.formats.mesh import Mesh, edge_counts, vertex_normals
 from lightstage.rig import Camera
 from processing.displacement import curved_middles, heights_of_steps
 from processing.rays import MeshRays
-from processing.surface import split
+from processing.splitting import split
 
 MOST_SPLITS = 4
 LEAST_COSINE = 0.25

@@ -15,7 +15,6 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.formats.template import Template
 from processing.colour import srgb_from_linear
-from processing.displacement import unsplit
 from processing.errors import RegistrationError
 from processing.rays import MeshRays
 from processing.registration.ears import EarConfig, ear_guides
@@ -29,6 +28,7 @@ from processing.registration.rigid import Similarity, robust_umeyama
 from processing.registration.sky import sky_share
 from processing.registration.start import first_pose, require_surface
 from processing.registration.target import Target
+from processing.splitting import unsplit
 
 ENOUGH_FACES = 100_000
 """A mesh that was split for its finest relief is taken as it was before, where it had so many."""

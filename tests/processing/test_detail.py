@@ -24,7 +24,7 @@ from processing.refinement.detail import (
     small_part,
 )
 from processing.refinement.stage import write_detailed
-from processing.surface import split
+from processing.splitting import split
 
 CELL_MM = 1.5
 WAVE_MM, HEIGHT_MM = 2.0, 0.05

@@ -4,9 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh, vertex_normals
-from processing.displacement import heights_of_steps, unsplit
+from processing.displacement import heights_of_steps
 from processing.reconstruction.finer import LINKS, SMALL, STEEPEST, finer, lifted
 from processing.reconstruction.settle import settled
+from processing.splitting import unsplit
 
 SPLITS, SIGMA_MM, RELIEF_MM = 1, 0.4, 3.0
 

@@ -8,18 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh
-from processing.displacement import unsplit
+from processing.splitting import in_part, split, thinned, unsplit
 from processing.surface import (
     LitSurface,
-    _in_part,
     at_vertices_to,
     averaging_rounds,
     depth_edges,
     fibonacci_sphere,
     lit_surface,
     see,
-    split,
-    thinned,
 )
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
@@ -90,7 +87,7 @@ def test_places_in_parts_are_the_same_points(seed: int, times: int) -> None:
     for _ in range(times):
         parts, edges = split(parts, len(finer))
         finer = np.concatenate([finer, (finer[edges[:, 0]] + finer[edges[:, 1]]) / 2])
-        face, weights = _in_part(face, weights)
+        face, weights = in_part(face, weights)
     assert (weights > -1e-9).all()
     np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-9)
     found = np.einsum("nck,nc->nk", finer[parts[face]], weights)
