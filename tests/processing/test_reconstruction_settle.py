@@ -17,6 +17,13 @@ from processing.reconstruction.settle import (
 )
 
 RADIUS_MM = 20.0
+SCENES = given(
+    seed=st.integers(0, 10**6),
+    sigma=st.floats(0.2, 2.0),
+    shift=st.sampled_from([0.0, 1e5]),
+    bad=st.sampled_from([np.nan, np.inf, -np.inf, 1e12]),
+)
+"""Points drawn, how far they are averaged, how far from the origin, and what bad ones are."""
 
 
 def cap(step_mm: float, radius_mm: float = RADIUS_MM) -> Mesh:
@@ -78,12 +85,7 @@ def test_noise_of_points_is_averaged() -> None:
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    seed=st.integers(0, 10**6),
-    sigma=st.floats(0.2, 2.0),
-    shift=st.sampled_from([0.0, 1e5]),
-    bad=st.sampled_from([np.nan, np.inf, -np.inf, 1e12]),
-)
+@SCENES
 def test_it_is_its_plain_twin(seed: int, sigma: float, shift: float, bad: float) -> None:
     rng = np.random.default_rng(seed)
     mesh = cap(4.0)
@@ -118,12 +120,7 @@ def plain_facing(
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    seed=st.integers(0, 10**6),
-    sigma=st.floats(0.2, 2.0),
-    shift=st.sampled_from([0.0, 1e5]),
-    bad=st.sampled_from([np.nan, np.inf, -np.inf, 1e12]),
-)
+@SCENES
 def test_what_points_face_is_its_plain_twin(
     seed: int, sigma: float, shift: float, bad: float
 ) -> None:
