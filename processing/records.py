@@ -76,9 +76,17 @@ def code_version() -> str:
 
 def versions() -> dict[str, str]:
     """Versions of this project, its code's hash, Python and the libraries that shape results."""
-    found = {name: metadata.version(name) for name in REPORTED}
+    found = {name: _installed(name) for name in REPORTED}
     own = {"lightstage": metadata.version("lightstage"), "code": code_version()[:12]}
     return {**own, "python": platform.python_version(), **found}
+
+
+def _installed(name: str) -> str:
+    """Version of a library, under its own name or that of its build without CUDA."""
+    try:
+        return metadata.version(f"{name}-cpu")
+    except metadata.PackageNotFoundError:
+        return metadata.version(name)
 
 
 def files_in(out: Path) -> dict[str, tuple[int, int]]:
