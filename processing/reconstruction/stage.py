@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,8 +80,14 @@ def reconstruct(
         PoseError: cameras that do not stand where the rig says.
         ReconstructionError: views that do not see one surface.
     """
-    poses = check_session_poses(session, out, config)
-    views, lights = read_views(session, out, config)
+    with ThreadPoolExecutor(1) as pool:
+        # Features are looked for by one core: the other one makes the views meanwhile.
+        checked = pool.submit(check_session_poses, session, out, config)
+        try:
+            views, lights = read_views(session, out, config)
+        finally:
+            # Cameras that stand elsewhere are named first, whatever else is wrong.
+            poses = checked.result()
     mesh, holes, facts, shown = reconstruct_views(views, config, progress, lights)
     write_pictures(out, [view.camera.id for view in views], shown, mesh)
     write_ply(mesh, ProcessedFolder(out).base_mesh)
