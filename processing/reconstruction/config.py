@@ -23,6 +23,8 @@ class ReconstructConfig:
         source_views: each view is matched with this many others.
         min_angle_deg, max_angle_deg: between the directions of two views that are matched.
         patch_radius_px, patch_stride_px: a patch has (2 radius / stride + 1)^2 samples.
+        finest_patch_radius_px: `patch_radius_px` at the finest level that is searched: the coarser
+            ones have told where the surface is, and narrow patches end nearer to its edges.
         min_cosine: a view that sees a plane under a smaller cosine does not judge it,
         graze_cosine: unless no view sees it better, and this one under more than this.
         contrast_floor: share of the radiance below which contrast is noise.
@@ -70,6 +72,7 @@ class ReconstructConfig:
     min_angle_deg: float = 8.0
     max_angle_deg: float = 50.0
     patch_radius_px: int = 2
+    finest_patch_radius_px: int = 1
     patch_stride_px: int = 1
     min_cosine: float = 0.2
     graze_cosine: float = 0.05

@@ -6,6 +6,7 @@ window is bent, and only the depth is sought.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -133,12 +134,16 @@ def match_views(
     for number, level in enumerate(levels):
         shape = level.masks.shape[1:]
         coarser, depths, costs = depths, [], []
+        radius = config.patch_radius_px
+        if 0 < number == len(levels) - 1:
+            radius = config.finest_patch_radius_px
+        patches = dataclasses.replace(config, patch_radius_px=radius)
         for index in range(len(views)):
             depth = np.zeros(shape, np.float32)
             cost = np.full(shape, NO_MATCH, np.float32)
             still = np.zeros(shape, bool)
             if len(sources[index]):
-                stereo = make_stereo(level, index, sources[index], config)
+                stereo = make_stereo(level, index, sources[index], patches)
                 if number == 0:
                     _start(level, stereo, focus, config, depth, cost)
                 else:

@@ -23,7 +23,7 @@ Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
 """A level, and of each view inverse depth and cost, as of `match_views`."""
 
 
-WIDER = 2.0
+WIDER = 4.0
 """The first mesh reaches so much farther from its points: the second look tells what is true."""
 
 TRIM_PX = 2.0

@@ -52,6 +52,27 @@ def test_depth_of_a_ball_is_exact_to_a_fraction_of_a_pixel() -> None:
     assert np.median(facing) > 0.995
 
 
+def test_narrow_patches_follow_a_nose() -> None:
+    radius, front = 15.0, 80.0
+    views, points = textured_ball.views_of(
+        textured_ball.cameras(5),
+        np.random.default_rng(5),
+        balls=((RADIUS_MM, 0.0), (radius, front)),
+    )
+    errors = {}
+    for patch in (1, 2):
+        level, depths, _ = match_views(views, ReconstructConfig(finest_patch_radius_px=patch))
+        off = []
+        for index, depth in enumerate(depths):
+            along = points[index] @ level.poses[index][2, :3] + level.poses[index][2, 3]
+            nose = np.linalg.norm(points[index] - [0, 0, front], axis=2) < 1.3 * radius
+            nose &= level.masks[index] & (depth > 0)
+            assert nose.sum() > 400
+            off.append(np.abs(1 / depth[nose] - along[nose]))
+        errors[patch] = np.median(np.concatenate(off))
+    assert errors[1] < 0.6 * errors[2]
+
+
 def test_mesh_of_a_ball_lies_on_it_and_faces_outward(ball: Mesh) -> None:
     error = surface_error_mm(ball.vertices)
     assert np.median(error) < 0.1

@@ -33,20 +33,29 @@ def albedo(points_mm: np.ndarray, seed: int = 3) -> np.ndarray:
 
 
 def shoot(
-    camera: Camera, rng: np.random.Generator, noise: float = 0.001
+    camera: Camera,
+    rng: np.random.Generator,
+    noise: float = 0.001,
+    balls: tuple[tuple[float, float], ...] = ((RADIUS_MM, 0.0),),
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Photograph the ball.
+    """Photograph the ball, or several: radius and how far in front of the origin, mm.
 
     Returns:
         (P, h, w, 3) linear pictures, (h, w) bool mask, (h, w, 3) normals, (h, w, 3) points in mm.
     """
     origin, rays = camera.pixel_rays()
-    along = rays @ origin
-    root = along**2 - (origin @ origin - RADIUS_MM**2)
-    mask = (root > 0) & (along < 0)
-    distance = np.where(mask, -along - np.sqrt(np.maximum(root, 0)), 0)
-    points = np.where(mask[..., None], origin + rays * distance[..., None], 0)
-    normals = points / RADIUS_MM
+    nearest = np.full(rays.shape[:2], np.inf)
+    points, normals = np.zeros(rays.shape), np.zeros(rays.shape)
+    for radius, front in balls:
+        centre = np.array([0, 0, front])
+        along = rays @ (origin - centre)
+        root = along**2 - ((origin - centre) @ (origin - centre) - radius**2)
+        distance = np.where((root > 0) & (along < 0), -along - np.sqrt(np.maximum(root, 0)), np.inf)
+        hit = distance < nearest
+        nearest[hit] = distance[hit]
+        points[hit] = origin + rays[hit] * distance[hit][:, None]
+        normals[hit] = (points[hit] - centre) / radius
+    mask = np.isfinite(nearest)
     shading = np.clip(normals @ LIGHTS.T, 0, None) * mask[..., None]
     images = shading.transpose(2, 0, 1)[..., None] * albedo(points)
     images += rng.normal(0, noise, images.shape)
@@ -54,10 +63,13 @@ def shoot(
 
 
 def views_of(
-    cams: list[Camera], rng: np.random.Generator, black: tuple[str, ...] = ()
+    cams: list[Camera],
+    rng: np.random.Generator,
+    black: tuple[str, ...] = (),
+    balls: tuple[tuple[float, float], ...] = ((RADIUS_MM, 0.0),),
 ) -> tuple[list[View], list[np.ndarray]]:
     """Views of all cameras (those in `black` saw nothing), and the true points."""
-    shots = [shoot(camera, rng) for camera in cams]
+    shots = [shoot(camera, rng, balls=balls) for camera in cams]
     shots = [
         (np.zeros_like(s[0]), np.zeros_like(s[1]), np.zeros_like(s[2]), s[3])
         if camera.id in black
