@@ -20,7 +20,7 @@ from benchmarks.record import record
 from lightstage.formats.mesh import vertex_normals
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.relief import with_relief
-from processing.reconstruction.views import plane_slopes
+from processing.reconstruction.slopes import plane_slopes
 
 PEER = "normal_position_combination"
 SHAPE = (150, 200)

@@ -7,7 +7,6 @@ fraction of a pixel: what is left is the minimum of a parabola.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,7 +18,7 @@ from lightstage.formats.mesh import Mesh, vertex_normals
 from processing.rays import Hits, MeshRays, interpolate
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.patches import NO_MATCH
-from processing.reconstruction.stereo import make_stereo
+from processing.reconstruction.stereo import make_stereo, patch_offsets
 from processing.reconstruction.sweeps import polish, search
 from processing.reconstruction.views import Level
 
@@ -145,14 +144,10 @@ def _look(
     now[::every, ::every] = np.where(usable, sight.inverse_depth / beyond, 0)
     wanted = unsure & (now[::every, ::every] > 0)
     if wanted.any():
-        wide = dataclasses.replace(
-            config,
-            patch_radius_px=2 * config.patch_radius_px,
-            patch_stride_px=2 * config.patch_stride_px,
-        )
+        wide = patch_offsets(2 * config.patch_radius_px, 2 * config.patch_stride_px)
         steps = np.arange(1, REACH_PX + 1)
         steps = (np.stack([steps, -steps], axis=1).ravel() * stereo.step).astype(np.float32)
-        search(make_stereo(fine, index, sources, wide, normals), steps, every, wanted, now)
+        search(stereo._replace(offsets=wide), steps, every, wanted, now)
     judged = np.full((height, width), NO_MATCH, np.float32)
     still = np.zeros((height, width), bool)
     for delta in DELTAS_PX:

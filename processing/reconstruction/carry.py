@@ -44,7 +44,7 @@ def carried(
         level: the views.
         depths, costs: of `match_views`.
         confirmed: (views, h, w, 3) float32 mm, NaN where no other view agrees.
-        slopes: of each view, of `views.plane_slopes`.
+        slopes: of each view, of `slopes.plane_slopes`.
         config: the stage's settings.
 
     Returns:
@@ -94,7 +94,7 @@ def disagreement(
 
     Args:
         depth: (h, w) ln of inverse depth, NaN where no other view agrees.
-        slopes: (h, w, 2) of `views.plane_slopes`.
+        slopes: (h, w, 2) of `slopes.plane_slopes`.
         cosine: (h, w) of the normal to the line of sight.
         pixel: angle of one, rad.
 

@@ -14,7 +14,8 @@ from processing.reconstruction.carry import carried
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.grow import CONFIRMED
 from processing.reconstruction.relief import with_relief
-from processing.reconstruction.views import Level, depth_to_points, plane_slopes
+from processing.reconstruction.slopes import plane_slopes
+from processing.reconstruction.views import Level, depth_to_points
 
 PIXEL_BYTES = 400
 """That a pixel of a view takes, at most."""

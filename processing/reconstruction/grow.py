@@ -47,7 +47,7 @@ def grow(
     Args:
         confirmed: (h, w) ln of inverse depth (1/mm), NaN where no other view agrees.
         matched: (h, w) the view's own, NaN where nothing was matched well.
-        slopes: (h, w, 2) of `views.plane_slopes`.
+        slopes: (h, w, 2) of `slopes.plane_slopes`.
         doubt: (h, w) by how much the slopes may be off.
         cosine: (h, w) of the normal to the line of sight, 0 where the surface may not go.
         agree_mm: a match agrees with the surface within this along the normal.

@@ -40,7 +40,7 @@ def with_relief(
 
     Args:
         points: (h, w, 3) world, mm, NaN where there is none.
-        slopes: (h, w, 2) of `views.plane_slopes`: relative slopes of inverse depth by the normals.
+        slopes: (h, w, 2) of `slopes.plane_slopes`: relative slopes of inverse depth by the normals.
         known: (h, w) bool, where there is a normal.
         lens: (4,) fx, fy, cx, cy.
         pose: (3, 4) cam_from_world.
@@ -271,7 +271,7 @@ def at_pixels(links: np.ndarray, axis: int) -> np.ndarray:
 def normals_of(a: np.ndarray, b: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """(h, w, 3) float32 unit normals, world, toward the camera, of planes of these slopes.
 
-    The inverse of `views.plane_slopes`.
+    The inverse of `slopes.plane_slopes`.
     """
     height, width = a.shape
     fx, fy, cx, cy = lens

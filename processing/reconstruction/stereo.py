@@ -16,8 +16,9 @@ from lightstage.lines import nearest_equations
 from lightstage.rig import Camera
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.patches import NO_MATCH, Stereo
+from processing.reconstruction.slopes import plane_slopes
 from processing.reconstruction.sweeps import polish, propagate, sweep
-from processing.reconstruction.views import Level, View, plane_slopes, pyramid
+from processing.reconstruction.views import Level, View, pyramid
 
 
 def focus_point(cameras: Sequence[Camera]) -> np.ndarray:
@@ -85,8 +86,6 @@ def make_stereo(
     centres = np.array([_centre(level.poses[other]) for other in sources])
     baselines = np.linalg.norm(centres - _centre(pose), axis=1)
     lens = level.lenses[reference]
-    reach = np.arange(-config.patch_radius_px, config.patch_radius_px + 1, config.patch_stride_px)
-    offsets = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
     return Stereo(
         level.pictures,
         reference,
@@ -96,12 +95,18 @@ def make_stereo(
         lens.astype(np.float32),
         (centres @ pose[:, :3].T + pose[:, 3]).astype(np.float32),
         plane_slopes(level.normals[reference] if normals is None else normals, lens, pose),
-        offsets.astype(np.int64),
+        patch_offsets(config.patch_radius_px, config.patch_stride_px),
         np.float32(config.min_cosine),
         np.float32(min(config.graze_cosine, config.min_cosine)),
         np.float32(config.contrast_floor),
         np.float32(1.0 / (lens[:2].mean() * baselines.mean())),
     )
+
+
+def patch_offsets(radius_px: int, stride_px: int) -> np.ndarray:
+    """(k, 2) int64 du, dv of a square patch's samples."""
+    reach = np.arange(-radius_px, radius_px + 1, stride_px)
+    return np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2).astype(np.int64)
 
 
 def sources_of(views: Sequence[View], config: ReconstructConfig) -> list[np.ndarray]:

@@ -15,10 +15,6 @@ from processing.reconstruction.patches import TEXTURES
 SMALL_ROWS = 600
 """Pictures of at most so many rows are searched as they are."""
 
-STEEPEST = 0.15
-"""Cosine to the line of sight below which a normal is bent toward the camera: a patch that is
-seen at a more grazing angle has no samples to speak of."""
-
 WHITE = 0.5
 """Weight of the white part of colour, which holds the highlights, beside the rest."""
 
@@ -237,36 +233,6 @@ def pyramid(views: Sequence[View], finest_rows: int, coarsest_rows: int) -> list
     while levels[-1].pictures.shape[1] > coarsest_rows:
         levels.append(halved(levels[-1]))
     return levels[::-1]
-
-
-def plane_slopes(normals: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Relative slopes of inverse depth of the planes that normals give.
-
-    A plane's inverse depth is affine in the pixel: w(u + du, v + dv) = w (1 + a du + b dv).
-
-    Args:
-        normals: (h, w, 3) world; zero where unknown, read as facing the camera.
-        lens: (4,) fx, fy, cx, cy.
-        pose: (3, 4) cam_from_world.
-
-    Returns:
-        (h, w, 2) float32 a, b.
-    """
-    height, width = normals.shape[:2]
-    fx, fy, cx, cy = lens
-    x = (np.arange(width) + 0.5 - cx) / fx
-    y = (np.arange(height) + 0.5 - cy) / fy
-    sight = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1)
-    sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
-    local = normals @ pose[:, :3].T
-    unknown = ~(np.linalg.norm(local, axis=-1) > 0.5)
-    local[unknown] = -sight[unknown]
-    facing = -np.einsum("hwk,hwk->hw", local, sight)
-    bend = np.maximum(STEEPEST - facing, 0)
-    local = local - bend[..., None] * sight
-    along = np.einsum("hwk,hwk->hw", local, sight) * np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
-    slopes = np.stack([local[..., 0] / (fx * along), local[..., 1] / (fy * along)], axis=-1)
-    return slopes.astype(np.float32)
 
 
 def depth_to_points(inverse_depth: np.ndarray, lens: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -19,7 +19,8 @@ from processing.reconstruction.grow import (
     Grown,
     grow,
 )
-from processing.reconstruction.views import Level, depth_to_points, plane_slopes
+from processing.reconstruction.slopes import plane_slopes
+from processing.reconstruction.views import Level, depth_to_points
 from tests.processing.test_reconstruction_relief import LENS, POSE, surface, turned
 
 PIXEL = 1 / LENS[0]

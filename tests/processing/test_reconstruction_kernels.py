@@ -17,9 +17,10 @@ from processing.reconstruction.patches import (
     plane_cost,
     source_cost,
 )
+from processing.reconstruction.slopes import plane_slopes
 from processing.reconstruction.stereo import make_stereo
 from processing.reconstruction.sweeps import polish, propagate
-from processing.reconstruction.views import Level, finest_level, plane_slopes
+from processing.reconstruction.views import Level, finest_level
 from tests.processing import textured_ball
 
 CONFIG = ReconstructConfig()

@@ -7,7 +7,7 @@ from scipy.sparse.linalg import spsolve
 
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.relief import low_pass, normals_of, solve, with_relief
-from processing.reconstruction.views import plane_slopes
+from processing.reconstruction.slopes import plane_slopes
 
 LENS = np.array([1500.0, 1500.0, 80.0, 60.0])
 POSE = np.hstack([np.diag([1.0, -1.0, -1.0]), [[0.0], [0.0], [1000.0]]])
