@@ -1,6 +1,6 @@
 """The registered head with its atlas under the session's full light, beside the photograph.
 
-python -m benchmarks.atlas_rerender SESSION OUT CAMERA PICTURE.jpg
+python -m benchmarks.atlas_rerender SESSION OUT CAMERA PICTURE.jpg [--columns 900]
 
 Lambert's part alone, with cast shadows and no specular light: what differs at the brow, the nose
 and the lips' shine is left out on purpose; what differs elsewhere is a fault.
@@ -39,6 +39,7 @@ def main() -> None:
     asked.add_argument("out", type=Path)
     asked.add_argument("camera")
     asked.add_argument("picture", type=Path)
+    asked.add_argument("--columns", type=int, default=900, help="of the picture, at most")
     given = asked.parse_args()
     session, out = load_session(given.session), ProcessedFolder(given.out)
     camera = next(c for c in session.rig.cameras if c.id == given.camera)
@@ -78,6 +79,8 @@ def main() -> None:
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
     pair = np.concatenate([photo[box], gain * made[box]], axis=1)
+    smaller = min(given.columns / pair.shape[1], 1)
+    pair = np.asarray(cv2.resize(pair, None, fx=smaller, fy=smaller, interpolation=cv2.INTER_AREA))
     image = np.round(255 * srgb_from_linear(np.clip(pair / white, 0, 1))).astype(np.uint8)
     cv2.imwrite(str(given.picture), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
 

@@ -139,7 +139,7 @@ def crops(out: ProcessedFolder, template: Template, path: Path) -> None:
         colour = srgb_from_linear(np.clip(albedo[box] / white, 0, 1))
         rows.append(np.concatenate([colour, 0.5 * normal[box] + 0.5], axis=1))
         print(name, "crop at row", top, "column", left)
-    image = np.round(255 * np.concatenate(rows, axis=0)).clip(0, 255).astype(np.uint8)
+    image = np.round(255 * np.concatenate(rows, axis=1)).clip(0, 255).astype(np.uint8)
     cv2.imwrite(str(path), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
