@@ -1,9 +1,11 @@
-"""What skips of the atlas save, and that they change nothing.
+"""What skips of the atlas save, and by how much they change its maps.
 
-python -m benchmarks.atlas_skips [--scale .36] [--rows 3072] [--keep DIR]
+python -m benchmarks.atlas_skips [--scale .25] [--rows 2048] [--keep DIR]
 
-Each runs with the skip as the stage has it, and without, in turn. Apart: the largest change of any
-map's value.
+Looking (which texels a view shows), in it weighing (of each texel), reading (a view's pictures side
+by side) and adding (both bands) are timed apart, files unpacked before: beside the stage's threads
+that read and write, no skip's own seconds could be told. With a skip and without it run in turn.
+Apart: the largest change of any map's value.
 """
 
 from __future__ import annotations
@@ -22,14 +24,41 @@ import numpy as np
 from benchmarks.atlas_case import AtlasCase, case_at, make_case, skin
 from benchmarks.atlas_speed import NOISE
 from benchmarks.record import record
-from processing.atlas.blend import BlendConfig
-from processing.atlas.stage import BLENDED, AtlasConfig, atlas
+from lightstage.formats.mesh import read_obj
+from lightstage.formats.processed import MAPS
+from processing.atlas import weights
+from processing.atlas.blend import BlendConfig, Blender
+from processing.atlas.geometry import Geometry
+from processing.atlas.sampling import room, side_by_side
+from processing.atlas.seen import Seen
+from processing.atlas.stage import BLENDED, OPTIONAL
 from processing.atlas.tiles import TileBounds
+from processing.atlas.weights import Sampler, Texels
 
-ROUNDS = 2
+ROUNDS = 3
+EVERY = (*BLENDED, *OPTIONAL)
+NORMAL = "diffuse_normal"
+LOOKING, WEIGHING, READING, ADDING = "looking", "weighing", "reading", "adding"
+PARTS = (LOOKING, WEIGHING, READING, ADDING)
 
 Around = Callable[[], AbstractContextManager[None]]
-Maps = dict[str, np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class Bench:
+    """An atlas's texels, and its views' files unpacked.
+
+    Attributes:
+        case: cameras.
+        shape: the mesh's texels.
+        texels: the same under the views.
+        pictures: of each camera, its maps.
+    """
+
+    case: AtlasCase
+    shape: Geometry
+    texels: Texels
+    pictures: dict[str, dict[str, np.ndarray]]
 
 
 @contextmanager
@@ -55,61 +84,166 @@ def whole_pictures() -> Iterator[None]:
         yield
 
 
-def least(case: AtlasCase, config: AtlasConfig, around: Around) -> tuple[float, Maps]:
-    """Processor seconds of the stage, the least of some rounds; and its maps."""
-    seconds = []
-    for _ in range(ROUNDS):
+def prepared(case: AtlasCase, rows: int) -> Bench:
+    """Texels and pictures of a case."""
+    shape = Geometry.of(read_obj(case.out.registered_mesh), rows)
+    places = shape.at(shape.vertices)
+    trust = np.ones(len(places), np.float32)
+    texels = Texels.of(places, shape.normals(), trust, shape.tiles.start)
+    pictures = {}
+    for camera in case.session.rig.cameras:
+        pictures[camera.id] = {
+            name: case.out.read_half_view(camera.id, name) for name in (*EVERY, "confidence")
+        }
+        pictures[camera.id]["mask"] = case.out.read_mask(camera.id)
+    return Bench(case, shape, texels, pictures)
+
+
+@dataclasses.dataclass(frozen=True)
+class Merged:
+    """Some maps of an atlas, before anything is guessed.
+
+    Attributes:
+        values: (k, d).
+        seconds: processor's, of each part.
+        shares: of tiles looked at, of pixels kept, and of samples that give detail.
+    """
+
+    values: np.ndarray
+    seconds: dict[str, float]
+    shares: tuple[float, float, float]
+
+
+def merged(bench: Bench, names: tuple[str, ...], config: BlendConfig) -> Merged:
+    """All views' share of some maps."""
+    cameras, shape = bench.case.session.rig.cameras, bench.shape
+    seconds = dict.fromkeys(PARTS, 0.0)
+
+    @contextmanager
+    def timed(part: str) -> Iterator[None]:
         begin = time.process_time()
+        yield
+        seconds[part] += time.process_time() - begin
+
+    weigh = weights._weigh
+
+    def weighing(*given: object) -> None:
+        with timed(WEIGHING):
+            weigh(*given)
+
+    middle = shape.vertices.mean(axis=0)
+    finest = min(np.linalg.norm(c.centre_mm - middle) / c.fx_px for c in cameras)
+    sampler = Sampler(shape.vertices, shape.triangles, bench.texels, float(finest), config.weights)
+    seen, views = Seen.none(len(shape.tiles.flat)), []
+    with mock.patch.object(weights, "_weigh", weighing):
+        for index, camera in enumerate(cameras):
+            maps = bench.pictures[camera.id]
+            confidence = maps["confidence"].astype(np.float32)
+            with timed(LOOKING):
+                views.append(sampler.look(camera, confidence, maps["mask"], maps[NORMAL]))
+                seen.add(views[-1].reading, index)
+    channels = sum(MAPS[name].channels for name in names)
+    values = np.zeros((len(seen.best), room(channels)), np.float32)
+    with timed(ADDING):
+        blender = Blender(seen.best, views, config)
+    for index, camera in enumerate(cameras):
+        with timed(READING):
+            maps = bench.pictures[camera.id]
+            image = side_by_side((maps[name][views[index].window] for name in names), channels)
+        with timed(ADDING):
+            blender.add(index, image, values)
+    samples = [view.reading for view in views]
+    detailed = sum(
+        np.count_nonzero(one.weight >= config.detail_least * seen.best[one.slot]) for one in samples
+    )
+    shares = (
+        sum(view.tiles for view in views) / (len(views) * (len(shape.tiles.start) - 1)),
+        sum(one.usable.size for one in samples) / sum(c.width_px * c.height_px for c in cameras),
+        detailed / sum(len(one.slot) for one in samples),
+    )
+    return Merged(values[:, :channels], seconds, shares)
+
+
+def one_by_one(bench: Bench, names: tuple[str, ...], config: BlendConfig) -> Merged:
+    """The same, each map for itself."""
+    found = [merged(bench, (name,), config) for name in names]
+    seconds = {part: sum(each.seconds[part] for each in found) for part in PARTS}
+    values = np.concatenate([each.values for each in found], axis=1)
+    return Merged(values, seconds, found[0].shares)
+
+
+Way = Callable[[Bench, tuple[str, ...], BlendConfig], Merged]
+
+
+def without(
+    name: str,
+    parts: tuple[str, ...],
+    bench: Bench,
+    around: Around = nullcontext,
+    config: BlendConfig | None = None,
+    way: Way = merged,
+) -> list[str]:
+    """A row of the table: the parts' seconds without a skip and with it, the least of each."""
+    usual = BlendConfig()
+    least: list[list[float]] = [[], []]
+    change = 0.0
+    for _ in range(ROUNDS):
         with around():
-            facts = atlas(case.session, case.out.root, case.template, config)
-        seconds.append(time.process_time() - begin)
-    return min(seconds), {name: case.out.read_atlas(name) for name in (*facts["maps"], "view")}
+            plain = way(bench, EVERY, config or usual)
+        ours = merged(bench, EVERY, usual)
+        for seconds, one in zip(least, (plain, ours), strict=True):
+            seconds.append(sum(one.seconds[part] for part in parts))
+        change = max(change, float(np.abs(plain.values - ours.values).max()))
+    slow, fast = min(least[0]), min(least[1])
+    left = [1 - b / a for a, b in zip(plain.shares, ours.shares, strict=True)]
+    share = f"{max(left):.0%}" if way is merged else f"{len(EVERY) - 1} of {len(EVERY)}"
+    row = [name, share, ", ".join(parts), f"{slow:.2f}", f"{fast:.2f}", f"{1 - fast / slow:.0%}"]
+    print(*row, change, flush=True)
+    return [*row, f"{change:.2g}"]
 
 
 def main() -> None:
     """Measure, and write the table."""
     asked = argparse.ArgumentParser(description=__doc__)
-    asked.add_argument("--scale", type=float, default=0.36, help="of cameras of 24 megapixels")
-    asked.add_argument("--rows", type=int, default=3072)
+    asked.add_argument("--scale", type=float, default=0.25, help="of cameras of 24 megapixels")
+    asked.add_argument("--rows", type=int, default=2048)
     asked.add_argument("--keep", type=Path, help="folder of the case, made where it is not there")
     given = asked.parse_args()
-    usual = AtlasConfig(rows=given.rows, maps=BLENDED)
-    alone = dataclasses.replace(usual, maps=BLENDED[:1])
-    thorough = dataclasses.replace(usual, blend=BlendConfig(detail_least=0.0))
+    every = (LOOKING, READING, ADDING)
     with tempfile.TemporaryDirectory() as passing:
         folder = given.keep or Path(passing) / "case"
         if not (folder / "views").is_dir():
             make_case(folder, given.scale, skin, gain_sigma=0.0, noise=NOISE)
-        case = case_at(folder, given.scale)
-        atlas(case.session, folder, case.template, dataclasses.replace(usual, rows=48))
-        with_s, ours = least(case, usual, nullcontext)
-        rows = []
-        for name, config, around in (
-            ("tiles that look away from a view", usual, every_tile),
-            ("pixels around what may be read", usual, whole_pictures),
-            ("detail of views below a tenth of the best's weight", thorough, nullcontext),
-        ):
-            seconds, maps = least(case, config, around)
-            rows.append(line(name, seconds, with_s, maps, ours))
-        seconds, maps = least(case, alone, nullcontext)
-        rows.append(line(f"all maps but one of {len(BLENDED)}", with_s, seconds, ours, maps))
+        bench = prepared(case_at(folder, given.scale), given.rows)
+        merged(bench, EVERY, BlendConfig())  # compiled code is loaded before the clock starts
+        rows = [
+            without("tiles that look away from a view", (WEIGHING,), bench, every_tile),
+            without("pixels around what may be read", every, bench, whole_pictures),
+            without(
+                "detail of views below a tenth of the best's weight",
+                (ADDING,),
+                bench,
+                config=BlendConfig(detail_least=0.0),
+            ),
+            without("what all maps share, for each map", every, bench, way=one_by_one),
+        ]
     record(
         "Atlas: what each skip saves",
-        ["skipped", "processor s without", "processor s with", "saved", "largest change of a map"],
+        [
+            "skipped",
+            "share",
+            "of the time of",
+            "processor s without",
+            "with",
+            "saved",
+            "largest change",
+        ],
         rows,
         f"{given.rows} rows from nine views of {given.scale:g} of 24 megapixels a side, "
-        f"{len(BLENDED)} maps, least of {ROUNDS} rounds. A half float's step is .0005 below 1. "
-        "Texels and tiles without face are in no list; that unchanged inputs are not worked on "
-        "again is the pipeline's doing.",
+        f"{len(EVERY)} maps, least of {ROUNDS} rounds in turn; files unpacked before. A half "
+        "float's step is .0005 below 1. Texels and tiles without face are in no list; that "
+        "unchanged inputs are not worked on again is the pipeline's doing.",
     )
-
-
-def line(name: str, without_s: float, with_s: float, one: Maps, other: Maps) -> list[str]:
-    """A row of the table."""
-    change = max(float(np.abs(one[key] - other[key]).max()) for key in one.keys() & other.keys())
-    saved = f"{1 - with_s / without_s:.0%}"
-    print(name, without_s, with_s, change, flush=True)
-    return [name, f"{without_s:.1f}", f"{with_s:.1f}", saved, f"{change:.2g}"]
 
 
 if __name__ == "__main__":
