@@ -44,6 +44,13 @@ CURVES: dict[str, list[Setting]] = {
         Setting(f"patches of {2 * radius + 1} x {2 * radius + 1}", {"patch_radius_px": radius})
         for radius in (1, 2, 3, 4)
     ],
+    "finest patch": [
+        Setting(
+            f"{2 * radius + 1} x {2 * radius + 1} at the finest level",
+            {"finest_patch_radius_px": radius},
+        )
+        for radius in (1, 2, 3)
+    ],
     "sweeps": [
         Setting(f"sweeps {sweeps}", {"iterations": sweeps})
         for sweeps in ((1, 1, 1), (3, 2, 1), (4, 3, 2))
