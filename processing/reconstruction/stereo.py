@@ -6,7 +6,6 @@ window is bent, and only the depth is sought.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -142,13 +141,14 @@ def match_views(
         radius = config.patch_radius_px
         if 0 < number == len(levels) - 1:
             radius = config.finest_patch_radius_px
-        patches = dataclasses.replace(config, patch_radius_px=radius)
+        offsets = patch_offsets(radius, config.patch_stride_px)
         for index in range(len(views)):
             depth = np.zeros(shape, np.float32)
             cost = np.full(shape, NO_MATCH, np.float32)
             still = np.zeros(shape, bool)
             if len(sources[index]):
-                stereo = make_stereo(level, index, sources[index], patches)
+                stereo = make_stereo(level, index, sources[index], config)
+                stereo = stereo._replace(offsets=offsets)
                 if number == 0:
                     _start(level, stereo, focus, config, depth, cost)
                 else:
