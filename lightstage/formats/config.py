@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 import types
 import typing
 from collections.abc import Mapping
@@ -11,18 +10,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from lightstage.errors import ConfigError
+from lightstage.formats.values import read_toml_value
 
 T = TypeVar("T")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file; ConfigError when it is missing or malformed."""
-    try:
-        return tomllib.loads(path.read_text())
-    except FileNotFoundError:
-        raise ConfigError(path, found="no such file", expected="a TOML file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(path, found=str(error), expected="valid TOML") from None
+    """Read a TOML file; ConfigError when it is missing or malformed (formats.values)."""
+    return read_toml_value(path)
 
 
 def make_config(cls: type[T], values: Mapping[str, Any], where: str | Path) -> T:

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError
+from lightstage.formats.values import read_value
 
 
 def fsync_path(path: Path) -> None:
@@ -107,14 +109,10 @@ def read_json(path: Path, schema: str | None = None) -> Any:
             refused.
 
     Raises:
-        FormatError: missing, not JSON, or of another schema.
+        FormatError: missing, not JSON within the reader's limits (formats.values), or of another
+            schema.
     """
-    try:
-        value = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise FormatError(path, found="no such file", expected="a JSON file") from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FormatError(path, found=str(error), expected="a readable JSON file") from None
+    value = read_value(path)
     if schema is not None:
         check_schema(path, value, schema)
     return value
@@ -126,7 +124,7 @@ def check_schema(path: Path, value: Any, schema: str) -> None:
     name, _, major = schema.partition("/")
     found_name, _, found_major = str(found).partition("/")
     digits = found_major.split(".")[0]
-    if found_name != name or not digits.isdigit():
+    if found_name != name or not re.fullmatch("[0-9]{1,9}", digits):
         raise FormatError(path, field="schema", found=repr(found), expected=repr(schema))
     if int(digits) > int(major):
         raise FormatError(

@@ -1,0 +1,95 @@
+"""Paths and names that come out of files: they stay inside the folder that they belong to.
+
+A file may come from elsewhere: what it calls a path or an id is text until it was looked at.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from lightstage.errors import FormatError, LightstageError
+
+NAME = re.compile(r"\w[\w@+.-]{0,99}")
+NAME_RULE = "a name of letters, digits and _ @ + . -, at most 100, that begins with a letter"
+_HINT = "Give a path inside the folder, with /, without .. and without links that lead out of it."
+
+
+def path_inside(
+    root: Path,
+    said: Any,
+    where: str | Path,
+    field: str = "",
+    error: type[LightstageError] = FormatError,
+) -> Path:
+    """Where a relative path lies that a file names, which must not leave its folder.
+
+    Args:
+        root: the folder.
+        said: what stands in the file; in a valid one, a path with ``/`` relative to `root`.
+        where: the file that says it, for the error.
+        field: of that file.
+        error: the class of the error.
+
+    Returns:
+        The path below `root`; whether anything lies there is for the caller to see.
+
+    Raises:
+        error: no text, an absolute path, one with ``..``, with a backslash or with control
+            characters, or one that leads out of the folder over a link.
+    """
+    wrong = _path_problem(root, said)
+    if wrong is not None:
+        shown = ascii(said)
+        raise error(
+            where,
+            field=field,
+            found=f"{shown if len(shown) <= 100 else shown[:100] + '..'}, {wrong}",
+            expected="a relative path that stays inside the folder",
+            hint=_HINT,
+        )
+    return root / str(said)
+
+
+def check_name(
+    said: Any, where: str | Path, field: str, error: type[LightstageError] = FormatError
+) -> str:
+    """An id or a name of a file that becomes the name of a file or a folder.
+
+    Args:
+        said: what stands in the file.
+        where: the file that says it, for the error.
+        field: of that file.
+        error: the class of the error.
+
+    Raises:
+        error: anything but a plain name.
+    """
+    if not isinstance(said, str) or not NAME.fullmatch(said):
+        raise error(
+            where,
+            field=field,
+            found=ascii(said)[:100],
+            expected=NAME_RULE,
+            hint="It becomes the name of a file or a folder.",
+        )
+    return said
+
+
+def _path_problem(root: Path, said: Any) -> str | None:
+    """Why a path is none that stays below `root`; None where it is one."""
+    if not isinstance(said, str) or not said:
+        return "no path"
+    if "\\" in said or not said.isprintable():
+        return "with a backslash or a character that cannot be printed"
+    pure = PurePosixPath(said)
+    if pure.is_absolute():
+        return "an absolute path"
+    if ".." in pure.parts:
+        return "which leaves the folder"
+    try:
+        outside = not (root / pure).resolve().is_relative_to(root.resolve())
+    except (OSError, RuntimeError):  # links that lead back to themselves; names of any length
+        return "which leads nowhere"
+    return "which leads out of the folder over a link" if outside else None
