@@ -33,6 +33,7 @@ def write_scan(folder: ProcessedFolder, rng: np.random.Generator) -> None:
             layers.append(0.5 + 0.3 * smooth + 0.01 * noise)
         image = np.stack(layers, axis=2)
         folder.write_atlas(name, np.ones_like(image) if name == "confidence" else image)
+    folder.write_atlas("skin", np.ones((ROWS, COLUMNS), np.float32))
     write_json(folder.head_pose, {"head_from_world": np.eye(3, 4).tolist()})
     write_json(folder.root / "report.json", {"subject": "bench", "expression": "neutral"})
 

@@ -176,15 +176,29 @@ def build(
     as_json: bool = JsonFlag,
 ) -> None:
     """The lab's store: whole maps of every scan."""
-    from processing.dataset import build_store, open_store
+    from processing.dataset import build_store, open_store, without_people_files
 
     _require_new(out, overwrite)
+    folders, passed = without_people_files(processed)
     with progress_bar("dataset build") as progress:
-        build_store(processed, out, progress)
+        build_store(folders, out, progress)
     scans = open_store(out).scans
     subjects = len({scan.subject for scan in scans})
-    facts = {"out": str(out), "scans": len(scans), "subjects": subjects}
-    finish(f"{out}: {len(scans)} scans of {subjects} subjects", facts, as_json)
+    unasked = len({s.subject for s in scans if not (s.consent or s.synthetic)})
+    facts = {
+        "out": str(out),
+        "scans": len(scans),
+        "subjects": subjects,
+        "subjects_without_consent": unasked,
+        "passed_over": [str(path) for path in passed],
+    }
+    said = f"{len(scans)} scans of {subjects} subjects"
+    if unasked:
+        said += f", {unasked} without a consent record"
+    if passed:
+        names = ", ".join(path.name for path in passed)
+        said += f"; passed over {names} of lightstage-sim dataset"
+    finish(f"{out}: {said}", facts, as_json)
 
 
 @dataset_app.command()

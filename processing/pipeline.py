@@ -254,6 +254,7 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
         "schema": REPORT_SCHEMA,
         "subject": job.session.file.subject,
         "expression": job.session.file.expression,
+        "consent": (job.session.file.model_extra or {}).get("consent"),
         "stages": stages,
         "warnings": warnings,
         "versions": versions(),

@@ -83,6 +83,7 @@ def write_atlas(subject: Subject, occlusion: np.ndarray, folder: ProcessedFolder
     triangles = mesh.triangles()
     covered = face >= 0
     open_share = texture_of(occlusion[:, None], triangles, face, weights)[..., 0]
+    scored = (subject.skin & covered & (open_share > HIDDEN)).astype(np.float32)
     maps = {
         "diffuse_albedo": subject.diffuse_albedo,
         "specular_albedo": subject.specular_albedo,
@@ -90,7 +91,8 @@ def write_atlas(subject: Subject, occlusion: np.ndarray, folder: ProcessedFolder
         "specular_normal": subject.normal,
         "position": texture_of(mesh.vertices, triangles, face, weights),
         "ambient_occlusion": open_share,
-        "confidence": (subject.skin & covered & (open_share > HIDDEN)).astype(np.float32),
+        "confidence": scored,
+        "skin": scored,
     }
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda item: folder.write_atlas(*item), maps.items()))
@@ -98,7 +100,12 @@ def write_atlas(subject: Subject, occlusion: np.ndarray, folder: ProcessedFolder
     write_json(folder.head_pose, {"head_from_world": subject.head_from_world.tolist()})
     write_json(
         folder.root / "report.json",
-        {"subject": subject.name, "expression": subject.expression, "source": subject.source},
+        {
+            "subject": subject.name,
+            "expression": subject.expression,
+            "source": subject.source,
+            "synthetic": subject.synthetic,
+        },
     )
 
 

@@ -61,6 +61,7 @@ def _write_processed(
     expression: str = "neutral",
     seed: int = 0,
     head_from_world: np.ndarray | None = None,
+    consent: str | None = "C-0001",
 ) -> Path:
     rng = np.random.default_rng(seed)
     folder = ProcessedFolder(path)
@@ -82,11 +83,14 @@ def _write_processed(
         "specular_normal": normal,
         "position": position,
         "confidence": np.ones((rows, columns)),
+        "skin": np.ones((rows, columns)),
     }
     for name, image in maps.items():
         mask = covered if image.ndim == 2 else covered[:, :, None]
         folder.write_atlas(name, image * mask)
     pose = np.eye(3, 4) if head_from_world is None else head_from_world
     write_json(folder.head_pose, {"head_from_world": pose.tolist()})
-    write_json(path / "report.json", {"subject": subject, "expression": expression})
+    write_json(
+        path / "report.json", {"subject": subject, "expression": expression, "consent": consent}
+    )
     return path

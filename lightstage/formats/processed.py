@@ -34,10 +34,12 @@ MAPS: dict[str, MapSpec] = {
     "tangent_normal": MapSpec(3),
     "coverage": MapSpec(1),
     "filled": MapSpec(1),
+    "skin": MapSpec(1),
 }
 """Every map that a view or the atlas may hold: position in mm; view an index, -1 for none;
 tangent_normal the specular normal in MikkTSpace's frame, -1..1; coverage the number of views;
-filled 0 where seen, 1 where guessed from the other side of the face, 2 from around."""
+filled 0 where seen, 1 where guessed from the other side of the face, 2 from around; skin 1 where
+the template has skin, 0 where it has eyes, hair or the opening of the mouth."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -43,6 +43,11 @@ class Geometry:
         """(k, c) float32 of per-vertex values."""
         return self.raster.at(values, self.triangles, self.tiles.flat)
 
+    def whole(self, chosen: np.ndarray) -> np.ndarray:
+        """(k,) bool: texels of triangles whose three corners are all among (n,) chosen vertices."""
+        inside = np.asarray(chosen, bool)[self.triangles].all(axis=1)
+        return np.asarray(inside[self.raster.face.ravel()[self.tiles.flat]])
+
     def normals(self) -> np.ndarray:
         """(k, 3) float32 unit normals of the mesh."""
         values = self.at(self.vertex_normals)

@@ -22,6 +22,7 @@ from processing.atlas.finish import gutter_sources, picture, towards, unit_towar
 from processing.atlas.geometry import Geometry
 from processing.atlas.sampling import room, side_by_side
 from processing.atlas.seen import Seen
+from processing.atlas.skin import skin_vertices
 from processing.atlas.weights import Sampler, Texels, ViewSamples
 from processing.closest import ClosestPoints
 from processing.errors import AtlasError
@@ -56,6 +57,8 @@ class AtlasConfig:
     """Where the registered mesh is farther than this from the scan, views are not believed."""
     mirror_mm: float = 3.0
     """A template's vertex whose mirror image has none nearer than this has no other side."""
+    skin_margin_mm: float = 2.0
+    """What is nearer than this to an eye or to the opening of the mouth is no skin."""
     blend: BlendConfig = dataclasses.field(default_factory=BlendConfig)
 
     def __post_init__(self) -> None:
@@ -156,6 +159,8 @@ def atlas(
         write("view", seen.heaviest)
         write("confidence", best)
         write("coverage", seen.count)
+        skin = skin_vertices(template, config.skin_margin_mm)
+        write("skin", shape.whole(skin).astype(np.float32))
         del texels, seen
         mirror = mirrored_vertices(template.mesh.vertices, config.mirror_mm)
         fill = MeshFill(shape.vertices, shape.triangles, shape.raster, flat, best, mirror)

@@ -1,15 +1,13 @@
 """RealFaceDB: the lab's store of whole maps, and the patches that may leave the lab."""
 
 from processing.dataset.publish import PublishConfig, publish
-from processing.dataset.store import (
+from processing.dataset.scan import (
     CHANNELS,
     DatasetError,
-    Scan,
-    Store,
-    build_store,
-    open_store,
     read_head_pose,
+    without_people_files,
 )
+from processing.dataset.store import Scan, Store, build_store, open_store
 
 __all__ = [
     "CHANNELS",
@@ -21,4 +19,5 @@ __all__ = [
     "open_store",
     "publish",
     "read_head_pose",
+    "without_people_files",
 ]

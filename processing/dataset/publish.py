@@ -22,8 +22,9 @@ import zarr
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import atomic_folder, write_json
+from processing.dataset.scan import DatasetError
 from processing.dataset.statistics import Statistics
-from processing.dataset.store import SCHEMA, DatasetError, Store
+from processing.dataset.store import SCHEMA, Store
 
 CANNOT_PROTECT = (
     "A patch is a person's real skin: whoever has another photograph of the person as sharp as "

@@ -21,50 +21,42 @@ import numpy as np
 import zarr
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import FormatError, LightstageError, one_error
-from lightstage.formats.files import (
-    atomic_folder,
-    check_schema,
-    read_json,
-    sha256_file,
-    write_json,
-)
-from lightstage.formats.processed import ProcessedFolder
+from lightstage.errors import LightstageError, one_error
+from lightstage.formats.files import atomic_folder, check_schema, read_json, write_json
+from processing.dataset.scan import CHANNELS, DatasetError, ScanEntry, read_scan
 from processing.dataset.statistics import Statistics
-from processing.errors import ProcessingError
 
 SCHEMA = "lightstage.realfacedb/1"
-CHANNELS: dict[str, int] = {
-    "diffuse_albedo": 3,
-    "specular_albedo": 1,
-    "diffuse_normal": 3,
-    "specular_normal": 3,
-    "position": 3,
-    "confidence": 1,
-}
-"""Maps of a store and their channels; normals and position (mm) are in the head frame."""
-
 AVERAGED = ("diffuse_albedo", "specular_albedo")
-NORMALS = ("diffuse_normal", "specular_normal")
 PATCH = 512
 STRIDE = 256
 CHUNK = 256
 SHARD = 2048
 
 
-class DatasetError(ProcessingError):
-    """A dataset that cannot be built, read or published."""
-
-
 @dataclasses.dataclass(frozen=True)
 class Scan:
-    """One scan of a store: its number, the person's pseudonym and the size of its maps."""
+    """One scan of a store: its number, whose it is, the size of its maps.
+
+    Attributes:
+        index: in the store.
+        subject: the person's pseudonym.
+        expression: such as ``neutral``.
+        rows: of the maps.
+        columns: of the maps.
+        sha256: of the files that it was made of.
+        consent: id of the record of the person's consent, None where there is none.
+        synthetic: a simulated person, who needs none.
+    """
 
     index: int
     subject: str
     expression: str
     rows: int
     columns: int
+    sha256: str = ""
+    consent: str | None = None
+    synthetic: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,7 +167,16 @@ def open_store(path: Path) -> Store:
         )
     try:
         scans = tuple(
-            Scan(i, str(s["subject"]), str(s["expression"]), int(s["rows"]), int(s["columns"]))
+            Scan(
+                i,
+                str(s["subject"]),
+                str(s["expression"]),
+                int(s["rows"]),
+                int(s["columns"]),
+                str(s["sha256"]),
+                s.get("consent"),
+                s.get("synthetic") is True,
+            )
             for i, s in enumerate(value["scans"])
         )
         fingerprint = str(value["fingerprint"])
@@ -191,7 +192,8 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
     Every folder is read and checked before anything is said; on an error nothing is left behind.
 
     Args:
-        processed: folders with atlas/, head_from_world.json and report.json (subject, expression).
+        processed: folders with atlas/, head_from_world.json and report.json (subject, expression,
+            and the id of the record of the person's consent where there is one).
         out: the store's folder; an older store there is replaced.
         progress: called after each folder.
 
@@ -199,20 +201,24 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
         `out`.
 
     Raises:
-        FormatError, DatasetError: no folder, a missing map, maps of different size, NaN, a missing
-            or not rigid head_from_world, a folder given twice; all in one message.
+        FormatError, DatasetError: no folder, something that is no processed folder, a missing map,
+            maps or atlases of different size, NaN, a missing or not rigid head_from_world, a folder
+            given twice; all in one message.
     """
     if not processed:
         raise DatasetError(out, found="no processed folder", expected="at least one")
     problems: list[LightstageError] = []
-    entries: list[dict[str, Any]] = []
+    entries: list[ScanEntry] = []
+    first: tuple[Path, ScanEntry] | None = None
     statistics = Statistics({name: CHANNELS[name] for name in AVERAGED})
     with atomic_folder(out, "dataset.json") as beside:
         for index, root in enumerate(processed):
             try:
                 if root.resolve() in {p.resolve() for p in processed[:index]}:
                     raise DatasetError(root, found="the same folder twice", expected="once")
-                entry, maps = _read_scan(ProcessedFolder(root))
+                entry, maps = read_scan(root)
+                first = first or (root, entry)
+                _require_same_size(root, entry, *first)
                 if not problems:
                     _write_scan(beside / "scans" / f"{index:04d}", maps)
                 entries.append(entry)
@@ -232,73 +238,28 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
                 "channels": CHANNELS,
                 "frame": "head",
                 "counts": {
-                    "subjects": len({e["subject"] for e in entries}),
+                    "subjects": len({entry.subject for entry in entries}),
                     "scans": len(entries),
                 },
                 "statistics": statistics.facts(),
                 "fingerprint": hashlib.sha256(
-                    "".join(e["sha256"] for e in entries).encode()
+                    "".join(entry.sha256 for entry in entries).encode()
                 ).hexdigest(),
-                "scans": entries,
+                "scans": [dataclasses.asdict(entry) for entry in entries],
             },
         )
     return out
 
 
-def _read_scan(folder: ProcessedFolder) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """A folder's entry in dataset.json and its maps, (rows, columns, c) in the head frame."""
-    report = read_json(folder.root / "report.json")
-    for key in ("subject", "expression"):
-        if not isinstance(report, dict) or not isinstance(report.get(key), str):
-            raise FormatError(
-                folder.root / "report.json", field=key, found="none", expected="a pseudonym"
-            )
-    head_from_world = read_head_pose(folder.head_pose)
-    maps = {name: folder.read_atlas(name) for name in CHANNELS}
-    sizes = {name: image.shape[:2] for name, image in maps.items()}
-    if len(set(sizes.values())) > 1:
-        said = ", ".join(f"{name} {h} x {w}" for name, (h, w) in sizes.items())
+def _require_same_size(root: Path, entry: ScanEntry, first_root: Path, first: ScanEntry) -> None:
+    """Refuse an atlas of another size: its texels would be other places and its pores larger."""
+    if (entry.rows, entry.columns) != (first.rows, first.columns):
         raise DatasetError(
-            folder.root / "atlas",
-            found=f"maps of different size: {said}",
-            expected="one size",
-            hint="Make the atlas again with one --atlas-rows.",
+            root / "atlas",
+            found=f"{entry.rows} x {entry.columns} texels",
+            expected=f"{first.rows} x {first.columns}, as {first_root / 'atlas'} has",
+            hint="Make all atlases of a store again with one --atlas-rows.",
         )
-    maps = {name: image.reshape(*image.shape[:2], -1) for name, image in maps.items()}
-    # Single precision: coordinates are under a metre, so this rounds by less than 1e-4 mm.
-    pose = head_from_world.astype(np.float32)
-    rotation, translation = pose[:, :3], pose[:, 3]
-    surface = (maps["position"] != 0).any(axis=2, keepdims=True)
-    maps["position"] = np.where(surface, maps["position"] @ rotation.T + translation, 0)
-    for name in NORMALS:
-        maps[name] = maps[name] @ rotation.T
-    rows, columns = maps["confidence"].shape[:2]
-    files = [folder.head_pose, *(folder.atlas_path(name) for name in CHANNELS)]
-    entry = {
-        "subject": report["subject"],
-        "expression": report["expression"],
-        "rows": rows,
-        "columns": columns,
-        "sha256": hashlib.sha256("".join(map(sha256_file, files)).encode()).hexdigest(),
-    }
-    return entry, maps
-
-
-def read_head_pose(path: Path) -> np.ndarray:
-    """head_from_world.json as (3, 4) float64; FormatError when missing or not rigid."""
-    value = read_json(path)
-    found = value.get("head_from_world") if isinstance(value, dict) else None
-    try:
-        pose = np.array(found, float).reshape(3, 4)
-        rigid = np.allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-4)
-        rigid = bool(rigid and np.linalg.det(pose[:, :3]) > 0 and np.isfinite(pose).all())
-    except (TypeError, ValueError):
-        rigid = False
-    if not rigid:
-        raise FormatError(
-            path, field="head_from_world", found=repr(found)[:80], expected="a rigid 3 x 4"
-        )
-    return pose
 
 
 def _write_scan(folder: Path, maps: dict[str, np.ndarray]) -> None:

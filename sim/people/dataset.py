@@ -18,6 +18,7 @@ from pathlib import Path
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import atomic_folder, read_json, write_json
+from lightstage.formats.people import PEOPLE_LIST, PEOPLE_LOCK, PEOPLE_SCHEMA
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.rig import default_rig
 from sim.errors import SimError
@@ -30,7 +31,6 @@ from sim.people.traits import Traits
 from sim.session import SessionConfig, truth_path, write_direct
 from sim.truth import vertex_occlusion, write_atlas, write_truth
 
-SCHEMA = "lightstage.people/1"
 DEMO_SCALE = 0.1795
 """Sessions of a data set have the demo's picture size: 1080 rows of the default rig's 6016."""
 BYTES_A_TEXEL = 400
@@ -228,7 +228,7 @@ def _calm(jobs: int) -> None:
 def _own(plan: Plan, session: bool = False) -> Iterator[list[tuple[Person, tuple[str, ...]]]]:
     """Lock the folder, write who is in it, and yield what is still to be made."""
     plan.out.mkdir(parents=True, exist_ok=True)
-    with (plan.out / "people.lock").open("w") as lock:
+    with (plan.out / PEOPLE_LOCK).open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -271,7 +271,7 @@ def _is_made(plan: Plan, person: Person, expression: str, session: bool) -> bool
 
 
 def _write_list(plan: Plan) -> None:
-    """people.json: everyone, and how many there are of each kind."""
+    """The list: everyone, and how many there are of each kind."""
     traits = [person.traits for person in plan.persons]
     counts = {
         "sex": Counter(t.sex for t in traits),
@@ -283,10 +283,10 @@ def _write_list(plan: Plan) -> None:
         {"name": p.name, "seed": p.seed, **dataclasses.asdict(p.traits)} for p in plan.persons
     ]
     value = {
-        "schema": SCHEMA,
+        "schema": PEOPLE_SCHEMA,
         "expressions": list(plan.expressions),
         "rows": plan.rows,
         "counts": {name: dict(sorted(count.items())) for name, count in counts.items()},
         "people": persons,
     }
-    write_json(plan.out / "people.json", value)
+    write_json(plan.out / PEOPLE_LIST, value)

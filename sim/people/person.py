@@ -88,6 +88,7 @@ def person_expressions(
             source=SOURCE,
             distribution=skin.distribution,
             anisotropy=skin.anisotropy,
+            synthetic=True,
         )
 
 

@@ -30,6 +30,7 @@ class Subject:
         distribution: of the facets that mirror: ``beckmann`` or ``ggx``.
         anisotropy: (rows, columns) float32 in 0..0.9, or None where the lobe is round. The lobe's
             m is m / a along the UV's u tangent and m a across it, a = sqrt(1 - 0.9 anisotropy).
+        synthetic: drawn from a model: nobody exists who could be recognised or asked for consent.
     """
 
     name: str
@@ -46,3 +47,4 @@ class Subject:
     source: str
     distribution: str = "beckmann"
     anisotropy: np.ndarray | None = None
+    synthetic: bool = False

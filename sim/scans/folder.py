@@ -68,6 +68,7 @@ def save_subject(subject: Subject, path: Path, facts: dict[str, Any] | None = No
         "name": subject.name,
         "expression": subject.expression,
         "source": subject.source,
+        "synthetic": subject.synthetic,
         "units": "mm",
         "distribution": subject.distribution,
         "head_from_world": np.asarray(subject.head_from_world, float).tolist(),
@@ -161,7 +162,13 @@ def load_subject_folder(path: Path) -> Subject:
         head_from_world=pose,
         source=value["source"],
         distribution=value["distribution"],
-        **maps,
+        synthetic=value.get("synthetic") is True,
+        diffuse_albedo=maps["diffuse_albedo"],
+        specular_albedo=maps["specular_albedo"],
+        roughness=maps["roughness"],
+        normal=maps["normal"],
+        translucency=maps["translucency"],
+        anisotropy=maps.get("anisotropy"),
     )
 
 

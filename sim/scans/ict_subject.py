@@ -129,6 +129,7 @@ def ict_subject(
         source=SOURCE,
         distribution=skin.distribution,
         anisotropy=skin.anisotropy,
+        synthetic=True,
     )
 
 

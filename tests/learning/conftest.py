@@ -50,6 +50,7 @@ def write_person(root: Path, name: str, rng: np.random.Generator) -> ProcessedFo
     folder.write_atlas("specular_normal", normal)
     folder.write_atlas("position", raster.interpolate(mesh.vertices))
     folder.write_atlas("confidence", raster.covered.astype(np.float32))
+    folder.write_atlas("skin", raster.covered.astype(np.float32))
     write_obj(mesh, folder.registered_mesh)
     write_json(folder.head_pose, {"head_from_world": np.eye(3, 4).tolist()})
     write_json(folder.root / "report.json", {"subject": name, "expression": "neutral"})

@@ -12,7 +12,7 @@ import pytest
 from lightstage.errors import LightstageError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.processed import ProcessedFolder
-from processing.dataset import CHANNELS, build_store, open_store
+from processing.dataset import CHANNELS, build_store, open_store, without_people_files
 
 Make = Callable[..., Path]
 ALL = slice(None)
@@ -190,3 +190,78 @@ def test_a_store_of_a_newer_version_is_refused(tmp_path: Path, make_processed: M
     (out / "dataset.json").write_text(text)
     with pytest.raises(LightstageError, match="newer"):
         open_store(out)
+
+
+def test_atlases_of_two_sizes_are_refused_with_both_scans_and_sizes(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    small = make_processed(tmp_path / "in" / "small", rows=96, columns=64)
+    large = make_processed(tmp_path / "in" / "large", rows=192, columns=128)
+    with pytest.raises(LightstageError) as caught:
+        build_store([small, large], tmp_path / "out" / "store")
+    for said in (str(small), str(large), "96 x 64", "192 x 128", "--atlas-rows"):
+        assert said in str(caught.value)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_the_list_and_lock_of_simulated_people_are_passed_over_and_nothing_else(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    folder = make_processed(tmp_path / "p" / "person-0000-neutral")
+    people = folder.with_name("people.json")
+    lock = folder.with_name("people.lock")
+    people.write_text('{"schema": "lightstage.people/1", "people": []}')
+    lock.write_text("")
+    (tmp_path / "q").mkdir()
+    other = tmp_path / "q" / "people.json"
+    other.write_text('{"people": ["somebody else"]}')
+    folders, passed = without_people_files([folder, people, lock, other])
+    assert passed == [people, lock]
+    assert folders == [folder, other]
+    with pytest.raises(LightstageError, match=f"{other}: found a file"):
+        build_store(folders, tmp_path / "out" / "store")
+
+
+@pytest.mark.parametrize(
+    ("marker", "said"),
+    [
+        ("session.json", "a session.*lightstage-processing run"),
+        ("dataset.json", "a dataset"),
+        ("report.json", "without an atlas.*lightstage-processing atlas"),
+        ("letter.txt", "something else"),
+        (None, "no such folder"),
+    ],
+)
+def test_what_is_no_processed_folder_is_refused_by_name(
+    tmp_path: Path, make_processed: Make, marker: str | None, said: str
+) -> None:
+    root = tmp_path / "in" / "given"
+    if marker:
+        root.mkdir(parents=True)
+        (root / marker).write_text("{}")
+    good = make_processed(tmp_path / "in" / "good")
+    with pytest.raises(LightstageError, match=f"{root}: found .*{said}"):
+        build_store([good, root], tmp_path / "out" / "store")
+
+
+def test_a_folder_without_the_map_of_skin_is_refused(tmp_path: Path, make_processed: Make) -> None:
+    root = make_processed(tmp_path / "a")
+    ProcessedFolder(root).atlas_path("skin").unlink()
+    with pytest.raises(LightstageError, match=r"skin\.exr.*atlas` again"):
+        build_store([root], tmp_path / "store")
+
+
+def test_the_store_says_who_consented_and_who_is_simulated(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    asked = make_processed(tmp_path / "asked", consent="C-17")
+    unasked = make_processed(tmp_path / "unasked", subject="p2", consent=None)
+    simulated = make_processed(tmp_path / "simulated", subject="p3", consent=None)
+    report = json.loads((simulated / "report.json").read_text())
+    (simulated / "report.json").write_text(json.dumps({**report, "synthetic": True}))
+    store = open_store(build_store([asked, unasked, simulated], tmp_path / "store"))
+    assert [(s.consent, s.synthetic) for s in store.scans] == [
+        ("C-17", False),
+        (None, False),
+        (None, True),
+    ]

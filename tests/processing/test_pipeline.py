@@ -181,8 +181,18 @@ def test_separate_alone_decodes_first_and_prints_facts(session: Path, tmp_path: 
     assert facts["ran"] == ["decode", "separate"]
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["subject"] == "ball"
+    assert report["consent"] is None
     assert report["stages"]["separate"]["seconds"] >= 0
     assert report["stages"]["separate"]["peak_rss_mb"] > 10
+
+
+def test_the_report_carries_the_id_of_the_sessions_consent_record(
+    session: Path, tmp_path: Path
+) -> None:
+    file = session / "session.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "consent": "C-17"}))
+    coarse(session, tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["consent"] == "C-17"
 
 
 @pytest.mark.parametrize("rows", [7, 100])

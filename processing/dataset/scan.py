@@ -1,0 +1,180 @@
+"""One scan of a store: a processed folder's atlas maps in the head frame, and whose they are."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import read_json, sha256_file
+from lightstage.formats.people import is_people_file
+from lightstage.formats.processed import ProcessedFolder
+from processing.errors import ProcessingError
+
+CHANNELS: dict[str, int] = {
+    "diffuse_albedo": 3,
+    "specular_albedo": 1,
+    "diffuse_normal": 3,
+    "specular_normal": 3,
+    "position": 3,
+    "confidence": 1,
+}
+"""Maps of a store and their channels; normals and position (mm) are in the head frame."""
+NORMALS = ("diffuse_normal", "specular_normal")
+SKIN = "skin"
+
+
+class DatasetError(ProcessingError):
+    """A dataset that cannot be built, read or published."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ScanEntry:
+    """What a store says of one scan in its dataset.json.
+
+    Attributes:
+        subject: the person's pseudonym.
+        expression: such as ``neutral``.
+        rows: of the maps.
+        columns: of the maps.
+        sha256: of all files that went in.
+        consent: id of the record of the person's consent; None where there is none.
+        synthetic: a simulated person, who needs none.
+    """
+
+    subject: str
+    expression: str
+    rows: int
+    columns: int
+    sha256: str
+    consent: str | None
+    synthetic: bool
+
+
+def without_people_files(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Tell folders from the files that `lightstage-sim dataset` writes beside its people.
+
+    A shell's ``P/*`` names them all.
+
+    Returns:
+        What a store is to be made of, and the files to pass over.
+    """
+    passed = [path for path in paths if is_people_file(path)]
+    return [path for path in paths if path not in passed], passed
+
+
+def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
+    """Read a processed folder.
+
+    Confidence is 0 where the template has eyes, the opening of the mouth or hair (map `skin`), as a
+    simulated person's is: nothing that reads a store takes these for skin.
+
+    Args:
+        root: a folder with atlas/, head_from_world.json and report.json.
+
+    Returns:
+        Its entry, and its maps by name, (rows, columns, c) float32, in the head frame.
+
+    Raises:
+        FormatError, DatasetError: something else than a processed folder, a map that is missing,
+            damaged or of another size, no subject, a pose that is not rigid.
+    """
+    _require_processed(root)
+    folder = ProcessedFolder(root)
+    report = read_json(root / "report.json")
+    for key in ("subject", "expression"):
+        if not isinstance(report, dict) or not isinstance(report.get(key), str):
+            raise FormatError(root / "report.json", field=key, found="none", expected="a pseudonym")
+    consent = report.get("consent")
+    if consent is not None and not (isinstance(consent, str) and consent):
+        raise FormatError(
+            root / "report.json",
+            field="consent",
+            found=repr(consent)[:80],
+            expected="the id of a consent record, or null",
+        )
+    head_from_world = read_head_pose(folder.head_pose)
+    if not folder.atlas_path(SKIN).is_file():
+        raise FormatError(
+            folder.atlas_path(SKIN),
+            found="no such file",
+            expected="the map of what is skin, which keeps eyes and teeth out",
+            hint="Run `lightstage-processing atlas` again; `lightstage-sim dataset` into a new "
+            "folder where the person is simulated.",
+        )
+    maps = {name: folder.read_atlas(name) for name in (*CHANNELS, SKIN)}
+    sizes = {name: image.shape[:2] for name, image in maps.items()}
+    if len(set(sizes.values())) > 1:
+        said = ", ".join(f"{name} {h} x {w}" for name, (h, w) in sizes.items())
+        raise DatasetError(
+            root / "atlas",
+            found=f"maps of different size: {said}",
+            expected="one size",
+            hint="Make the atlas again with one --atlas-rows.",
+        )
+    skin = maps.pop(SKIN) > 0.5
+    maps["confidence"] = np.where(skin, maps["confidence"], 0)
+    maps = {name: image.reshape(*image.shape[:2], -1) for name, image in maps.items()}
+    # Single precision: coordinates are under a metre, so this rounds by less than 1e-4 mm.
+    pose = head_from_world.astype(np.float32)
+    rotation, translation = pose[:, :3], pose[:, 3]
+    surface = (maps["position"] != 0).any(axis=2, keepdims=True)
+    maps["position"] = np.where(surface, maps["position"] @ rotation.T + translation, 0)
+    for name in NORMALS:
+        maps[name] = maps[name] @ rotation.T
+    rows, columns = maps["confidence"].shape[:2]
+    files = [folder.head_pose, *(folder.atlas_path(name) for name in (*CHANNELS, SKIN))]
+    entry = ScanEntry(
+        subject=report["subject"],
+        expression=report["expression"],
+        rows=rows,
+        columns=columns,
+        sha256=hashlib.sha256("".join(map(sha256_file, files)).encode()).hexdigest(),
+        consent=consent,
+        synthetic=report.get("synthetic") is True,
+    )
+    return entry, maps
+
+
+def _require_processed(root: Path) -> None:
+    """Say what is there instead of a processed folder with an atlas."""
+    found, hint = "", ""
+    if not root.exists():
+        found = "no such folder"
+    elif not root.is_dir():
+        found = "a file"
+    elif (root / "atlas").is_dir():
+        return
+    elif (root / "session.json").is_file() or (root / "journal.jsonl").is_file():
+        found = "a session, photographs alone"
+        hint = "Run `lightstage-processing run SESSION --out OUT` first, and name OUT."
+    elif (root / "dataset.json").is_file():
+        found = "a dataset"
+        hint = "Name the processed folders that it was made of."
+    elif (root / "report.json").is_file():
+        found = "a processed folder without an atlas"
+        hint = "Run `lightstage-processing atlas SESSION --out OUT` first."
+    else:
+        found = "a folder of something else"
+    raise DatasetError(root, found=found, expected="a processed folder with atlas/", hint=hint)
+
+
+def read_head_pose(path: Path) -> np.ndarray:
+    """head_from_world.json as (3, 4) float64; FormatError when missing or not rigid."""
+    value = read_json(path)
+    found = value.get("head_from_world") if isinstance(value, dict) else None
+    try:
+        pose = np.array(found, float).reshape(3, 4)
+        rigid = np.allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-4)
+        rigid = bool(rigid and np.linalg.det(pose[:, :3]) > 0 and np.isfinite(pose).all())
+    except (TypeError, ValueError):
+        rigid = False
+    if not rigid:
+        raise FormatError(
+            path, field="head_from_world", found=repr(found)[:80], expected="a rigid 3 x 4"
+        )
+    return pose
