@@ -11,7 +11,6 @@ import json
 import os
 import shlex
 import shutil
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ import typer
 
 from demo.measure import run_measured
 from demo.steps import DemoConfig, Layout, steps
+from lightstage.commands import output_folder, run_app
 from lightstage.errors import LightstageError
 from lightstage.formats.files import write_json
 
@@ -91,32 +91,22 @@ def scan_is_there() -> bool:
 
 
 def main(
-    out: Path = typer.Option(Path("build/demo"), "--out", help="The demo's folder, made anew."),
+    out: Path = output_folder(
+        "--out", help="The demo's folder, made anew.", default=Path("build/demo")
+    ),
     subject: str | None = typer.Option(
         None, "--subject", help="lps or parametric [lps where the scan is at hand]."
     ),
     quick: bool = typer.Option(False, "--quick", help="Half the pixels, a short training."),
 ) -> None:
     """Run the demo."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGTERM, interrupt)
     chosen = subject or ("lps" if scan_is_there() else "parametric")
     config = DemoConfig(chosen)
     if quick:
         config = dataclasses.replace(
             config, scale=config.scale / 2, atlas_rows=768, patch_px=256, train_seconds=30
         )
-    try:
-        code = run(config, out)
-    except LightstageError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        code = 2
-    except KeyboardInterrupt:
-        print("\ndemo: interrupted; what was finished is whole", file=sys.stderr)
-        code = 130
+    code = run(config, out)
     if code == 0:
         steps_done = json.loads(Layout(out).steps.read_text())["steps"]
         seconds = sum(step["seconds"] for step in steps_done)
@@ -125,4 +115,6 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    app = typer.Typer(add_completion=False, rich_markup_mode=None)
+    app.command()(main)
+    run_app(app)

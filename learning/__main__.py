@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":
+    from lightstage.interrupts import end_without_traceback
+
+    end_without_traceback()  # until the imports below are done
+
 import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
+from lightstage.commands import (
+    JsonFlag,
+    finish,
+    make_app,
+    output_file,
+    output_folder,
+    progress_bar,
+    run_app,
+)
 
 app = make_app("Render skin, train the networks, infer reflectance.")
 
@@ -42,7 +55,14 @@ ModeOption = Annotated[
 def render(
     maps: MapsOption,
     environment: LightsOption,
-    out: Annotated[Path, typer.Option(help="Picture to write: .png (sRGB) or .exr (linear).")],
+    out: Annotated[
+        Path,
+        output_file(
+            "--out",
+            help="Picture to write: .png (sRGB) or .exr (linear).",
+            suffixes=[".png", ".exr"],
+        ),
+    ],
     mesh: Annotated[
         Path | None,
         typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
@@ -104,7 +124,9 @@ def bake(
     maps: MapsOption,
     mesh: MeshOption,
     environment: LightsOption,
-    out: Annotated[Path, typer.Option(help="Texture to write, .exr, linear.")],
+    out: Annotated[
+        Path, output_file("--out", help="Texture to write, .exr, linear.", suffixes=[".exr"])
+    ],
     rig: RigOption = None,
     camera: CameraOption = "cam0",
     template: TemplateOption = None,
@@ -132,7 +154,7 @@ def bake(
 
 @app.command()
 def occlusion(
-    out: Annotated[Path, typer.Option(help="Table to write, .npz.")],
+    out: Annotated[Path, output_file("--out", help="Table to write, .npz.", suffixes=[".npz"])],
     template: Annotated[Path | None, typer.Option(help="Template; our own without it.")] = None,
     rows: Annotated[int, typer.Option(help="Rows of the texture shadows are baked in.")] = 96,
     directions: Annotated[int, typer.Option(help="Lights all round that are baked.")] = 2048,
@@ -157,7 +179,7 @@ def occlusion(
 @app.command()
 def train(
     data: Annotated[Path, typer.Option(help="Store made by `lightstage-processing dataset`.")],
-    out: Annotated[Path, typer.Option(help="Folder of the run: checkpoint and metrics.")],
+    out: Annotated[Path, output_folder("--out", help="Folder of the run: checkpoint and metrics.")],
     preset: Annotated[str, typer.Option(help="`demo` or `paper`.")] = "demo",
     config: Annotated[Path | None, typer.Option(help="TOML that overrides the preset.")] = None,
     seconds: Annotated[float | None, typer.Option(help="Time to train in this call.")] = None,
@@ -185,7 +207,7 @@ def infer(
     texture: Annotated[Path, typer.Option(help="Texture with light in it, .exr, linear.")],
     mesh: MeshOption,
     checkpoint: Annotated[Path, typer.Option(help="Run folder or its checkpoint.json.")],
-    out: Annotated[Path, typer.Option(help="Folder for the maps.")],
+    out: Annotated[Path, output_folder("--out", help="Folder for the maps.")],
     head_pose: Annotated[
         Path | None,
         typer.Option(

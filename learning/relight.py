@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -22,7 +21,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import ConfigError
 from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import write_exr
-from lightstage.formats.files import atomic_path
+from lightstage.formats.png import write_png
 from lightstage.rig import Camera
 from processing.colour import srgb_from_linear
 
@@ -164,7 +163,5 @@ def write_picture(path: Path, rgb_linear: np.ndarray, alpha: np.ndarray) -> Path
         return write_exr(path, rgb_linear)
     if path.suffix.lower() != ".png":
         raise MapsError(path, found=f"suffix {path.suffix!r}", expected=".png or .exr")
-    bgra = np.concatenate([srgb_from_linear(rgb_linear)[..., ::-1], alpha[..., None]], axis=2)
-    with atomic_path(path) as beside:
-        cv2.imwrite(str(beside), np.round(bgra * 255).astype(np.uint8))
-    return path
+    rgba = np.concatenate([srgb_from_linear(rgb_linear), alpha[..., None]], axis=2)
+    return write_png(path, np.round(rgba * 255).astype(np.uint8))

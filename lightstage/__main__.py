@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":
+    from lightstage.interrupts import end_without_traceback
+
+    end_without_traceback()  # until the imports below are done
+
 import dataclasses
 import sys
 from pathlib import Path

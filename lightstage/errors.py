@@ -64,6 +64,18 @@ class CutPhotographError(CaptureError):
     """A photograph whose bytes on the disk are not those on the camera; it can be asked again."""
 
 
+class DiskError(LightstageError):
+    """A file or folder that the system does not let us read or write."""
+
+
+class DiskFullError(DiskError):
+    """No room on the disk for what was being written; nothing is left of it."""
+
+
+class MemoryLimitError(LightstageError):
+    """More memory than the machine, or the graphics processor, has."""
+
+
 def one_error(problems: list[LightstageError]) -> LightstageError:
     """Fold many errors into one message, so that five loose cables make one report.
 

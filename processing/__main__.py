@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":
+    from lightstage.interrupts import end_without_traceback
+
+    end_without_traceback()  # until the imports below are done
+
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
+from lightstage.commands import (
+    JsonFlag,
+    finish,
+    make_app,
+    output_file,
+    output_folder,
+    progress_bar,
+    run_app,
+)
 from lightstage.formats.template import default_template_path
 from processing.calibration import cameras_command
 from processing.calibration import command as calibration_command
@@ -20,7 +33,7 @@ calibration_command.register(app)
 cameras_command.register(app)
 
 SessionPath = typer.Argument(..., help="Session folder.", show_default=False)
-OutPath = typer.Option(..., "--out", help="Processed folder, made or continued.")
+OutPath = output_folder("--out", help="Processed folder, made or continued.")
 TemplatePath = typer.Option(
     default_template_path(),
     "--template",
@@ -119,7 +132,9 @@ def register_mesh(
     landmark_command: str | None = typer.Option(
         None, "--landmark-command", help="Or a program that finds them in pictures of the mesh."
     ),
-    out: Path = typer.Option(..., "--out", help="Registered mesh, .obj, in the template's UV."),
+    out: Path = output_file(
+        "--out", help="Registered mesh, .obj, in the template's UV.", suffixes=[".obj"]
+    ),
     template: Path = TemplatePath,
     config: Path | None = ConfigPath,
     as_json: bool = JsonFlag,
@@ -171,7 +186,7 @@ def evaluate(
 @dataset_app.command()
 def build(
     processed: list[Path] = typer.Argument(..., help="Processed folders.", show_default=False),
-    out: Path = typer.Option(..., "--out", help="Store to make."),
+    out: Path = output_folder("--out", help="Store to make."),
     overwrite: bool = Overwrite,
     as_json: bool = JsonFlag,
 ) -> None:
@@ -204,7 +219,7 @@ def build(
 @dataset_app.command()
 def publish(
     store: Path = typer.Argument(..., help="The lab's store.", show_default=False),
-    out: Path = typer.Option(..., "--out", help="Published folder to make."),
+    out: Path = output_folder("--out", help="Published folder to make."),
     overwrite: bool = Overwrite,
     patch: int = typer.Option(512, "--patch", min=8, help="Side of a patch in texels."),
     seed: int | None = typer.Option(

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":
+    from lightstage.interrupts import end_without_traceback
+
+    end_without_traceback()  # until the imports below are done
+
 import time
 from pathlib import Path
 
 import typer
 
-from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
+from lightstage.commands import (
+    JsonFlag,
+    finish,
+    make_app,
+    output_file,
+    output_folder,
+    progress_bar,
+    run_app,
+)
 from sim.devices.stage_command import add_stage_commands
 from sim.errors import SimError
 from sim.scans.commands import add_import_commands
@@ -24,7 +37,7 @@ add_stage_commands(app)
 @app.command()
 def session(
     subject: str = typer.Option(..., help=SUBJECT_HELP),
-    out: Path = typer.Option(..., help="Session folder; truth goes to OUT.truth."),
+    out: Path = output_folder("--out", help="Session folder; truth goes to OUT.truth."),
     seed: int = typer.Option(0, help="Of the person, the noise and the landmark clicks."),
     expression: str | None = typer.Option(None, help="Neutral, or what a folder's face does."),
     sequence: str = typer.Option("binary", help="Named sequence or comma-separated patterns."),
@@ -120,7 +133,7 @@ def session(
 
 @app.command()
 def dataset(
-    out: Path = typer.Option(..., help="Folder for all of them."),
+    out: Path = output_folder("--out", help="Folder for all of them."),
     subjects: int | None = typer.Option(
         None, min=1, help="How many people; as many as the table says where absent."
     ),
@@ -170,7 +183,9 @@ def render(
         help="A pattern (full, x+, full@cross, olat-003 ..), street, noon, sunset, uniform, "
         "softbox, ring, rim, clamshell, or a file: latitude-longitude .exr or .hdr, lights .json.",
     ),
-    out: Path = typer.Option(..., help="Picture, .png (exposed) or .exr (linear)."),
+    out: Path = output_file(
+        "--out", help="Picture, .png (exposed) or .exr (linear).", suffixes=[".png", ".exr"]
+    ),
     seed: int = typer.Option(0, help="Of the person, and of the street's houses."),
     expression: str | None = typer.Option(None, help="Neutral, or what a folder's face does."),
     camera: str = typer.Option("cam0", help="View: a camera of the rig."),
@@ -216,7 +231,7 @@ def render(
 
 @app.command()
 def targets(
-    out: Path = typer.Option(..., help="Session folder; truth goes to OUT.truth."),
+    out: Path = output_folder("--out", help="Session folder; truth goes to OUT.truth."),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     seed: int = typer.Option(0, help="Of the board's poses, lenses, sensors and noise."),
     scale: float = typer.Option(
@@ -255,7 +270,9 @@ def targets(
 
 @app.command()
 def gallery(
-    out: Path = typer.Option(..., help="Picture, .png (exposed) or .exr (linear)."),
+    out: Path = output_file(
+        "--out", help="Picture, .png (exposed) or .exr (linear).", suffixes=[".png", ".exr"]
+    ),
     subjects: int = typer.Option(6, min=1, help="How many people, one a row."),
     expressions: str = typer.Option("neutral,smile,brow_raise", help="Columns of each light."),
     lights: str = typer.Option("full,x+,street", help="Patterns or environments, as in `render`."),
@@ -286,7 +303,7 @@ def gallery(
 
 @app.command()
 def template(
-    out: Path = typer.Option(..., help="Template folder."), as_json: bool = JsonFlag
+    out: Path = output_folder("--out", help="Template folder."), as_json: bool = JsonFlag
 ) -> None:
     """Write our own template: mesh, UV, landmarks, regions, modes, skin maps."""
     from sim.head.template import write_template

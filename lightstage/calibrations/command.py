@@ -19,7 +19,7 @@ from lightstage.calibrations.taking import SessionTaker
 from lightstage.cameras.binding import CamerasFile, read_cameras_file
 from lightstage.capture.command import read_config
 from lightstage.capture.stage import open_stage
-from lightstage.commands import JsonFlag, finish
+from lightstage.commands import JsonFlag, finish, output_folder
 from lightstage.errors import ConfigError
 from lightstage.leds.address import parse_url
 from lightstage.operator import Unattended
@@ -39,7 +39,7 @@ def register(app: typer.Typer) -> None:
 def calibrate_command(
     kind: str = typer.Argument(help=f"What is photographed: {', '.join(KIND_NAMES)}."),
     rig: Path = typer.Option(..., "--rig", help="rig.json: where lights and cameras stand."),
-    out: Path = typer.Option(..., "--out", help="The lab's folder of calibration shots."),
+    out: Path = output_folder("--out", help="The lab's folder of calibration shots."),
     leds: str = typer.Option(..., help="The LED device, as for `capture`."),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     resume: bool = typer.Option(

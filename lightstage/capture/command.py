@@ -18,7 +18,7 @@ from lightstage.capture.session_run import (
     unfinished,
 )
 from lightstage.capture.stage import Stage, open_stage
-from lightstage.commands import JsonFlag, finish
+from lightstage.commands import JsonFlag, finish, output_folder
 from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.formats.config import make_config, read_toml
 from lightstage.leds.address import parse_url
@@ -56,7 +56,7 @@ def read_config(
 
 
 def capture_command(
-    out: Path = typer.Option(..., "--out", help="The session's folder: new, or with --resume."),
+    out: Path = output_folder("--out", help="The session's folder: new, or with --resume."),
     rig: Path | None = typer.Option(
         None, "--rig", help="rig.json: where lights and cameras stand."
     ),

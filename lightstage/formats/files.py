@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError
+from lightstage.failures import disk_full, is_disk_full
 from lightstage.formats.values import read_value
 
 
@@ -27,11 +28,18 @@ def fsync_path(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path, size: int | None = None) -> Iterator[Path]:
     """Yield a name beside `path` to write to; on success fsync it and rename it onto `path`.
 
     The temporary name keeps the suffix, since writers choose their format by it.
     If the block raises, the temporary file is removed and `path` is left as it was.
+
+    Args:
+        path: the file to write or to replace.
+        size: its bytes, where they are known: what a full disk then says is missing.
+
+    Raises:
+        DiskFullError: the disk filled up, whatever the writer raised for it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
@@ -40,6 +48,12 @@ def atomic_path(path: Path) -> Iterator[Path]:
         fsync_path(beside)
         os.replace(beside, path)
         fsync_path(path.parent)
+    except Exception as error:
+        if not is_disk_full(error):
+            raise
+        written = beside.stat().st_size if beside.is_file() else 0
+        beside.unlink(missing_ok=True)
+        raise disk_full(path, written, size) from error
     finally:
         beside.unlink(missing_ok=True)
 
@@ -57,6 +71,7 @@ def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
 
     Raises:
         FormatError: `path` is a file or a folder of another kind.
+        DiskFullError: the disk filled up, whatever the writer raised for it.
     """
     if path.is_file() or (path.is_dir() and any(path.iterdir()) and not (path / marker).exists()):
         raise FormatError(
@@ -76,6 +91,12 @@ def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
             os.replace(path, old)
         os.replace(beside, path)
         fsync_path(path.parent)
+    except Exception as error:
+        if not is_disk_full(error):
+            raise
+        written = _bytes_below(beside)
+        shutil.rmtree(beside, ignore_errors=True)
+        raise disk_full(path, written) from error
     finally:
         if old.exists() and not path.exists():
             os.replace(old, path)
@@ -83,9 +104,13 @@ def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
         shutil.rmtree(old, ignore_errors=True)
 
 
+def _bytes_below(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
 def write_bytes(path: Path, data: bytes) -> Path:
     """Write bytes atomically; returns `path`."""
-    with atomic_path(path) as beside:
+    with atomic_path(path, len(data)) as beside:
         beside.write_bytes(data)
     return path
 

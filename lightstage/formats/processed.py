@@ -10,7 +10,7 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr, read_half_exr, write_exr
-from lightstage.formats.files import atomic_path
+from lightstage.formats.png import write_png
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,9 +100,8 @@ class ProcessedFolder:
 
     def write_mask(self, camera: str, mask: np.ndarray) -> Path:
         """Write a view's (h, w) bool mask as PNG."""
-        with atomic_path(self.mask_path(camera)) as beside:
-            cv2.imwrite(str(beside), np.asarray(mask, bool).view(np.uint8) * np.uint8(255))
-        return self.mask_path(camera)
+        pixels = np.asarray(mask, bool).view(np.uint8) * np.uint8(255)
+        return write_png(self.mask_path(camera), pixels)
 
     def read_mask(self, camera: str) -> np.ndarray:
         """Read a view's mask: (h, w) bool."""

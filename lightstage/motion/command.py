@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from lightstage.commands import JsonFlag, finish, progress_bar
+from lightstage.commands import JsonFlag, finish, output_folder, progress_bar
 from lightstage.errors import ConfigError
 from lightstage.formats.cameras import NAME
 from lightstage.importing import (
@@ -36,7 +36,7 @@ def import_command(
     rig: Path | None = typer.Option(
         None, "--rig", help="rig.json: where lights and cameras stand. Without: see --length."
     ),
-    out: Path = typer.Option(..., "--out", help="The session's folder, new."),
+    out: Path = output_folder("--out", help="The session's folder, new."),
     subject: str = typer.Option("subject-1", help="Pseudonym of the person."),
     expression: str = typer.Option("neutral", help="What the face does."),
     colour: Path | None = typer.Option(

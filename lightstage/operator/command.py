@@ -10,7 +10,7 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
-from lightstage.commands import JsonFlag, finish
+from lightstage.commands import JsonFlag, finish, output_file
 from lightstage.errors import CaptureError, ConfigError
 from lightstage.formats.files import write_text
 from lightstage.operator.client import ask, follow
@@ -33,8 +33,11 @@ def watch_command(
     do: str | None = typer.Option(
         None, help="Ask the running capture: retake, accept, abort, pause or resume."
     ),
-    picture: Path | None = typer.Option(
-        None, help="Write what the terminal shows to this SVG instead of following."
+    picture: Path | None = output_file(
+        "--picture",
+        help="Write what the terminal shows to this SVG instead of following.",
+        suffixes=[".svg"],
+        default=None,
     ),
     until: int | None = typer.Option(None, help="With --picture: as it was after this line's id."),
     columns: int = typer.Option(100, help="With --picture: width in characters."),

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from lightstage.commands import JsonFlag, finish
+from lightstage.commands import JsonFlag, finish, output_file
 from lightstage.errors import PatternError
 from lightstage.patterns.drive import Drive, drive_levels
 from lightstage.patterns.names import (
@@ -41,13 +41,13 @@ def patterns_command(
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     drive: str = typer.Option("solid-angle", help="How lights are driven: solid-angle or on-off."),
     patterns: Path | None = typer.Option(None, help="Your own patterns (TOML)."),
-    out: Path | None = typer.Option(None, help="Picture of all of them, .png."),
+    out: Path | None = output_file(
+        "--out", help="Picture of all of them, .png.", suffixes=[".png"], default=None
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """List what each pattern lights, and draw it; with nothing given, list the sequences."""
     how = _drive(drive)
-    if out is not None and (out.suffix.lower() != ".png" or out.is_dir()):
-        raise PatternError(out, field="--out", found=out.suffix or "no suffix", expected=".png")
     the_rig = default_rig() if rig is None else load_rig(rig)
     own = {} if patterns is None else read_patterns(patterns, the_rig)
     if not sequence and out is None and not own:

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lightstage.formats.files import atomic_path
+from lightstage.formats.png import write_png
 from lightstage.patterns.weights import solid_angles_sr
 from lightstage.rig import Rig
 
@@ -91,11 +91,7 @@ def pattern_sheet(
 
 def write_sheet(path: Path, sheet: np.ndarray) -> Path:
     """Write a sheet as PNG, atomically; returns `path`."""
-    done, data = cv2.imencode(".png", np.ascontiguousarray(sheet[:, :, ::-1]))
-    assert done  # PNG takes every uint8 picture
-    with atomic_path(path) as beside:
-        beside.write_bytes(data.tobytes())
-    return path
+    return write_png(path, sheet)
 
 
 def _side(count: int, config: SheetConfig) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import typer
 
-from lightstage.commands import JsonFlag, finish, progress_bar
+from lightstage.commands import JsonFlag, finish, output_folder, progress_bar
 
 
 def register(app: typer.Typer) -> None:
@@ -20,7 +20,7 @@ def calibrate_cameras_command(
     lab: Path = typer.Argument(
         ..., help="A lab's calibration shots, or a session of targets.", show_default=False
     ),
-    out: Path = typer.Option(..., "--out", help="Folder for rig.json and cameras.json."),
+    out: Path = output_folder("--out", help="Folder for rig.json and cameras.json."),
     config: Path | None = typer.Option(None, "--config", help="TOML: [board] [cameras]"),
     allow_camera: list[str] = typer.Option([], help="A camera to keep whatever its residual."),
     as_json: bool = JsonFlag,

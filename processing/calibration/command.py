@@ -7,7 +7,7 @@ from pathlib import Path
 
 import typer
 
-from lightstage.commands import JsonFlag, finish, progress_bar
+from lightstage.commands import JsonFlag, finish, output_folder, progress_bar
 
 
 def register(app: typer.Typer) -> None:
@@ -19,7 +19,7 @@ def calibrate_command(
     lab: Path = typer.Argument(
         ..., help="A lab's calibration shots, or a session of targets.", show_default=False
     ),
-    out: Path = typer.Option(..., "--out", help="Calibration folder, made or replaced."),
+    out: Path = output_folder("--out", help="Calibration folder, made or replaced."),
     config: Path | None = typer.Option(None, "--config", help="TOML: [chart] [colour] [flat] .."),
     as_json: bool = JsonFlag,
 ) -> None:

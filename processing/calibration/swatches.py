@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lightstage.formats.files import atomic_path
+from lightstage.formats.png import write_png
 from processing.calibration.chart import COLUMNS, ROWS
 from processing.calibration.colour_fit import ColourFit
 from processing.colour import srgb_from_linear
@@ -40,6 +40,4 @@ def write_swatches(fit: ColourFit, known: np.ndarray, path: Path) -> Path:
         ink = (0, 0, 0) if known[index].mean() > 0.18 else (255, 255, 255)
         place = (left + 4, top + SIDE - 6)
         cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.38, ink, 1, cv2.LINE_AA)
-    with atomic_path(path) as beside:
-        cv2.imwrite(str(beside), picture)
-    return path
+    return write_png(path, picture[:, :, ::-1])

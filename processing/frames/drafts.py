@@ -113,8 +113,8 @@ def new_frames(
     """
     with atomic_folder(frames_path(out, camera_id), FACTS) as beside:
         size = (len(patterns), *window.shape, 3)
-        half = np.lib.format.open_memmap(beside / HALVES, "w+", np.float16, size)
-        clipped = np.lib.format.open_memmap(beside / CLIPPED, "w+", np.uint8, window.shape)
+        half = _mapped(beside / HALVES, np.float16, size)
+        clipped = _mapped(beside / CLIPPED, np.uint8, window.shape)
         file = os.open(beside / HALVES, os.O_RDWR)
         try:
             yield (draft := Draft(half, clipped, file))
@@ -137,6 +137,20 @@ def new_frames(
         (beside / FACTS).write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
         for name in (HALVES, CLIPPED, MARKS, FACTS):
             fsync_path(beside / name)
+
+
+def _mapped(path: Path, kind: type, shape: tuple[int, ...]) -> np.memmap:
+    """A new mapped array whose bytes the disk has promised.
+
+    A page written to a mapped file on a full disk ends the process by a signal, without a message.
+    """
+    array = np.lib.format.open_memmap(path, "w+", kind, shape)
+    file = os.open(path, os.O_RDWR)
+    try:
+        os.posix_fallocate(file, 0, path.stat().st_size)
+    finally:
+        os.close(file)
+    return array
 
 
 def read_told(folder: Path, camera_id: str) -> dict[str, Any]:

@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit, prange
 
 from lightstage.errors import FormatError
-from lightstage.formats.files import atomic_path
 from lightstage.formats.half import as_float
+from lightstage.formats.png import write_png
 from processing.frames.drafts import (
     CLIPPED,
     HALVES,
@@ -191,10 +191,8 @@ def read_frames(out: Path, camera_id: str) -> Frames:
 
 def write_foreground(out: Path, camera_id: str, mask: np.ndarray) -> Path:
     """Write a camera's (h, w) bool foreground mask; returns its path."""
-    path = foreground_path(out, camera_id)
-    with atomic_path(path) as beside:
-        cv2.imwrite(str(beside), mask.astype(np.uint8) * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
-    return path
+    options = [cv2.IMWRITE_PNG_BILEVEL, 1]
+    return write_png(foreground_path(out, camera_id), mask.astype(np.uint8) * 255, options)
 
 
 def read_foreground(out: Path, camera_id: str) -> np.ndarray:

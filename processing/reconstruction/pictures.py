@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lightstage.formats.files import atomic_path
 from lightstage.formats.mesh import Mesh
+from lightstage.formats.png import write_png
 from processing.report import Picture, Section, resize, side_by_side
 from processing.sides import coloured_sides, lit_sides
 
@@ -51,9 +51,9 @@ def write_pictures(
         shown: of each view (h, w, 3) uint8, its `coverage`.
         mesh: mm, world.
     """
-    _write(_folder(out) / "mesh.png", lit_sides(mesh, SIDE_PX))
+    write_png(_folder(out) / "mesh.png", lit_sides(mesh, SIDE_PX))
     for name, image in zip(names, shown, strict=True):
-        _write(_folder(out) / f"coverage-{name}.png", image)
+        write_png(_folder(out) / f"coverage-{name}.png", image)
     _distance(out).unlink(missing_ok=True)  # that of an earlier mesh
 
 
@@ -65,7 +65,7 @@ def write_distance(out: Path, mesh: Mesh, distance_mm: np.ndarray) -> None:
         mesh: its base mesh.
         distance_mm: (v,) of its vertices.
     """
-    _write(_distance(out), coloured_sides(mesh, distance_mm, LARGEST_MM, SIDE_PX))
+    write_png(_distance(out), coloured_sides(mesh, distance_mm, LARGEST_MM, SIDE_PX))
 
 
 def mesh_section(out: Path) -> Section | None:
@@ -105,11 +105,6 @@ def _folder(out: Path) -> Path:
 
 def _distance(out: Path) -> Path:
     return _folder(out) / "distance.png"
-
-
-def _write(path: Path, image: np.ndarray) -> None:
-    with atomic_path(path) as beside:
-        cv2.imwrite(str(beside), image[..., ::-1])
 
 
 def _read(path: Path) -> np.ndarray | None:

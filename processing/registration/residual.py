@@ -10,6 +10,7 @@ import numpy as np
 
 from lightstage.formats.files import atomic_path
 from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.png import write_png
 from processing.registration.target import Target
 from processing.report import Picture, Section
 from processing.sides import coloured_sides
@@ -62,8 +63,7 @@ def write_residual(out: Path, found: Residual, mesh: Mesh) -> None:
     folder = out / "work" / "registration"
     with atomic_path(folder / "residual.npz") as beside, beside.open("wb") as file:
         np.savez_compressed(file, distance_mm=found.distance_mm, angle_deg=found.angle_deg)
-    with atomic_path(folder / "residual.png") as beside:
-        cv2.imwrite(str(beside), drawn(found, mesh)[..., ::-1])
+    write_png(folder / "residual.png", drawn(found, mesh))
 
 
 def drawn(found: Residual, mesh: Mesh) -> np.ndarray:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import typer
 
-from lightstage.commands import progress_bar
+from lightstage.commands import output_folder, progress_bar
 from sim.errors import SimError
 
 POLL_S = 0.2
@@ -68,7 +68,7 @@ def stage(
 
 def calibrate(
     kind: str = typer.Argument(help="charuco, mirror, grey, chart, dark or flat."),
-    out: Path = typer.Option(..., help="The lab's folder of calibration shots."),
+    out: Path = output_folder("--out", help="The lab's folder of calibration shots."),
     seed: int = typer.Option(0, help="Of poses, lenses and noise."),
     scale: float = typer.Option(0.06, min=0.005, max=1.0, help="Share of the rig's pixels a side."),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from lightstage.formats.files import atomic_path
+from lightstage.formats.png import write_png
 from lightstage.formats.template import Modes, Template, save_template
 from sim.head.maps import region_map
 from sim.head.mesh import landmarks, neutral_mesh, regions
@@ -45,8 +44,7 @@ def write_template(out: Path) -> Path:
     """
     save_template(build_template(), out)
     skin = region_map("skin", MAP_ROWS, MAP_COLUMNS) + region_map("lips", MAP_ROWS, MAP_COLUMNS)
-    with atomic_path(out / "maps" / "skin.png") as beside:
-        cv2.imwrite(str(beside), np.where(skin > 0.5, 255, 0).astype(np.uint8))
+    write_png(out / "maps" / "skin.png", np.where(skin > 0.5, 255, 0).astype(np.uint8))
     return out
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import write_exr
-from lightstage.formats.files import atomic_path
+from lightstage.formats.png import write_png
 from lightstage.rig import Camera
 from sim.errors import SimError
 from sim.light.environments import LUMINANCE, Panorama, panorama_lights, read_panorama, rotated
@@ -188,9 +187,7 @@ def write_picture(picture: np.ndarray, path: Path, exposure: float) -> Path:
     # IEC 61966-2-1 [IEC61966].
     low = linear * 12.92
     encoded = np.where(linear <= 0.0031308, low, 1.055 * linear ** (1 / 2.4) - 0.055)
-    with atomic_path(path) as beside:
-        cv2.imwrite(str(beside), np.round(encoded[:, :, ::-1] * 255).astype(np.uint8))
-    return path
+    return write_png(path, np.round(encoded * 255).astype(np.uint8))
 
 
 def require_picture(path: Path) -> None:

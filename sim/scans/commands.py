@@ -7,12 +7,12 @@ from pathlib import Path
 
 import typer
 
-from lightstage.commands import JsonFlag, finish
+from lightstage.commands import JsonFlag, finish, output_folder
 
 
 def import_ict(
     path: Path = typer.Argument(..., help="A clone of ICT-FaceKit, or its FaceXModel folder."),
-    out: Path = typer.Option(..., help="Subject folder, for `session --subject OUT`."),
+    out: Path = output_folder("--out", help="Subject folder, for `session --subject OUT`."),
     seed: int = typer.Option(0, min=0, help="Chooses the person."),
     expression: str = typer.Option("neutral", help="neutral, smile, jaw_open and so on."),
     rows: int = typer.Option(1536, min=96, max=6144, help="Rows of the maps, a multiple of 3."),
@@ -48,7 +48,7 @@ def import_ict(
 
 def import_scan(
     file: Path = typer.Argument(..., help="A textured scan: .glb, .gltf or .obj."),
-    out: Path = typer.Option(..., help="Subject folder, for `session --subject OUT`."),
+    out: Path = output_folder("--out", help="Subject folder, for `session --subject OUT`."),
     landmarks: Path | None = typer.Option(
         None, help="JSON, ibug68: 68 points_mm, or points in the file's unit; null if unknown."
     ),

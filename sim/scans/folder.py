@@ -21,8 +21,9 @@ import cv2
 import numpy as np
 
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.files import atomic_folder, read_json, write_bytes, write_json, write_text
+from lightstage.formats.files import atomic_folder, read_json, write_json, write_text
 from lightstage.formats.mesh import Mesh, read_obj
+from lightstage.formats.png import write_png
 from lightstage.session import check_pseudonym
 from sim.errors import SimError
 from sim.people.subject import Subject
@@ -80,9 +81,7 @@ def save_subject(subject: Subject, path: Path, facts: dict[str, Any] | None = No
         write_text(folder / "mesh.obj", _obj_text(subject.mesh))
         for name, image in maps.items():
             write_exr(folder / "maps" / f"{name}.exr", image, half=False)
-        encoded, data = cv2.imencode(".png", subject.skin.astype(np.uint8) * 255)
-        assert encoded
-        write_bytes(folder / "skin.png", data.tobytes())
+        write_png(folder / "skin.png", subject.skin.astype(np.uint8) * 255)
         write_json(folder / MARKER, value)
     return path
 

@@ -39,7 +39,7 @@ run_app(app)
 
 
 def run(*arguments):
-    command = [sys.executable, "-c", SCRIPT, *map(str, arguments)]
+    command = [sys.executable, "-c", SCRIPT, "use", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True)
 
 
@@ -78,14 +78,14 @@ def test_wrong_arguments_exit_2_without_a_traceback(texture):
 def test_a_bug_shows_its_traceback_and_is_not_called_bad_input():
     script = "from lightstage.commands import *\napp = make_app('x')\n"
     script += "@app.command()\ndef f(): 1 / 0\nrun_app(app)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", script, "f"], capture_output=True, text=True)
     assert done.returncode == 1
     assert "ZeroDivisionError" in done.stderr
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_leaves_no_half_written_file(texture, tmp_path, number):
-    command = [sys.executable, "-c", SCRIPT, str(texture), str(tmp_path / "out"), "--slow"]
+    command = [sys.executable, "-c", SCRIPT, "use", str(texture), str(tmp_path / "out"), "--slow"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "ready\n"
     child.send_signal(number)
@@ -146,7 +146,7 @@ def f():
 
 run_app(app)
 """
-    command = [sys.executable, "-c", script]
+    command = [sys.executable, "-c", script, "f"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=20)
     assert done.returncode not in (0, 2)
     assert "went on" not in done.stdout

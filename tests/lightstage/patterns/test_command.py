@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lightstage.commands import make_app
-from lightstage.errors import ConfigError, PatternError
+from lightstage.errors import ConfigError, LightstageError, PatternError
 from lightstage.formats.exr import write_exr
 from lightstage.patterns.command import register
 from lightstage.rig import save_rig
@@ -99,11 +99,11 @@ def test_ones_own_patterns_are_listed_and_drawn(tmp_path):
         (["nope"], "unknown name"),
         (["full,full"], "twice"),
         (["binary", "--drive", "loud"], "--drive: found 'loud'"),
-        (["binary", "--out", "sheet.jpg"], "found .jpg, expected .png"),
+        (["binary", "--out", "sheet.jpg"], "found suffix '.jpg', expected .png"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, said):
-    with pytest.raises(PatternError, match=said):
+    with pytest.raises(LightstageError, match=said):
         run(*arguments)
 
 

@@ -1,0 +1,118 @@
+"""How a command runs and ends: exit codes, errors in words and as JSON, the line of facts."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from typing import Any, cast
+
+import typer
+from typer.exceptions import TyperException
+
+from lightstage.errors import LightstageError
+from lightstage.failures import explain
+from lightstage.interrupts import interrupted, raise_on_signals
+
+JsonFlag = typer.Option(
+    False, "--json", help="Print the facts, or the error, as JSON on the last line."
+)
+
+BAD_INPUT, DEFECT, INTERRUPTED = 2, 1, 130
+"""Exit codes: what a user can mend; a defect of this software; Ctrl-C or another signal."""
+
+
+def make_app(help_text: str) -> typer.Typer:
+    """A Typer application with this project's settings and the option --version."""
+    app = typer.Typer(
+        help=help_text,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        # As markup, `[safety]` in a help text would be taken for a style and vanish.
+        rich_markup_mode=None,
+    )
+    app.callback()(_with_version)
+    return app
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from lightstage import __version__
+
+        print(f"lightstage {__version__}")
+        raise typer.Exit
+
+
+def _with_version(
+    version: bool = typer.Option(
+        False,
+        "--version",
+        help="Print the version and exit.",
+        callback=_print_version,
+        is_eager=True,
+    ),
+) -> None:
+    """What stands before every command's name."""
+
+
+def run_app(app: typer.Typer) -> None:
+    """Run an application and exit: 0 done, 2 for what the user can mend, 130 interrupted.
+
+    What the user can mend is one message on stderr; with --json it is also the last line of
+    stdout, as {"error": {...}}. Set LIGHTSTAGE_TRACEBACK=1 to see where it was raised. Any other
+    exception is a defect, and shows its traceback.
+    """
+    raise_on_signals()
+    as_json = "--json" in sys.argv[1:]
+    try:
+        status = typer.main.get_command(app).main(standalone_mode=False)
+        sys.stdout.flush()
+    except TyperException as error:
+        cast(Any, error).show()  # Typer's base class, which is public, does not declare it
+        _print_json(as_json, type(error).__name__, {"message": error.format_message()})
+        sys.exit(error.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        _end_interrupted(as_json)
+    except Exception as error:
+        # An import or a library that was interrupted can raise an error of its own.
+        if interrupted() and not isinstance(error, LightstageError):
+            _end_interrupted(as_json)
+        _end_with(error, as_json)
+    if status == INTERRUPTED:
+        _end_interrupted(as_json)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def finish(text: str, facts: dict[str, Any], as_json: bool) -> None:
+    """End a command: one line of facts with units, or the same facts as JSON."""
+    print(json.dumps(facts) if as_json else text)
+
+
+def _end_with(error: Exception, as_json: bool) -> None:
+    """Print an error that the user can mend and exit; raise a defect again."""
+    if isinstance(error, BrokenPipeError):
+        # Whoever read our output has ended (`| head`): nobody is left to tell.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(DEFECT)
+    told = explain(error)
+    if told is None:
+        raise error
+    if os.environ.get("LIGHTSTAGE_TRACEBACK"):
+        sys.excepthook(type(error), error, error.__traceback__)
+    name = type(told).__name__
+    print(f"{name}: {told}", file=sys.stderr)
+    fields = {key: getattr(told, key) for key in ("where", "field", "found", "expected", "hint")}
+    _print_json(as_json, name, {"message": str(told), **fields})
+    sys.exit(BAD_INPUT)
+
+
+def _end_interrupted(as_json: bool) -> None:
+    print("Interrupted.", file=sys.stderr)
+    _print_json(as_json, "Interrupted", {"message": "Interrupted."})
+    sys.exit(INTERRUPTED)
+
+
+def _print_json(as_json: bool, kind: str, fields: dict[str, str]) -> None:
+    if as_json:
+        print(json.dumps({"error": {"type": kind, **fields}}))

@@ -1,0 +1,45 @@
+"""The progress bar of a command."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+
+from lightstage.interrupts import interrupted
+
+ProgressCallback = Callable[[int, int], None]
+"""`progress(done, total)`, called by long functions; they print nothing themselves."""
+
+
+def quiet(done: int, total: int) -> None:
+    """A progress callback that shows nothing."""
+
+
+@contextlib.contextmanager
+def progress_bar(label: str) -> Iterator[ProgressCallback]:
+    """A bar on stderr, drawn from `progress(done, total)` calls; none in a log file.
+
+    The yielded callback raises KeyboardInterrupt where a signal came before.
+    """
+    if not sys.stderr.isatty():  # a log file wants the last line only
+        yield _stop_where_interrupted
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as TimeLeft
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeLeft())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+
+        def progress(done: int, total: int) -> None:
+            _stop_where_interrupted(done, total)
+            bar.update(task, completed=done, total=total)
+
+        yield progress
+
+
+def _stop_where_interrupted(done: int, total: int) -> None:  # noqa: ARG001  a ProgressCallback
+    if interrupted():
+        raise KeyboardInterrupt

@@ -1,0 +1,46 @@
+"""PNG files of 8-bit pictures: encoded in memory, then written whole.
+
+OpenCV's own writer returns False where a disk is full or a folder is missing; the bytes written
+here raise what the system says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lightstage.errors import FormatError
+from lightstage.formats.files import write_bytes
+
+
+def write_png(path: Path, pixels: np.ndarray, options: Sequence[int] = ()) -> Path:
+    """Write a picture as PNG, atomically.
+
+    Args:
+        path: the file.
+        pixels: (h, w), (h, w, 3) red green blue, or (h, w, 4) with alpha last; uint8.
+        options: OpenCV's `IMWRITE_PNG_..` in pairs.
+
+    Returns:
+        `path`.
+
+    Raises:
+        FormatError: another type or shape.
+        DiskFullError: no room for it.
+    """
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or channels not in (1, 3, 4):
+        raise FormatError(
+            path,
+            found=f"{pixels.dtype} {pixels.shape}",
+            expected="uint8 of (h, w), (h, w, 3) or (h, w, 4)",
+        )
+    order = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[channels]
+    turned = pixels if pixels.ndim == 2 else pixels[:, :, order]
+    done, data = (False, None) if pixels.size == 0 else cv2.imencode(".png", turned, options)
+    if not done or data is None:
+        raise FormatError(path, found=f"shape {pixels.shape}", expected="a picture PNG can hold")
+    return write_bytes(path, data.tobytes())
