@@ -13,6 +13,9 @@ from lightstage.patterns import Drive
 from lightstage.preflight import PreflightConfig
 from lightstage.safety import SafetyConfig
 
+GRACE_S = (0.5, 60.0)
+"""Bounds of `late_camera_grace_s`: cameras differ in how long they write to their card."""
+
 
 @dataclasses.dataclass(frozen=True)
 class CaptureConfig:
@@ -22,6 +25,9 @@ class CaptureConfig:
         trigger_lead_s: time between asking all cameras and the moment at which all trigger.
         dark_after_s: how long a pattern stays lit while its photographs, all exposed, are still
             being downloaded; then the stage is dark until the next one.
+        late_camera_grace_s: a camera that does not answer keeps the pattern lit for so long after
+            the other cameras have exposed and its own exposure should be over; then the stage is
+            dark, and the camera takes the pattern again alone.
         downloads: how often one file is asked for before its photograph counts as failed.
         delete_from_cameras: delete a photograph on the camera once it is in the journal.
         drive: levels weighted by the solid angle that a light stands for, or plain on and off.
@@ -35,6 +41,7 @@ class CaptureConfig:
 
     trigger_lead_s: float = 0.02
     dark_after_s: float = 2.0
+    late_camera_grace_s: float = 3.0
     downloads: int = 2
     delete_from_cameras: bool = False
     drive: Drive = "solid-angle"
@@ -57,6 +64,15 @@ class CaptureConfig:
                 raise ConfigError(
                     "config", field=name, found=repr(value), expected="seconds from 0"
                 )
+        low_s, high_s = GRACE_S
+        if not low_s <= self.late_camera_grace_s <= high_s:
+            raise ConfigError(
+                "config",
+                field="late_camera_grace_s",
+                found=repr(self.late_camera_grace_s),
+                expected=f"seconds from {low_s:g} to {high_s:g}",
+                hint="A grace that is shorter than the cameras differ voids good photographs.",
+            )
 
     def worst_shot_s(self, acknowledge_s: float) -> float:
         """Longest that a shot can keep its lights on, every deadline used up.

@@ -16,7 +16,8 @@ from typing import Protocol
 
 from lightstage.cameras.camera import CameraDevice, CardFile, Exposure, Summary
 from lightstage.capture.config import CaptureConfig
-from lightstage.capture.pattern_light import PatternLight
+from lightstage.capture.late_cameras import ExposureTimes
+from lightstage.capture.pattern_light import LateCameraError, PatternLight
 from lightstage.errors import (
     CaptureError,
     CutPhotographError,
@@ -77,6 +78,9 @@ class Photographer:
         config: how often a file is asked for, and whether it is deleted on the camera.
         told: what each camera tells about itself, by its id; what it must go on telling.
         cards: what lay on each card before, by camera id.
+
+    Attributes:
+        exposure_times: how long exposures of this session last.
     """
 
     def __init__(
@@ -94,6 +98,7 @@ class Photographer:
         self._config = config
         self._told = told
         self._known = {camera_id: set(files) for camera_id, files in cards.items()}
+        self.exposure_times = ExposureTimes(each.shutter for each in told.values())
         # Cameras of which a trigger gave no picture: it may come to the card at any later time.
         self._doubtful: set[str] = set()
 
@@ -116,6 +121,8 @@ class Photographer:
 
         Raises:
             LightLostError: the light may have changed; the picture is kept as recovered.
+            LateCameraError: the light was put out before the camera had exposed; the picture is
+                kept as recovered.
             DeviceError, FormatError, CutPhotographError: the camera took no photograph, or it did
                 not come whole.
             OldPictureError: it is one that the session has already.
@@ -125,12 +132,14 @@ class Photographer:
             self._clear_doubts(camera)
             exposure = self._trigger(pattern, camera, at_s)
         finally:
-            lost = light.over()
+            lost = light.over(camera.id)
         if isinstance(exposure, DeviceError):
             exposure = self._search(pattern, camera, at_s, exposure)
+        else:
+            self.exposure_times.note(camera.id, exposure.exposed_s - at_s)
         if lost is not None:
             self._bring_home(camera, exposure.files, pattern, f"light not certain: {lost}")
-            raise LightLostError(str(lost))
+            raise lost if isinstance(lost, LateCameraError) else LightLostError(str(lost))
         file = exposure.files[0]
         self._writer.exposed(
             pattern,

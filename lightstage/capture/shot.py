@@ -9,6 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 from lightstage.cameras.camera import CameraDevice
 from lightstage.capture.config import CaptureConfig
+from lightstage.capture.late_cameras import LateCameras
 from lightstage.capture.pattern_light import PatternLight
 from lightstage.capture.photograph import OldPictureError, Photographer, Taken
 from lightstage.capture.wishes import Wishes
@@ -77,7 +78,8 @@ def take_shot(
 ) -> ShotTaken:
     """Light a pattern and let these cameras photograph it.
 
-    A camera that fails does not hold the others up: its failure is a finding.
+    A camera that fails does not hold the others up: its failure is a finding. One that does not
+    answer does not keep the person lit either (`LateCameras`).
 
     Args:
         shot: what to light.
@@ -95,7 +97,7 @@ def take_shot(
         DeviceError: the lights failed.
     """
     try:
-        light = PatternLight(lights, shot.levels, len(cameras), config.dark_after_s)
+        light = PatternLight(lights, shot.levels, [c.id for c in cameras], config.dark_after_s)
     except LightLostError as error:
         missed = _missed(shot.pattern, cameras, {camera.id: error for camera in cameras}, writer)
         return ShotTaken((), tuple(missed), 0.0, light_lost=True)
@@ -114,6 +116,7 @@ def take_shot(
     disk: CaptureError | None = None
     try:
         at_s = time.monotonic() + config.trigger_lead_s
+        late = LateCameras(shot.pattern, light, photographer.exposure_times, at_s, config, writer)
         pending: dict[Future[Taken], str] = {
             pool.submit(photographer.take, shot.pattern, takes[c.id], c, at_s, light): c.id
             for c in cameras
@@ -121,6 +124,7 @@ def take_shot(
         while pending:
             ready, _ = wait(pending, timeout=POLL_S, return_when="FIRST_COMPLETED")
             light.dark_when_due()
+            late.look()
             if wishes.aborted():
                 lights.dark()
                 # What is exposed still comes home.

@@ -204,6 +204,17 @@ def _note(line: Line) -> Said:
     return Said("plain", text[:1].upper() + text[1:] if not _place(line) else text)
 
 
+def _waiting(line: Line) -> Said:
+    who = ", ".join(names_of(line, "cameras")) or "A camera"
+    dark_s, ended_s = number_of(line, "dark_in_s"), number_of(line, "ended_in_s")
+    left = "" if ended_s is None else f" in {ended_s:.0f} s"
+    if line.get("lit") is False:
+        text = f"The lights are dark: {who} did not answer, and will be started again{left}"
+        return Said("warning", text, "Nothing to do: it takes the pattern again alone.")
+    soon = "soon" if dark_s is None else f"in {dark_s:.0f} s"
+    return Said("warning", f"Waiting for {who}: the lights go dark {soon}")
+
+
 def _aborted(line: Line) -> Said:
     why = text_of(line, "said") or text_of(line, "why")
     if why == "KeyboardInterrupt":
@@ -244,6 +255,7 @@ _WORDS: dict[str, Callable[[Line], Said]] = {
     "shot": _shot,
     "calibration": _always("A calibration is kept with the session"),
     "note": _note,
+    "waiting": _waiting,
     "aborted": _aborted,
     "end": _end,
 }

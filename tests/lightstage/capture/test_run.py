@@ -6,8 +6,11 @@ import json
 import numpy as np
 import pytest
 
+from lightstage.capture import late_cameras
+from lightstage.capture.config import CaptureConfig
+from lightstage.capture.late_cameras import ExposureTimes
 from lightstage.capture.shot import AbortedError
-from lightstage.errors import CaptureError, DeviceError
+from lightstage.errors import CaptureError, ConfigError, DeviceError
 from lightstage.findings import Finding
 from lightstage.formats.session import load_session
 from lightstage.leds.controller import LightLostError
@@ -299,3 +302,30 @@ def test_a_setting_that_drifted_is_told_set_back_and_the_photograph_taken_again(
     bench.run()
     assert camera.changed == [("white_balance", "Daylight")]
     assert bench.kept("x+") == ["cam0.dng", "cam0.take2.dng", "cam1.dng", "cam2.dng"]
+
+
+@pytest.mark.parametrize("value", [0.0, 0.4, 60.1, float("inf"), float("nan"), -1.0])
+def test_a_grace_that_would_void_good_photographs_or_never_ends_is_refused(value):
+    with pytest.raises(ConfigError, match=r"late_camera_grace_s: found .*, expected seconds from"):
+        CaptureConfig(late_camera_grace_s=value)
+
+
+def test_a_camera_without_an_exposure_is_waited_for_as_long_as_the_slowest_other_one_takes():
+    times = ExposureTimes(["1/60", "2", "Bulb", None])
+    assert times.usual_s(["cam0"]) is None
+    times.note("cam0", 0.5)
+    assert times.usual_s(["cam0"]) == 2.0  # the shutter alone is open for so long
+    times.note("cam1", 4.0)
+    times.note("cam1", 3.0)
+    assert times.usual_s(["cam0"]) == 2.0
+    assert times.usual_s(["cam2"]) == times.usual_s(["cam0", "cam1"]) == 4.0
+
+
+def test_a_camera_that_is_slow_but_within_the_grace_keeps_its_light(bench, monkeypatch):
+    monkeypatch.setattr(late_cameras, "TELL_S", 0.3)
+    bench.config = dataclasses.replace(bench.config, late_camera_grace_s=4.0)
+    bench.cameras[2].faults[2] = "late"  # by a second
+    bench.run()
+    (told,) = bench.events("waiting")
+    assert (told["pattern"], told["cameras"], told["lit"]) == ("x+", ["cam2"], True)
+    assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.dng"]

@@ -26,6 +26,7 @@ from lightstage.sequence import plan_shots
 from lightstage.session import read_journal
 from sim.devices.coded_stage import CodedStage, Labels
 from sim.devices.faults import Fault, Story, read_fault_log
+from sim.devices.led_device import LitState
 from sim.devices.simulated_camera import DRIVER, SimulatedCamera
 
 WIDTH, HEIGHT = 48, 64
@@ -71,6 +72,7 @@ class Ending:
         happened: names of the faults, in order.
         report: of a capture that was finished.
         labels: what the photographs of a finished session say of themselves.
+        shone: what shone when, as the LED device knows it.
     """
 
     said: str
@@ -79,6 +81,7 @@ class Ending:
     happened: list[str]
     report: CaptureReport | None
     labels: Labels | None
+    shone: list[LitState]
 
     @property
     def fine(self) -> bool:
@@ -166,7 +169,7 @@ class SmallStage:
             dark = coded.device.dark
         assert coded.device.failure is None
         happened = [told.name for told in read_fault_log(desk / "faults.jsonl")]
-        return Ending(said, root, dark, happened, report, labels)
+        return Ending(said, root, dark, happened, report, labels, coded.device.states)
 
 
 class Named(SimulatedCamera):

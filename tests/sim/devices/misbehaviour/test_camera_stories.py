@@ -84,6 +84,29 @@ def test_a_camera_that_hangs_is_ended_and_takes_its_picture_after_all(stage):
     assert any("no answer within 1.5 s" in line["said"] for line in ending.lines("note"))
 
 
+def test_a_camera_that_hangs_does_not_keep_the_person_lit_and_takes_its_pattern_again_alone(stage):
+    deadlines = Deadlines(open_s=10.0, trigger_s=4.0, other_s=5.0)
+    stage.config = dataclasses.replace(stage.config, late_camera_grace_s=0.5, deadlines=deadlines)
+    ending = stage.capture(Fault("hang", camera="cam1", at=2), deadlines=deadlines)
+    assert ending.fine, ending.said
+    warned, dark = ending.lines("waiting")
+    assert (warned["pattern"], warned["cameras"], warned["lit"]) == ("x+", ["cam1"], True)
+    assert 0 < warned["dark_in_s"] <= 0.5
+    assert warned["dark_in_s"] < dark["ended_in_s"] < warned["ended_in_s"] < 4.0
+    assert dark["lit"] is False
+    # The lights went out before the camera was ended, and of what shone then the device tells.
+    (ended,) = [line for line in ending.lines("note") if "no answer within 4 s" in line["said"]]
+    assert dark["id"] < ended["id"]
+    full, x_plus = ending.shone[1:3]
+    assert full.counts.all()
+    assert x_plus.counts.any()
+    assert not ending.shone[3].counts.any()
+    # Whether its picture saw the light, nobody knows; the others' count.
+    assert ending.recovered() == ["cam1/DCIM_100SIM_DSC_0002.DNG"]
+    triggers = [line["takes"] for line in ending.lines("trigger") if line["pattern"] == "x+"]
+    assert [sorted(takes) for takes in triggers] == [["cam0", "cam1", "cam2"], ["cam1"]]
+
+
 def test_a_card_with_room_for_two_files_is_full_at_the_third_and_the_two_are_kept(stage):
     ending = stage.capture(settings={"cam2": {"card_files": 2}})
     for part in ("x- by cam2", "the card is full", "--resume"):
