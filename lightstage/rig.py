@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lightstage.errors import FormatError, LightstageError, RigError, one_error
+from lightstage.errors import LightstageError, RigError, one_error
+from lightstage.formats.fields import Fields
 from lightstage.formats.files import read_json, write_json
+from lightstage.formats.paths import check_name
 
 SCHEMA = "lightstage.rig/1"
 BANKS = ("horizontal", "vertical")
+MOST_ID = (1 << 31) - 1
+MOST_PX = 1 << 16
+"""No sensor has more pixels a side."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,6 +36,7 @@ class Light:
         position_mm: world position.
         bank: polarisation, ``horizontal`` or ``vertical``.
         rgb_gain: measured radiant intensity relative to nominal, per channel.
+        more: fields that others added in rig.json; they are kept.
     """
 
     id: int
@@ -37,6 +44,7 @@ class Light:
     position_mm: tuple[float, float, float]
     bank: str
     rgb_gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    more: Mapping[str, Any] = dataclasses.field(default_factory=dict, compare=False)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,6 +63,8 @@ class Camera:
     dist: tuple[float, float, float, float, float]
     cam_from_world: np.ndarray
     """(3, 4) float64, [R | t]."""
+    more: Mapping[str, Any] = dataclasses.field(default_factory=dict, compare=False)
+    """Fields that others added in rig.json; they are kept."""
 
     @property
     def centre_mm(self) -> np.ndarray:
@@ -150,6 +160,8 @@ class Rig:
 
     lights: tuple[Light, ...]
     cameras: tuple[Camera, ...]
+    more: Mapping[str, Any] = dataclasses.field(default_factory=dict, compare=False)
+    """Fields that others added in rig.json; they are kept."""
 
     @functools.cached_property
     def positions_mm(self) -> np.ndarray:
@@ -202,36 +214,51 @@ def load_rig(path: Path) -> Rig:
 
 
 def save_rig(rig: Rig, path: Path) -> Path:
-    """Write rig.json atomically; returns `path`."""
-    return write_json(path, rig_to_json(rig))
+    """Write rig.json atomically, with the fields that others added; returns `path`."""
+    value = rig_to_json(rig)
+    entries = [*value["lights"], *value["cameras"]]
+    items: list[Light | Camera] = [*rig.lights, *rig.cameras]
+    for entry, item in zip(entries, items, strict=True):
+        entry.update(item.more)
+    return write_json(path, {**value, **rig.more})
 
 
 def rig_to_json(rig: Rig) -> dict[str, Any]:
-    """The rig as FORMATS' rig.json value."""
-    lights = [dataclasses.asdict(light) for light in rig.lights]
-    cameras = []
-    for camera in rig.cameras:
-        value = {f.name: getattr(camera, f.name) for f in dataclasses.fields(camera)}
-        value["cam_from_world"] = camera.cam_from_world.tolist()
-        cameras.append(value)
-    return {"schema": SCHEMA, "lights": lights, "cameras": cameras}
+    """The rig as FORMATS' rig.json value, without the fields that others added.
+
+    Hashes of a rig are taken of this: a note in the file makes it no other rig.
+    """
+    return {
+        "schema": SCHEMA,
+        "lights": [{name: getattr(light, name) for name in LIGHT_FIELDS} for light in rig.lights],
+        "cameras": [
+            {name: getattr(camera, name) for name in CAMERA_FIELDS}
+            | {"cam_from_world": camera.cam_from_world.tolist()}
+            for camera in rig.cameras
+        ],
+    }
+
+
+LIGHT_FIELDS = tuple(field.name for field in dataclasses.fields(Light) if field.name != "more")
+CAMERA_FIELDS = tuple(field.name for field in dataclasses.fields(Camera) if field.name != "more")
 
 
 def rig_from_json(value: Any, where: str | Path) -> Rig:
-    """Build a rig from the value of rig.json; unknown fields are ignored."""
+    """Build a rig from the value of rig.json; fields that others added are kept."""
     problems: list[LightstageError] = []
     lights, cameras = [], []
     for index, entry in enumerate(_entries(value, "lights", where)):
         try:
-            lights.append(_light(entry))
-        except (KeyError, TypeError, ValueError) as error:
-            problems.append(_malformed(where, f"lights[{index}]", error))
+            lights.append(_light(entry, where, f"lights[{index}]"))
+        except RigError as error:
+            problems.append(error)
     for index, entry in enumerate(_entries(value, "cameras", where)):
         try:
-            cameras.append(_camera(entry))
-        except (KeyError, TypeError, ValueError) as error:
-            problems.append(_malformed(where, f"cameras[{index}]", error))
-    rig = Rig(tuple(lights), tuple(cameras))
+            cameras.append(_camera(entry, where, f"cameras[{index}]"))
+        except RigError as error:
+            problems.append(error)
+    more = {key: each for key, each in value.items() if key not in ("schema", "lights", "cameras")}
+    rig = Rig(tuple(lights), tuple(cameras), more)
     problems += _faults(rig, where)
     if problems:
         raise one_error(problems)
@@ -245,31 +272,36 @@ def _entries(value: Any, key: str, where: str | Path) -> list[Any]:
     return entries
 
 
-def _malformed(where: str | Path, field: str, error: Exception) -> FormatError:
-    said = f"no {error}" if isinstance(error, KeyError) else str(error)
-    return RigError(where, field=field, found=said, expected="the fields of FORMATS' rig.json")
+def _light(entry: Any, where: str | Path, place: str) -> Light:
+    fields = Fields(entry, where, place, RigError, LIGHT_FIELDS)
+    x, y, z = fields.numbers("position_mm", 3)
+    r, g, b = fields.numbers("rgb_gain", 3, (1.0, 1.0, 1.0))
+    return Light(
+        id=fields.whole("id", 0, MOST_ID),
+        name=fields.text("name"),
+        position_mm=(x, y, z),
+        bank=fields.text("bank"),
+        rgb_gain=(r, g, b),
+        more=fields.rest(),
+    )
 
 
-def _light(entry: dict[str, Any]) -> Light:
-    x, y, z = (float(c) for c in entry["position_mm"])
-    r, g, b = (float(c) for c in entry.get("rgb_gain", (1, 1, 1)))
-    return Light(int(entry["id"]), str(entry["name"]), (x, y, z), str(entry["bank"]), (r, g, b))
-
-
-def _camera(entry: dict[str, Any]) -> Camera:
-    k1, k2, p1, p2, k3 = (float(c) for c in entry.get("dist", (0, 0, 0, 0, 0)))
+def _camera(entry: Any, where: str | Path, place: str) -> Camera:
+    fields = Fields(entry, where, place, RigError, CAMERA_FIELDS)
+    k1, k2, p1, p2, k3 = fields.numbers("dist", 5, (0.0,) * 5)
     return Camera(
-        id=str(entry["id"]),
-        serial=str(entry["serial"]),
-        model=str(entry["model"]),
-        width_px=int(entry["width_px"]),
-        height_px=int(entry["height_px"]),
-        fx_px=float(entry["fx_px"]),
-        fy_px=float(entry["fy_px"]),
-        cx_px=float(entry["cx_px"]),
-        cy_px=float(entry["cy_px"]),
+        id=check_name(fields.text("id"), where, f"{place}.id", RigError),
+        serial=fields.text("serial"),
+        model=fields.text("model"),
+        width_px=fields.whole("width_px", 1, MOST_PX),
+        height_px=fields.whole("height_px", 1, MOST_PX),
+        fx_px=fields.number("fx_px"),
+        fy_px=fields.number("fy_px"),
+        cx_px=fields.number("cx_px"),
+        cy_px=fields.number("cy_px"),
         dist=(k1, k2, p1, p2, k3),
-        cam_from_world=np.array(entry["cam_from_world"], float).reshape(3, 4),
+        cam_from_world=np.array(fields.rows("cam_from_world", 3, 4)),
+        more=fields.rest(),
     )
 
 
@@ -287,9 +319,7 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
             fault(field, f"an id that {seen[light.id]} has too", "an id of its own")
         seen[light.id] = light.name
         distance = float(np.linalg.norm(light.position_mm))
-        if not np.isfinite(distance):
-            fault(f"{field}.position_mm", str(light.position_mm), "three finite numbers")
-        elif distance < 1.0:
+        if distance < 1.0:
             fault(
                 f"{field}.position_mm",
                 f"{distance:.3g} mm from the origin",
@@ -298,7 +328,7 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
             )
         if light.bank not in BANKS:
             fault(f"{field}.bank", repr(light.bank), " or ".join(BANKS))
-        if not all(np.isfinite(g) and g >= 0 for g in light.rgb_gain):
+        if min(light.rgb_gain) < 0:
             fault(f"{field}.rgb_gain", str(light.rgb_gain), "three numbers of at least 0")
     names: set[str] = set()
     for camera in rig.cameras:
@@ -306,8 +336,8 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
         if camera.id in names:
             fault(field, "the same id twice", "an id of its own")
         names.add(camera.id)
-        if min(camera.width_px, camera.height_px) < 1 or not min(camera.fx_px, camera.fy_px) > 0:
-            fault(field, "a size or focal length of 0", "positive width, height, fx_px, fy_px")
+        if not min(camera.fx_px, camera.fy_px) > 0:
+            fault(field, "a focal length that is not above 0", "positive fx_px and fy_px")
         rotation = camera.cam_from_world[:, :3]
         orthogonal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
         if not orthogonal or np.linalg.det(rotation) < 0:

@@ -11,6 +11,9 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
+from lightstage.errors import FormatError
+from lightstage.formats.values import LINE, parse_json
+
 _HEADER = struct.Struct("<4sI")
 _MAGIC = b"cam2"
 MAX_BYTES = 1 << 26
@@ -44,7 +47,10 @@ def read(take: Callable[[int], bytes]) -> dict[str, Any] | None:
     text = take(size)
     if len(text) < size:
         return None
-    value = json.loads(text)
+    try:
+        value = parse_json(text, "message", LINE)
+    except FormatError as error:
+        raise ValueError(str(error)) from None
     if not isinstance(value, dict):
         raise ValueError("no message: its JSON is no object")
     return value

@@ -39,17 +39,28 @@ def path_inside(
         error: no text, an absolute path, one with ``..``, with a backslash or with control
             characters, or one that leads out of the folder over a link.
     """
-    wrong = _path_problem(root, said)
+    path = root / relative_path(said, where, field, error)
+    try:
+        inside = path.resolve().is_relative_to(root.resolve())
+        wrong = "" if inside else "which leads out of the folder over a link"
+    except (OSError, RuntimeError):  # links that lead back to themselves
+        wrong = "which leads nowhere"
+    if wrong:
+        raise _no_path(said, wrong, where, field, error)
+    return path
+
+
+def relative_path(
+    said: Any, where: str | Path, field: str = "", error: type[LightstageError] = FormatError
+) -> str:
+    """A path as `path_inside` takes it by its text alone, whatever links lie on the disk.
+
+    Arguments and errors are those of `path_inside`.
+    """
+    wrong = _path_problem(said)
     if wrong is not None:
-        shown = ascii(said)
-        raise error(
-            where,
-            field=field,
-            found=f"{shown if len(shown) <= 100 else shown[:100] + '..'}, {wrong}",
-            expected="a relative path that stays inside the folder",
-            hint=_HINT,
-        )
-    return root / str(said)
+        raise _no_path(said, wrong, where, field, error)
+    return str(said)
 
 
 def check_name(
@@ -77,8 +88,21 @@ def check_name(
     return said
 
 
-def _path_problem(root: Path, said: Any) -> str | None:
-    """Why a path is none that stays below `root`; None where it is one."""
+def _no_path(
+    said: Any, wrong: str, where: str | Path, field: str, error: type[LightstageError]
+) -> LightstageError:
+    shown = ascii(said)
+    return error(
+        where,
+        field=field,
+        found=f"{shown if len(shown) <= 100 else shown[:100] + '..'}, {wrong}",
+        expected="a relative path that stays inside the folder",
+        hint=_HINT,
+    )
+
+
+def _path_problem(said: Any) -> str | None:
+    """Why a text is no path that stays in its folder; None where it is one."""
     if not isinstance(said, str) or not said:
         return "no path"
     if "\\" in said or not said.isprintable():
@@ -86,10 +110,4 @@ def _path_problem(root: Path, said: Any) -> str | None:
     pure = PurePosixPath(said)
     if pure.is_absolute():
         return "an absolute path"
-    if ".." in pure.parts:
-        return "which leaves the folder"
-    try:
-        outside = not (root / pure).resolve().is_relative_to(root.resolve())
-    except (OSError, RuntimeError):  # links that lead back to themselves; names of any length
-        return "which leads nowhere"
-    return "which leads out of the folder over a link" if outside else None
+    return "which leaves the folder" if ".." in pure.parts else None

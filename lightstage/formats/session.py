@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
 from lightstage.formats.files import read_json, sha256_file, write_json
+from lightstage.formats.paths import check_name, path_inside
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig, load_rig
 
@@ -221,11 +222,10 @@ def _faults(session: Session) -> list[LightstageError]:
                     path, field=field, found=frame.pattern, expected="a pattern of the sequence"
                 )
             )
-        inside = (session.root / frame.path).resolve().is_relative_to(session.root.resolve())
-        if not inside:
-            problems.append(
-                FormatError(path, field=field, found=frame.path, expected="a path in the session")
-            )
+        try:
+            path_inside(session.root, frame.path, path, f"{field}.path")
+        except FormatError as error:
+            problems.append(error)
         if (frame.pattern, frame.camera) in seen:
             problems.append(
                 FormatError(
@@ -236,7 +236,12 @@ def _faults(session: Session) -> list[LightstageError]:
                 )
             )
         seen.add((frame.pattern, frame.camera))
-    for pattern in session.file.sequence:
+    for index, pattern in enumerate(session.file.sequence):
+        try:
+            check_name(pattern, path, f"sequence[{index}]")
+        except FormatError as error:
+            problems.append(error)
+            continue
         driven = session.file.patterns.get(pattern)
         if driven is None:
             try:
@@ -258,11 +263,19 @@ def _faults(session: Session) -> list[LightstageError]:
                 )
             )
     for name, file in session.file.calibration:
-        if isinstance(file, str) and not (session.root / file).is_file():
+        if file is None:
+            continue
+        field = f"calibration.{name}"
+        try:
+            there = path_inside(session.root, file, path, field).is_file()
+        except FormatError as error:
+            problems.append(error)
+            continue
+        if not there:
             problems.append(
                 FormatError(
                     path,
-                    field=f"calibration.{name}",
+                    field=field,
                     found=f"no file {file}",
                     expected="a calibration file in the session, or null",
                 )

@@ -142,25 +142,39 @@ def read_regular(
     Raises:
         error: no such file, no regular file, one that is too large, or one that cannot be read.
     """
+    handle = open_regular(path, wanted, error)
+    try:
+        with open(handle, "rb") as file:
+            data = file.read(most_bytes + 1)
+    except OSError as wrong:
+        _unreadable(path, wrong, wanted, error)
+    if len(data) > most_bytes:
+        _too_large(path, most_bytes, error)
+    return data
+
+
+def open_regular(
+    path: Path, wanted: str = "a JSON file", error: type[LightstageError] = FormatError
+) -> int:
+    """A handle of a regular file, opened for reading without waiting; the caller closes it.
+
+    Arguments and errors are those of `read_regular`.
+    """
     try:
         # Some devices do something when they are opened: look first.
         _require_regular(os.stat(path), path, wanted, error)
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
-        with open(handle, "rb") as file:
+        try:
             _require_regular(os.fstat(handle), path, wanted, error)
-            data = file.read(most_bytes + 1)
-    except FileNotFoundError:
-        raise error(path, found="no such file", expected=wanted) from None
+        except LightstageError:
+            os.close(handle)
+            raise
     except OSError as wrong:
-        said = wrong.strerror or str(wrong)
-        raise error(path, found=said, expected=f"{wanted} that can be read") from None
+        _unreadable(path, wrong, wanted, error)
     except ValueError:
-        raise error(
-            ascii(str(path)), found="a path that no system takes", expected=wanted
-        ) from None
-    if len(data) > most_bytes:
-        _too_large(path, most_bytes, error)
-    return data
+        shown = ascii(str(path))
+        raise error(shown, found="a path that no system takes", expected=wanted) from None
+    return handle
 
 
 _NUMBERS = "whole numbers that 64 bits hold"
@@ -183,6 +197,13 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         names = [name for name, _ in pairs]
         raise _TwiceError(next(name for name in names if names.count(name) > 1))
     return value
+
+
+def _unreadable(path: Path, wrong: OSError, wanted: str, error: type[LightstageError]) -> NoReturn:
+    if isinstance(wrong, FileNotFoundError):
+        raise error(path, found="no such file", expected=wanted) from None
+    said = wrong.strerror or str(wrong)
+    raise error(path, found=said, expected=f"{wanted} that can be read") from None
 
 
 def _require_regular(

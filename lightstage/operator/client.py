@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from lightstage.errors import CaptureError
+from lightstage.errors import CaptureError, FormatError
+from lightstage.formats.values import LINE, parse_json
 from lightstage.operator.lines import JournalTail
 from lightstage.operator.words import text_of
 
 LOOK_S = 0.1
 """How often `stop` is asked, and a journal without a socket is looked at."""
+ANSWER_BYTES = 1 << 16
 ANSWER_S = 10.0
 """Longest wait for an answer; going dark may take the time of a silent LED device."""
 
@@ -78,9 +80,11 @@ def ask(session: Path, do: str) -> str | None:
             connection.settimeout(ANSWER_S)
             connection.sendall(json.dumps({"do": do}).encode() + b"\n")
             with connection.makefile("rb") as file:
-                answer = json.loads(file.readline())
-        except (OSError, ValueError):
+                answer = parse_json(file.readline(ANSWER_BYTES), "answer", LINE)
+        except (OSError, FormatError):
             raise nobody from None
+    if not isinstance(answer, dict):
+        raise nobody
     return None if answer.get("accepted") else text_of(answer, "why") or "it said no"
 
 
@@ -121,6 +125,8 @@ def _live(path: str, after: int, stop: Callable[[], bool]) -> Iterator[dict[str,
                     return
                 *whole, pending = (pending + piece).split(b"\n")
                 for raw in whole:
-                    line = json.loads(raw)
-                    if "id" in line:
+                    line = parse_json(raw, "journal", LINE)
+                    if isinstance(line, dict) and isinstance(line.get("id"), int):
                         yield line
+                if len(pending) > LINE.size_bytes:
+                    raise FormatError(path, found="a line without end", expected="whole lines")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 from lightstage.closing import Closing
 from lightstage.errors import FormatError
+from lightstage.formats.values import LINE, open_regular, parse_json
 
 PIECE_BYTES = 1 << 16
 """Read at once; a line may be longer."""
@@ -27,18 +27,13 @@ class JournalTail(Closing):
         path: journal.jsonl.
 
     Raises:
-        FormatError: no such file.
+        FormatError: no such file, or no regular one.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.last_id = 0
-        try:
-            self._file = os.open(path, os.O_RDONLY)
-        except OSError:
-            raise FormatError(
-                path, found="no such file", expected="the journal of a capture"
-            ) from None
+        self._file = open_regular(path, "the journal of a capture")
         self._place = 0
 
     def entries(self) -> Iterator[tuple[dict[str, Any], int, int]]:
@@ -52,6 +47,8 @@ class JournalTail(Closing):
                 line = self._parsed(raw)
                 if line is not None:
                     yield line, begin, self._place
+            if len(pending) > LINE.size_bytes:
+                raise FormatError(self.path, found="a line without end", expected="whole lines")
 
     def read(self) -> list[dict[str, Any]]:
         """Lines since the last look."""
@@ -65,8 +62,8 @@ class JournalTail(Closing):
 
     def _parsed(self, raw: bytes) -> dict[str, Any] | None:
         try:
-            line = json.loads(raw)
-        except (ValueError, RecursionError):
+            line = parse_json(raw, "journal", LINE)
+        except FormatError:
             return None
         if not isinstance(line, dict):
             return None

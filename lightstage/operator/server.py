@@ -30,6 +30,8 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.closing import Closing
+from lightstage.errors import FormatError
+from lightstage.formats.values import LINE, parse_json
 from lightstage.operator.lines import JournalTail
 from lightstage.operator.runtime import new_socket_path
 
@@ -218,8 +220,8 @@ class EventServer(Closing):
 
     def _answer(self, client: _Client, raw: bytes) -> dict[str, Any] | None:
         try:
-            asked = json.loads(raw)
-        except (ValueError, RecursionError):
+            asked = parse_json(raw, "request", LINE)
+        except FormatError:
             asked = None
         if isinstance(asked, dict):
             after, do = asked.get("after"), asked.get("do")

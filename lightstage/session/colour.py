@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.formats.cameras import NAME as CAMERAS_NAME
+from lightstage.formats.fields import Fields
 from lightstage.formats.files import check_schema, read_json
 from lightstage.formats.lights import read_measured_lights
+from lightstage.formats.paths import check_name, path_inside
 from lightstage.formats.scale import chart_levels
+from lightstage.formats.values import FILE, parse_json, read_regular
 from lightstage.rig import Rig
 
 COLOUR_SCHEMA = "lightstage.colour/1"
 COLOUR_PATH = "calibration/colour.json"
 FLATS_SCHEMA = "lightstage.flats/1"
+GAINS_BYTES = 1 << 31
+"""Of a file of gains of single pixels."""
 COLOUR_NAME, FLATS_NAME, LIGHTS_NAME = "colour.json", "flats.json", "lights.json"
 
 
@@ -53,7 +57,7 @@ def read_calibration(path: Path, rig: Rig) -> Carried:
         beside |= _flats(flats)
     if lights.is_file():
         read_measured_lights(lights, rig)
-        beside[LIGHTS_NAME] = lights.read_bytes()
+        beside[LIGHTS_NAME] = read_regular(lights, FILE.size_bytes)
     if not beside and not colour.is_file():
         raise FormatError(
             path,
@@ -76,16 +80,25 @@ def carried_paths(colour: Mapping[str, Any] | None, beside: Mapping[str, bytes])
 
 def _flats(path: Path) -> dict[str, bytes]:
     """flats.json and the gains of single pixels that it names, by name."""
-    data = path.read_bytes()
+    data = read_regular(path, FILE.size_bytes)
+    value = parse_json(data, path)
+    check_schema(path, value, FLATS_SCHEMA)
     try:
-        value = json.loads(data)
-        check_schema(path, value, FLATS_SCHEMA)
         named = [entry.get("per_pixel") for entry in value["cameras"].values()]
-        files = {name: path.with_name(name).read_bytes() for name in named if name is not None}
-    except (AttributeError, KeyError, TypeError, ValueError, OSError) as error:
+    except (AttributeError, KeyError) as error:
         raise FormatError(
-            path, found=str(error), expected="flats of cameras, and the files that it names"
+            path, found=f"no usable {error}", expected="flats of cameras, an object each"
         ) from None
+    files = {}
+    for name in named:
+        if name is not None:
+            check_name(name, path, "per_pixel")  # it lies beside
+            beside = path_inside(path.parent, name, path, "per_pixel")
+            if not beside.is_file():
+                raise FormatError(
+                    path, field="per_pixel", found=f"no file {name}", expected="a file beside it"
+                )
+            files[name] = read_regular(beside, GAINS_BYTES, "gains of single pixels")
     return {path.name: data, **files}
 
 
@@ -97,20 +110,9 @@ def read_colour(path: Path, rig: Rig) -> dict[str, Any]:
             the chart's light that do not fit the rig (formats.scale).
     """
     value = read_json(path, COLOUR_SCHEMA)
-    cameras = value.get("cameras", {})
+    cameras = Fields(value.get("cameras", {}), path, "cameras").rest()
     for camera in rig.cameras:
-        matrix = cameras.get(camera.id, {}).get("linear_from_raw")
-        try:
-            rows = [[float(cell) for cell in row] for row in matrix]
-        except (TypeError, ValueError):
-            rows = []
-        whole = len(rows) == 3 and all(len(row) == 3 for row in rows)
-        if not whole or not all(abs(cell) < 1e6 for row in rows for cell in row):
-            raise FormatError(
-                path,
-                field=f"cameras.{camera.id}.linear_from_raw",
-                found=repr(matrix),
-                expected="3 rows of 3 finite numbers",
-            )
+        place = f"cameras.{camera.id}"
+        Fields(cameras.get(camera.id, {}), path, place).rows("linear_from_raw", 3, 3)
     chart_levels(value, len(rig.lights), path)
     return dict(value)

@@ -8,8 +8,9 @@ from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.formats.session import Calibration, Driven, Frame, SessionFile
+from lightstage.session.events import Line
 from lightstage.session.kept import key_of
-from lightstage.session.reading import Line, read_journal
+from lightstage.session.reading import read_journal
 from lightstage.session.state import SessionState
 
 EXTRA = ("take", "acknowledged", "verified")

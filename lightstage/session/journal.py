@@ -25,7 +25,8 @@ from typing import Any
 from lightstage.errors import CaptureError, FormatError
 from lightstage.formats.files import fsync_path
 from lightstage.session.disk import disk_errors, rename_new
-from lightstage.session.reading import SCHEMA, Line, read_journal
+from lightstage.session.events import Line
+from lightstage.session.reading import SCHEMA, read_journal
 from lightstage.steps import step
 
 Listener = Callable[[Line], None]

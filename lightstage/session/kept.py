@@ -7,7 +7,7 @@ import sys
 from pathlib import PurePosixPath
 
 from lightstage.cameras.camera import CardFile
-from lightstage.session.reading import Line
+from lightstage.session.events import Line
 
 Key = tuple[str, str, int]
 """Pattern, camera, take."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from lightstage.findings import Finding
 from lightstage.formats.files import fsync_path
+from lightstage.formats.paths import path_inside
 from lightstage.session.aside import FOLDER, asides
 from lightstage.session.disk import disk_errors
 from lightstage.session.keep import sha256_on_disk
@@ -38,10 +39,14 @@ class Leftovers:
         self.findings: list[Finding] = []
 
     def damaged(self) -> list[Kept]:
-        """Photographs whose file is missing or no longer has its bytes."""
+        """Photographs whose file is missing or no longer has its bytes.
+
+        Raises:
+            FormatError: one that leads out of the session over a link.
+        """
         damaged = []
         for kept in self.state.frames():
-            path = self.root / kept.path
+            path = path_inside(self.root, kept.path, self.root / "journal.jsonl", "path")
             with disk_errors(path):
                 if not path.is_file() or sha256_on_disk(path) != kept.sha256:
                     damaged.append(kept)

@@ -22,7 +22,8 @@ import numpy as np
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.rig import Rig, load_rig, rig_to_json
-from lightstage.session.reading import Line, read_journal
+from lightstage.session.events import Line
+from lightstage.session.reading import read_journal
 from lightstage.session.state import SessionState
 from lightstage.session.versions import software_versions, system_facts
 
@@ -85,7 +86,7 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
         },
         "light": _light_figures(lines),
         "warnings": collections.Counter(
-            line["code"]
+            line.get("code", "")
             for line in lines
             if line["event"] == "finding" and line.get("severity") == "warn"
         ),
@@ -174,7 +175,7 @@ def _light_figures(lines: list[Line]) -> dict[str, Any]:
     for line in lines:
         if line["event"] in ("begin", "resume"):
             moments.append([])  # each process has a clock of its own
-        elif line["event"] == "lit":
+        elif line["event"] == "lit" and "elapsed_s" in line:
             moments[-1].append(float(line["elapsed_s"]))
     gaps = [b - a for each in moments for a, b in itertools.pairwise(each)]
     most = [sum(a <= b < a + 1.0 for b in each) for each in moments for a in each]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import check_schema
+from lightstage.formats.values import LINE, LINES_BYTES, parse_json, read_regular
+from lightstage.session.events import Line, check_lines
 
 SCHEMA = "lightstage.journal/2"
 FIRST_SCHEMA = "lightstage.journal/1"
-Line = dict[str, Any]
 
 
 def read_journal(path: Path) -> list[Line]:
@@ -22,14 +21,10 @@ def read_journal(path: Path) -> list[Line]:
     session's id, there ``id``, is called ``session``.
 
     Raises:
-        FormatError: no journal, of another schema, damaged elsewhere, or with ids out of order.
+        FormatError: no journal, of another schema, damaged elsewhere, with ids out of order, or
+            with a line whose fields are not those of its event (`events`).
     """
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise FormatError(path, found="no such file", expected="the journal of a capture") from None
-    except OSError as error:
-        raise FormatError(path, found=str(error), expected="a readable journal") from None
+    data = read_regular(path, LINES_BYTES, "the journal of a capture")
     lines: list[Line] = []
     torn: FormatError | None = None
     for number, text in enumerate(data.removesuffix(b"\n").split(b"\n"), 1):
@@ -52,23 +47,24 @@ def read_journal(path: Path) -> list[Line]:
         raise FormatError(path, field="line 1", found="something else", expected="the event begin")
     check_schema(path, lines[0], SCHEMA)
     if lines[0]["schema"] == FIRST_SCHEMA:
-        return _upgraded(lines)
+        lines = _upgraded(lines)
     for before, after in zip([{"id": 0}, *lines], lines, strict=False):
-        if not isinstance(after.get("id"), int) or after["id"] <= before["id"]:
+        if type(after.get("id")) is not int or after["id"] <= before["id"]:
             raise FormatError(
                 path,
                 field=f"after id {before['id']}",
                 found=f"id {after.get('id')!r}",
                 expected="a larger one",
             )
+    check_lines(lines, path)
     return lines
 
 
 def _parse(text: bytes) -> Line | None:
     """A line's object; None where it is none."""
     try:
-        value = json.loads(text)
-    except ValueError:
+        value = parse_json(text, "journal", LINE)
+    except FormatError:
         return None
     return value if isinstance(value, dict) and isinstance(value.get("event"), str) else None
 
@@ -79,7 +75,7 @@ def _upgraded(lines: list[Line]) -> list[Line]:
     for number, line in enumerate(lines, 1):
         new = {**line, "id": number}
         if line["event"] == "begin":
-            new["session"] = line["id"]
+            new["session"] = line.get("id")
         if line["event"] == "frame":
             new["take"] = 1
         upgraded.append(new)

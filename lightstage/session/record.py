@@ -17,8 +17,8 @@ from typing import Any
 from lightstage.cameras.camera import CardFile
 from lightstage.errors import CaptureError
 from lightstage.findings import Finding
+from lightstage.session.events import Line
 from lightstage.session.journal import Journal, Listener
-from lightstage.session.reading import Line
 from lightstage.session.state import SessionState
 
 

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from lightstage.cameras.camera import CardFile
+from lightstage.session.events import Line
 from lightstage.session.kept import Kept, Key, Recovered, key_of, packed, stem_of, told
-from lightstage.session.reading import Line
 
 NOT_HELD = ("levels", "cards")
 """What is long in a journal's first line, and is asked of nobody here."""

@@ -12,18 +12,19 @@ from typing import Any
 
 from lightstage.cameras.camera import CameraDevice, CardFile
 from lightstage.errors import CaptureError, FormatError
+from lightstage.formats.paths import path_inside
 from lightstage.formats.session import save_session, session_id
 from lightstage.rig import Rig, load_rig
-from lightstage.session.aside import put_aside, take_aside
+from lightstage.session.aside import FOLDER, put_aside, take_aside
 from lightstage.session.colour import carried_paths
 from lightstage.session.disk import disk_errors, make_folder
+from lightstage.session.events import Line
 from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
 from lightstage.session.keep import Arrival, settle, sha256_on_disk
 from lightstage.session.kept import Key, stem_of, told
 from lightstage.session.opening import JOURNAL, RIG, require_new, rig_hash, save_beside
 from lightstage.session.plan import SessionPlan
-from lightstage.session.reading import Line
 from lightstage.session.record import Record, as_json
 from lightstage.session.state import SessionState
 from lightstage.steps import step
@@ -105,6 +106,9 @@ class SessionWriter(Record):
         """
         journal, lines = Journal.resumed(root / JOURNAL)
         try:
+            for folder in (root / "frames", root / FOLDER, *(root / "frames").glob("*/")):
+                inside = folder.relative_to(root).as_posix()
+                path_inside(root, inside, root, "folder")  # files are moved and removed in it
             state = SessionState(lines)
             own = rig_hash(load_rig(root / RIG))
             if own != state.begin["rig_sha256"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,15 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path, read_json, write_json
+from lightstage.formats.paths import check_name, path_inside
 from lightstage.rig import Camera
 
 SCHEMA = "lightstage.flats/1"
+UNUSABLE = (
+    *(KeyError, TypeError, ValueError, OverflowError, AttributeError),
+    *(OSError, EOFError, zipfile.BadZipFile),
+)
+"""What an entry of another form, or a file of gains that is none, ends in."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,7 +144,7 @@ def read_flats(path: Path, cameras: list[str]) -> dict[str, FlatField]:
             continue
         try:
             fields[camera] = _field(entries[camera], path)
-        except (KeyError, TypeError, ValueError, OSError, EOFError):
+        except UNUSABLE:
             bad.append(camera)
     if bad or not isinstance(entries, dict):
         raise FormatError(
@@ -167,7 +174,8 @@ def _field(entry: dict[str, Any], path: Path) -> FlatField:
         raise ValueError("hot pixels")
     own = None
     if entry.get("per_pixel") is not None:
-        with np.load(path.with_name(str(entry["per_pixel"])), allow_pickle=False) as file:
+        name = check_name(entry["per_pixel"], path, "per_pixel")  # it lies beside
+        with np.load(path_inside(path.parent, name, path, "per_pixel"), allow_pickle=False) as file:
             own = file["gain"].astype(np.float32)
         if own.ndim != 2 or not (np.isfinite(own) & (own > 0)).all():
             raise ValueError("gain")

@@ -87,7 +87,14 @@ def test_recorded_levels_are_believed_and_else_the_name(root, small_rig):
             {"frames": [{"pattern": "full"}]},
             r"(?s)4 problems:.*frames\.0\.sha256: found no such field",
         ),
-        ({"sequence": ["full", "x+", "z*"]}, r"pattern 'z\*': found an unknown name"),
+        ({"sequence": ["full", "x+", "zz"]}, r"pattern 'zz': found an unknown name"),
+        ({"sequence": ["full", "x+", "../z"]}, r"sequence\[2\]: found '\.\./z', expected a name"),
+        (
+            {"calibration": {"colour": "../../.."}},
+            r"calibration\.colour: found .*leaves the folder",
+        ),
+        ({"calibration": {"lights": "/etc"}}, r"calibration\.lights: found .*an absolute path"),
+        ({"calibration": {"flats": ["a"]}}, r"calibration\.flats: found .*no path"),
         ({"patterns": {"x+": {"levels": [0.5] * 7}}}, "found 7 levels, expected 8"),
         (
             {"patterns": {"x+": {"levels": [0.5] * 7 + [1.5]}}},
@@ -111,8 +118,8 @@ def test_a_malformed_session_is_refused(root, fields, said):
         ({"camera": "cam9"}, r"frames\[1\]: found cam9, expected a camera of rig.json"),
         ({"pattern": "y+"}, r"frames\[1\]: found y\+, expected a pattern of the sequence"),
         ({"camera": "cam0"}, "full by cam0 twice"),
-        ({"path": "../../etc/passwd"}, "expected a path in the session"),
-        ({"path": "/etc/passwd"}, "expected a path in the session"),
+        ({"path": "../../etc/passwd"}, "expected a relative path that stays inside the folder"),
+        ({"path": "/etc/passwd"}, "expected a relative path that stays inside the folder"),
         ({"encoding": "jpeg"}, r"frames\.1\.encoding"),
     ],
 )

@@ -90,6 +90,22 @@ FAULTS = {
         ),
         "camera cam1.cam_from_world: found no rotation",
     ),
+    "a camera's id that leads elsewhere": (
+        lambda v: v["cameras"][1].update(id="../X"),
+        r"cameras\[1\].id: found '../X', expected a name",
+    ),
+    "an id with a NUL": (lambda v: v["cameras"][1].update(id="a\0"), "NUL"),
+    "a misspelt field": (
+        lambda v: v["cameras"][1].update(fx_pixel=v["cameras"][1].pop("fx_px")),
+        r"cameras\[1\]: found no 'fx_px', expected it. Is 'fx_pixel' misspelt",
+    ),
+    "a picture of any size": (lambda v: v["cameras"][1].update(width_px=10**9), "1 to 65536"),
+    "a whole number that is none": (lambda v: v["cameras"][1].update(width_px="32"), "width_px"),
+    "a number beyond all": (lambda v: v["cameras"][1].update(fx_px=10**30), "number"),
+    "a text that is none": (lambda v: v["lights"][1].update(name=["a"]), r"lights\[1\].name"),
+    "a light that is none": (lambda v: v["lights"].append("on"), r"lights\[8\]: found 'on'"),
+    "a gain that is none": (lambda v: v["lights"][1].update(rgb_gain=1), "3 finite numbers"),
+    "a pose that is none": (lambda v: v["cameras"][1].update(cam_from_world=3), "3 rows of 4"),
     "pose size": (lambda v: v["cameras"][1].update(cam_from_world=[[1, 2], [3, 4]]), "cameras"),
     "schema": (lambda v: v.update(schema="lightstage.rig/2"), "newer version"),
     "other file": (lambda v: v.update(schema="lightstage.session/1"), "schema: found"),
@@ -104,6 +120,15 @@ def test_each_fault_of_a_rig_is_named(tmp_path, value, name):
     with pytest.raises(FormatError, match=said) as caught:
         load_rig(path)
     assert str(path) in str(caught.value)
+
+
+def test_fields_that_others_added_are_kept_and_make_it_no_other_rig(tmp_path, value, small_rig):
+    value["room"] = {"door": "left"}
+    value["lights"][2]["shop"] = "5 mm"
+    value["cameras"][1]["lens"] = [35, 1.4]
+    read = load_rig(write(tmp_path, value))
+    assert json.loads(save_rig(read, tmp_path / "again.json").read_text()) == value
+    assert rig_to_json(read) == rig_to_json(small_rig)
 
 
 def test_all_faults_of_a_rig_make_one_message(tmp_path, value):

@@ -133,7 +133,7 @@ def test_flats_are_read_as_written_and_a_window_is_part_of_the_whole(tmp_path):
     "change",
     [
         {"radial": [0.1, 0.2]},
-        {"radial": [0.1, float("nan"), 0]},
+        {"radial": [0.1, None, 0]},
         {"radius_px": 0},
         {"hot_pixels": [[HEIGHT, 0]]},
         {"black_offset": [1, 2, 3]},

@@ -21,6 +21,15 @@ from lightstage.session.journal import Journal
 from lightstage.session.reading import read_journal
 
 THREADS, LINES = 9, 20
+BEGIN = {
+    "session": "s",
+    "created_utc": "2026-01-02T03:04:05+00:00",
+    "subject": "p-1",
+    "expression": "neutral",
+    "sequence": ["full"],
+    "cameras": ["cam0"],
+}
+"""What every session's first line holds."""
 
 
 def nothing():
@@ -34,7 +43,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def journal(path):
-    made, _ = Journal.new(path, nothing, plan=7)
+    made, _ = Journal.new(path, nothing, plan=7, **BEGIN)
     yield made
     made.close()
 
@@ -66,7 +75,7 @@ def test_nine_threads_at_once_share_flushes_and_each_line_is_flushed_before_writ
 
     def write(camera):
         for number in range(LINES):
-            line = journal.write("frame", camera=camera, number=number)
+            line = journal.write("failed", camera=camera, number=number)
             text = path.read_bytes()[: flushed[0]]
             if f'"id": {line["id"]},'.encode() not in text:
                 late.append(line)
@@ -147,7 +156,7 @@ def test_a_second_process_is_refused_while_the_first_writes(journal, path):
     second = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert "another capture that is writing to this session" in second.stdout
     with pytest.raises(CaptureError, match=r"found a journal, expected none yet.*--resume"):
-        Journal.new(path, nothing)
+        Journal.new(path, nothing, **BEGIN)
     journal.close()
     third = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert third.stdout == ""
@@ -161,8 +170,8 @@ def test_a_closed_journal_takes_no_line(journal):
 
 
 def written(path):
-    journal, _ = Journal.new(path, nothing)
-    journal.write("frame", pattern="x+", camera="cam0", said="Ω" * 5)
+    journal, _ = Journal.new(path, nothing, **BEGIN)
+    journal.write("failed", pattern="x+", camera="cam0", said="Ω" * 5)
     journal.close()
     return path.read_bytes()
 
@@ -184,11 +193,11 @@ def test_a_journal_cut_anywhere_in_its_last_line_is_read_up_to_it_and_goes_on(pa
 
 def test_a_line_that_lacks_only_its_end_counts_before_and_after_a_resume(path):
     path.write_bytes(written(path)[:-1])
-    assert [line["event"] for line in read_journal(path)] == ["begin", "frame"]
+    assert [line["event"] for line in read_journal(path)] == ["begin", "failed"]
     journal, _ = Journal.resumed(path)
     journal.write("resume")
     journal.close()
-    assert [line["event"] for line in read_journal(path)] == ["begin", "frame", "resume"]
+    assert [line["event"] for line in read_journal(path)] == ["begin", "failed", "resume"]
 
 
 @given(cuts=st.lists(st.floats(0.01, 0.98), max_size=4))
@@ -205,7 +214,7 @@ def test_resumes_that_are_cut_one_after_another_do_no_harm(tmp_path_factory, cut
     journal, _ = Journal.resumed(path)
     journal.write("resume")
     journal.close()
-    assert [line["event"] for line in read_journal(path)] == ["begin", "frame", "resume"]
+    assert [line["event"] for line in read_journal(path)] == ["begin", "failed", "resume"]
 
 
 @pytest.mark.parametrize(
@@ -223,7 +232,7 @@ def test_resumes_that_are_cut_one_after_another_do_no_harm(tmp_path_factory, cut
     ],
 )
 def test_a_journal_that_was_changed_is_refused(path, damage):
-    journal, _ = Journal.new(path, nothing)
+    journal, _ = Journal.new(path, nothing, **BEGIN)
     journal.write("note")
     journal.write("note")
     journal.close()
@@ -246,7 +255,10 @@ from pathlib import Path
 from lightstage.errors import CaptureError
 from lightstage.session.journal import Journal
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-journal, _ = Journal.new(Path(sys.argv[1]), lambda: None)
+journal, _ = Journal.new(
+    Path(sys.argv[1]), lambda: None, session="s", created_utc="", subject="p", expression="n",
+    sequence=["full"], cameras=["cam0"],
+)
 resource.setrlimit(resource.RLIMIT_FSIZE, (700, 700))
 try:
     for number in range(100):
@@ -290,7 +302,7 @@ def test_a_full_disk_is_said_to_all_who_wait_and_what_was_before_stays(journal, 
 
     def write():
         try:
-            journal.write("frame")
+            journal.write("failed")
         except CaptureError as error:
             said.append(str(error))
 
@@ -308,14 +320,14 @@ def test_a_folder_removed_or_a_journal_replaced_meanwhile_is_noticed(tmp_path):
     for name in ("removed", "replaced"):
         path = tmp_path / name / "journal.jsonl"
         path.parent.mkdir()
-        journal, _ = Journal.new(path, nothing)
+        journal, _ = Journal.new(path, nothing, **BEGIN)
         data = path.read_bytes()
         shutil.rmtree(path.parent)
         if name == "replaced":
             path.parent.mkdir()
             path.write_bytes(data)
         with pytest.raises(CaptureError, match=r"is gone|another file in the journal's place"):
-            journal.write("frame")
+            journal.write("failed")
         journal.close()
 
 
@@ -326,7 +338,7 @@ def test_half_a_first_line_is_no_journal(path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", full)
         with pytest.raises(CaptureError, match="no space left"):
-            Journal.new(path, nothing)
+            Journal.new(path, nothing, **BEGIN)
     assert not path.exists()
-    Journal.new(path, nothing)[0].close()
-    assert len(json.loads(path.read_text())) == 5
+    Journal.new(path, nothing, **BEGIN)[0].close()
+    assert len(json.loads(path.read_text())) == 5 + len(BEGIN)
