@@ -29,7 +29,9 @@ MapsOption = Annotated[Path, typer.Option(help="Folder of atlas maps.")]
 MeshOption = Annotated[Path, typer.Option(help="Mesh with the maps' UV, in their axes.")]
 LightsOption = Annotated[
     Path,
-    typer.Option(help="Light set (lightstage.environment/1), or .exr picture of light all round."),
+    typer.Option(
+        help="Light set (lightstage.environment/1), or .exr or .hdr picture of light all round."
+    ),
 ]
 CountOption = Annotated[int, typer.Option(help="Lights that stand for a picture of light.")]
 RotateOption = Annotated[float, typer.Option(help="Turn the light about +y, degrees.")]

@@ -14,13 +14,14 @@ from learning.maps import TexturedHead, from_batch
 from learning.render.environments import from_light_set
 from learning.render.occlusion import bake_environment
 from learning.render.occlusion_model import default_occlusion
-from learning.render.panorama import median_cut, read_panorama
+from learning.render.panorama import load_panorama, median_cut
 from learning.render.shading import ShadeOptions, shade
 from learning.render.view import render_view
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import ConfigError
 from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import write_exr
+from lightstage.formats.panorama import SUFFIXES
 from lightstage.formats.png import write_png
 from lightstage.rig import Camera
 from processing.colour import srgb_from_linear
@@ -34,20 +35,22 @@ SHADOWS = ("baked", "table", "none")
 
 
 def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
-    """Read light to render under: a light set, or an .exr picture of light as `count` lights.
+    """Read light to render under: a light set, or a picture of light as `count` lights.
 
     Args:
-        path: .json (lightstage.environment/1) or .exr (latitude-longitude).
+        path: .json (lightstage.environment/1), or .exr or .hdr (latitude-longitude).
         count: lights that stand for a picture, by median cut.
         rotate_deg: turns the light about +y, from +z toward +x.
 
     Raises:
-        FormatError: a file that cannot be read.
-        MapsError: a picture of another shape, NaN or negative light.
+        ConfigError: an angle that is not finite.
+        FormatError: a file that cannot be read, of another shape, or with NaN or negative light.
     """
-    if path.suffix.lower() != ".exr":
+    if not np.isfinite(rotate_deg):
+        raise ConfigError("--rotate", found=str(rotate_deg), expected="degrees, a finite number")
+    if path.suffix.lower() not in SUFFIXES:
         return turned_lights(read_lights(path), rotate_deg)
-    found = median_cut(read_panorama(path), count, np.zeros(3))
+    found = median_cut(load_panorama(path), count, np.zeros(3))
     lights = LightSet(
         path.stem,
         FAR_MM * found.position_mm[0].double().numpy(),

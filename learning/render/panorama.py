@@ -19,10 +19,8 @@ from torch import Tensor
 from learning.errors import MapsError
 from learning.render.environments import Environment
 from learning.render.light_dome import harmonics
-from lightstage.formats.exr import read_exr
+from lightstage.formats.panorama import LUMINANCE, read_panorama, require_panorama
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear sRGB, ITU-R BT.709."""
 LOBE = (math.pi, 2 * math.pi / 3, math.pi / 4, 0.0, -math.pi / 24)
 """How a clamped cosine weighs each band of light [Ramamoorthi2001]."""
 
@@ -38,25 +36,13 @@ class Panorama:
     radiance: np.ndarray
 
     def __post_init__(self) -> None:
-        """MapsError for another shape, NaN, infinite or negative light, or none at all."""
-        shape = self.radiance.shape
-        if len(shape) != 3 or shape[2] != 3 or shape[1] != 2 * shape[0]:
-            raise MapsError(
-                "environment",
-                found=" x ".join(str(n) for n in shape),
-                expected="rows x columns x 3, twice as many columns as rows",
-                hint="Convert cubes and mirror balls to latitude and longitude first.",
-            )
-        if not (np.isfinite(self.radiance).all() and (self.radiance >= 0).all()):
-            raise MapsError("environment", found="NaN, infinite or negative", expected=">= 0")
-        if not self.radiance.any():
-            raise MapsError("environment", found="no light at all", expected="a picture of light")
+        """FormatError for another shape, NaN, infinite or negative light, or none at all."""
+        require_panorama(self.radiance, "environment")
 
 
-def read_panorama(path: Path) -> Panorama:
-    """Read an EXR picture of light."""
-    image = read_exr(path)
-    return Panorama(np.asarray(image, np.float64))
+def load_panorama(path: Path) -> Panorama:
+    """Read a picture of light, OpenEXR or Radiance HDR; FormatError where it is none."""
+    return Panorama(read_panorama(path))
 
 
 def directions(rows: int) -> np.ndarray:

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from lightstage.errors import PatternError
 from lightstage.formats.environment import read_lights
-from lightstage.formats.exr import read_exr
+from lightstage.formats.panorama import LUMINANCE, SUFFIXES, read_panorama
 from lightstage.patterns.weights import shared_directions, solid_angles_sr
 from lightstage.rig import Rig
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear sRGB, ITU-R BT.709."""
 SAMPLES_PER_LIGHT = 2000
 """So that a cell's edge, drawn by whole points, is off by a few per cent of its area."""
 MOST_SAMPLES = 2_000_000
-MOST_TEXELS = 2**26
 
 
 def surroundings_flux(path: Path, rig: Rig, rotate_deg: float = 0.0) -> np.ndarray:
@@ -41,12 +37,11 @@ def surroundings_flux(path: Path, rig: Rig, rotate_deg: float = 0.0) -> np.ndarr
         (n,) luminance times steradians, at least 0.
 
     Raises:
-        PatternError: another kind of file or shape; NaN, infinite or negative values, with the
-            first one's place; no light at all.
-        FormatError: a damaged OpenEXR file, or a malformed light set.
+        PatternError: another kind of file; a light set without light.
+        FormatError: a picture that `read_panorama` refuses, or a malformed light set.
     """
     kind = path.suffix.lower()
-    if kind not in (".exr", ".hdr", ".json"):
+    if kind not in (*SUFFIXES, ".json"):
         raise PatternError(path, found=kind or "no suffix", expected=".exr, .hdr or .json")
     alone, cell = shared_directions(rig)
     if kind == ".json":
@@ -55,7 +50,7 @@ def surroundings_flux(path: Path, rig: Rig, rotate_deg: float = 0.0) -> np.ndarr
         # A diffuser that faces a light of this much reads 1 / pi of what falls on it.
         flux, ambient = np.pi * lights.rgb @ LUMINANCE, float(lights.ambient_rgb @ LUMINANCE)
     else:
-        radiance = _read_picture(path)
+        radiance = read_panorama(path)
         wanted = min(SAMPLES_PER_LIGHT * len(alone), MOST_SAMPLES)
         flux, places = _samples(radiance @ LUMINANCE, wanted)
         ambient = 0.0
@@ -74,43 +69,6 @@ def surroundings_flux(path: Path, rig: Rig, rotate_deg: float = 0.0) -> np.ndarr
     if not total.any():
         raise PatternError(path, found="no light at all", expected="surroundings that shine")
     return np.asarray(total)
-
-
-def _read_picture(path: Path) -> np.ndarray:
-    """(h, 2 h, 3) float64 of a latitude-longitude picture, all of it at least 0."""
-    if not path.is_file():
-        raise PatternError(path, found="no such file", expected="a latitude-longitude picture")
-    if path.suffix.lower() == ".exr":
-        pixels = read_exr(path)
-    else:
-        read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if read is None or read.dtype != np.float32 or read.ndim != 3:
-            raise PatternError(
-                path, found="something else", expected="a whole Radiance HDR picture (RGBE)"
-            )
-        pixels = np.asarray(read)[:, :, ::-1]
-    if pixels.ndim == 2:
-        pixels = np.repeat(pixels[:, :, None], 3, axis=2)
-    rows, columns = pixels.shape[:2]
-    if columns != 2 * rows or rows * columns > MOST_TEXELS:
-        raise PatternError(
-            path,
-            field="shape",
-            found=f"{columns} x {rows} pixels",
-            expected=f"twice as wide as high, at most {MOST_TEXELS} pixels",
-            hint="Is it a latitude-longitude picture? Convert cubes and mirror balls first.",
-        )
-    for bad, found in ((~np.isfinite(pixels), "NaN or infinite"), (pixels < 0, "negative")):
-        if bad.any():
-            row, column, channel = (int(i) for i in np.argwhere(bad)[0])
-            raise PatternError(
-                path,
-                field=f"row {row}, column {column}, {'RGB'[channel]}",
-                found=f"{int(bad.sum())} values that are {found}",
-                expected="light of at least 0",
-                hint="Clamp or repair the picture; no value is left out silently.",
-            )
-    return np.asarray(pixels, float)
 
 
 def _samples(luminance: np.ndarray, wanted: int) -> tuple[np.ndarray, np.ndarray]:

@@ -15,18 +15,14 @@ import dataclasses
 import heapq
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from lightstage.formats.environment import LightSet
-from lightstage.formats.exr import read_exr
+from lightstage.formats.panorama import LUMINANCE, read_panorama, require_panorama
 from sim.errors import SimError
 
 FAR_MM = 100_000.0
 """Lights of a picture stand this far away: a head turns them by less than 0.1 degrees."""
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear sRGB, ITU-R BT.709."""
-MOST_TEXELS = 2**26
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,60 +38,13 @@ class Panorama:
     radiance: np.ndarray
 
     def __post_init__(self) -> None:
-        """SimError when the shape is not 1:2, or a value is NaN, infinite or negative."""
+        """FormatError when the shape is not 1:2, or a value is NaN, infinite or negative."""
         require_panorama(self.radiance, self.name)
 
 
-def require_panorama(radiance: np.ndarray, where: str | Path) -> None:
-    """SimError unless an array is a latitude-longitude picture of light."""
-    shape = radiance.shape
-    good = len(shape) == 3 and shape[2] == 3 and shape[0] >= 2 and shape[1] == 2 * shape[0]
-    if not good or shape[0] * shape[1] > MOST_TEXELS:
-        raise SimError(
-            where,
-            field="shape",
-            found=" x ".join(str(n) for n in shape),
-            expected="rows x columns x 3, twice as many columns as rows, at most 67 million texels",
-            hint="Is it a latitude-longitude picture? Convert cubes and mirror balls first.",
-        )
-    for bad, found in ((~np.isfinite(radiance), "NaN or infinite"), (radiance < 0, "negative")):
-        if bad.any():
-            row, column, channel = (int(i) for i in np.argwhere(bad)[0])
-            raise SimError(
-                where,
-                field=f"row {row}, column {column}, {'RGB'[channel]}",
-                found=f"{int(bad.sum())} values that are {found}",
-                expected="light of at least 0",
-                hint="Clamp or repair the picture: this would silently darken a face.",
-            )
-    if not radiance.any():
-        raise SimError(where, found="no light at all", expected="a picture of light")
-
-
-def read_panorama(path: Path) -> Panorama:
-    """Read a latitude-longitude picture, OpenEXR or Radiance HDR.
-
-    Raises:
-        SimError: another kind of file, a damaged one, another shape, NaN or negative values.
-        FormatError: an OpenEXR file that cannot be read.
-    """
-    if path.suffix.lower() not in (".exr", ".hdr"):
-        raise SimError(path, found=path.suffix or "no suffix", expected=".exr or .hdr")
-    if not path.is_file():
-        raise SimError(path, found="no such file", expected="a latitude-longitude picture")
-    if path.suffix.lower() == ".exr":
-        pixels = read_exr(path)
-    else:
-        read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if read is None or read.dtype != np.float32 or read.ndim != 3:
-            raise SimError(
-                path, found="something else", expected="a whole Radiance HDR picture (RGBE)"
-            )
-        pixels = np.asarray(read)[:, :, ::-1]
-    if pixels.ndim == 2:
-        pixels = np.repeat(pixels[:, :, None], 3, axis=2)
-    require_panorama(pixels, path)
-    return Panorama(path.stem, np.ascontiguousarray(pixels, np.float64))
+def load_panorama(path: Path) -> Panorama:
+    """Read a latitude-longitude picture, OpenEXR or Radiance HDR; FormatError where it is none."""
+    return Panorama(path.stem, read_panorama(path))
 
 
 def directions(rows: int) -> np.ndarray:

@@ -10,10 +10,11 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import write_exr
+from lightstage.formats.panorama import LUMINANCE
 from lightstage.formats.png import write_png
 from lightstage.rig import Camera
 from sim.errors import SimError
-from sim.light.environments import LUMINANCE, Panorama, panorama_lights, read_panorama, rotated
+from sim.light.environments import Panorama, load_panorama, panorama_lights, rotated
 from sim.light.lamps import point_lamps
 from sim.light.olat import states
 from sim.light.scene import Scene
@@ -95,7 +96,7 @@ def _panorama(name: str, seed: int) -> Panorama:
     if name in SKIES:
         return mitsuba_sky(SKIES[name], name)
     if Path(name).suffix.lower() in (".exr", ".hdr"):
-        return read_panorama(Path(name))
+        return load_panorama(Path(name))
     raise SimError(
         f"environment {name!r}",
         found="an unknown name",

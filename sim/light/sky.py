@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.formats.panorama import LUMINANCE
 from sim.errors import SimError
-from sim.light.environments import LUMINANCE, Panorama, add_sun, directions, solid_angles
+from sim.light.environments import Panorama, add_sun, directions, solid_angles
 
 RGB_UM = np.array([0.615, 0.545, 0.465])
 """Wavelengths that stand for the three channels, micrometres."""

@@ -21,6 +21,7 @@ from learning.render.panorama import (
     rotated,
     solid_angles,
 )
+from lightstage.errors import FormatError
 
 CAMERA = np.array([0.0, 0.0, 1100.0])
 
@@ -148,5 +149,5 @@ def test_any_picture_of_light_is_kept(
     ],
 )
 def test_what_is_no_picture_of_light_is_refused(radiance: np.ndarray, said: str) -> None:
-    with pytest.raises(MapsError, match=said):
+    with pytest.raises(FormatError, match=said):
         Panorama(radiance)

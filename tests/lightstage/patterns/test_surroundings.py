@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightstage.errors import FormatError, PatternError
+from lightstage.errors import FormatError
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import write_exr
 from lightstage.patterns.surroundings import surroundings_flux
@@ -134,17 +134,19 @@ def test_a_light_set_gives_its_lights_to_their_cells_and_its_ambient_to_all(tmp_
 def test_a_bad_value_is_refused_with_its_place(tmp_path, value, said):
     picture = np.ones((8, 16, 3))
     picture[2, 5, 2] = value
-    with pytest.raises(PatternError, match=f"row 2, column 5, B: found 1 values that are {said}"):
+    with pytest.raises(FormatError, match=f"row 2, column 5, B: found 1 values that are {said}"):
         flux(tmp_path, picture, OCTAHEDRON)
 
 
 def test_other_shapes_files_and_darkness_are_refused(tmp_path):
-    with pytest.raises(PatternError, match="found 9 x 8 pixels, expected twice as wide as high"):
+    with pytest.raises(
+        FormatError, match="found 8 x 9 x 3, expected rows x columns x 3, twice as many"
+    ):
         flux(tmp_path, np.ones((8, 9, 3)), OCTAHEDRON)
-    with pytest.raises(PatternError, match="no light at all"):
+    with pytest.raises(FormatError, match="no light at all"):
         flux(tmp_path, np.zeros((8, 16, 3)), OCTAHEDRON)
     (tmp_path / "e.hdr").write_bytes(b"#?RADIANCE\nbroken")
-    with pytest.raises(PatternError, match="a whole Radiance HDR picture"):
+    with pytest.raises(FormatError, match="a whole Radiance HDR picture"):
         surroundings_flux(tmp_path / "e.hdr", OCTAHEDRON)
     (tmp_path / "cut.exr").write_bytes((tmp_path / "e.exr").read_bytes()[:200])
     with pytest.raises(FormatError, match=r"cut\.exr"):

@@ -19,8 +19,8 @@ from sim.light.environments import (
     Panorama,
     add_sun,
     directions,
+    load_panorama,
     panorama_lights,
-    read_panorama,
     rotated,
     solid_angles,
     texel_of,
@@ -160,16 +160,16 @@ def test_pictures_that_are_no_light_are_refused(
         pixels[:] = 0
     write_exr(tmp_path / "e.exr", pixels, half=False)
     if said is None:
-        assert read_panorama(tmp_path / "e.exr").radiance.shape == (4, 8, 3)
+        assert load_panorama(tmp_path / "e.exr").radiance.shape == (4, 8, 3)
         return
-    with pytest.raises(SimError, match=said):
-        read_panorama(tmp_path / "e.exr")
+    with pytest.raises(FormatError, match=said):
+        load_panorama(tmp_path / "e.exr")
 
 
 def test_radiance_hdr_files_are_read(tmp_path: Path) -> None:
     light = sky_picture(16).radiance.astype(np.float32)
     cv2.imwrite(str(tmp_path / "e.hdr"), light[:, :, ::-1])
-    found = read_panorama(tmp_path / "e.hdr").radiance
+    found = load_panorama(tmp_path / "e.hdr").radiance
     np.testing.assert_allclose(found, light, atol=light.max() / 100)
     assert np.abs(found - light).max() <= 0.01 * light.max(axis=2, keepdims=True).max()
 
@@ -177,12 +177,12 @@ def test_radiance_hdr_files_are_read(tmp_path: Path) -> None:
 def test_other_and_broken_files_are_refused(tmp_path: Path) -> None:
     for name in ("e.hdr", "e.exr"):
         (tmp_path / name).write_bytes(b"not a picture")
-        with pytest.raises((SimError, FormatError), match="something else"):
-            read_panorama(tmp_path / name)
-    with pytest.raises(SimError, match=r"\.exr or \.hdr"):
-        read_panorama(tmp_path / "e.png")
-    with pytest.raises(SimError, match="no such file"):
-        read_panorama(tmp_path / "none.exr")
+        with pytest.raises(FormatError, match="something else"):
+            load_panorama(tmp_path / name)
+    with pytest.raises(FormatError, match=r"\.exr or \.hdr"):
+        load_panorama(tmp_path / "e.png")
+    with pytest.raises(FormatError, match="no such file"):
+        load_panorama(tmp_path / "none.exr")
     with pytest.raises(SimError, match="at least 1"):
         panorama_lights(sky_picture(), 0)
 
