@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from lightstage.formats.files import read_json
 from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
+from lightstage.formats.values import read_lines
 from lightstage.rig import Camera
 from processing.evaluation.maps import angle_deg, picture_errors
 from processing.evaluation.texels import evaluate_maps, texel_of, truth_in_atlas
@@ -116,7 +116,6 @@ def read_demo(root: Path) -> Demo:
         errors = picture_errors(found, true, shown)
         errors["coverage_share"] = float(shown.sum() / skin.sum())
         relit.append(Relit(lights.stem, found, true, shown, errors))
-    lines = (at.training / "metrics.jsonl").read_text()
     return Demo(
         at=at,
         session=session,
@@ -128,7 +127,7 @@ def read_demo(root: Path) -> Demo:
         errors=read_json(at.processed / "evaluation.json"),
         inference=evaluate_maps(at.inferred, true_atlas),
         input_errors=_input_errors(at.baked, true_atlas),
-        metrics=[json.loads(line) for line in lines.splitlines()],
+        metrics=read_lines(at.training / "metrics.jsonl"),
         relit=tuple(relit),
         source=str(read_json(at.truth / "report.json").get("source", "")),
     )

@@ -7,7 +7,6 @@ trains a small network, relights the captured head and ends with build/demo/repo
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import shlex
 import shutil
@@ -22,7 +21,7 @@ from demo.measure import run_measured
 from demo.steps import DemoConfig, Layout, steps
 from lightstage.commands import output_folder, run_app
 from lightstage.errors import LightstageError
-from lightstage.formats.files import write_json
+from lightstage.formats.files import read_json, write_json
 
 STEPS_SCHEMA = "lightstage.demo/1"
 
@@ -108,7 +107,7 @@ def main(
         )
     code = run(config, out)
     if code == 0:
-        steps_done = json.loads(Layout(out).steps.read_text())["steps"]
+        steps_done = read_json(Layout(out).steps)["steps"]
         seconds = sum(step["seconds"] for step in steps_done)
         print(f"\n{out / 'report.html'}: {len(steps_done)} steps, {seconds:.0f} s")
     raise typer.Exit(code)

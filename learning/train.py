@@ -34,6 +34,7 @@ from learning.score import Score, score
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import ConfigError
 from lightstage.formats.config import as_dict
+from lightstage.formats.values import parse_json
 from processing.dataset import Store
 
 
@@ -276,7 +277,7 @@ def _steps(
 
 def _check_same(checkpoint: Checkpoint, config: TrainConfig, store: Store) -> None:
     where = checkpoint.folder / INDEX
-    wanted = json.loads(json.dumps(as_dict(config)))
+    wanted = parse_json(json.dumps(as_dict(config)), "configuration")
     # How long to go on is a new decision each time.
     differing = [k for k in wanted if k != "seconds" and checkpoint.config.get(k) != wanted[k]]
     if differing:

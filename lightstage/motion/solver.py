@@ -16,6 +16,8 @@ from typing import Any
 
 import pycolmap
 
+from lightstage.formats.files import read_json
+
 STARTS = (1.2, 3.0)
 """Focal lengths to begin with where none is known, as shares of the picture's longer side."""
 PEAK_THRESHOLD = 0.002
@@ -39,7 +41,7 @@ def solve(folder: Path, threads: int) -> dict[str, Any]:
         (focal length, principal point, k1), mean residual in px and count of its points; points:
         (n, 3); residual_px: mean of all. Units of length are COLMAP's own.
     """
-    job = json.loads((folder / "job.json").read_text())
+    job = read_json(folder / "job.json")
     pycolmap.set_random_seed(0)
     database = folder / "found.db"
     names = _features_and_matches(folder, database, threads)

@@ -17,6 +17,7 @@ import numpy as np
 
 from lightstage.errors import LightstageError, MotionError, one_error
 from lightstage.exif import Exif
+from lightstage.formats.files import read_json
 from lightstage.motion.pictures import GreyPicture
 from lightstage.rig import Camera
 
@@ -176,8 +177,7 @@ def _run(folder: Path) -> dict[str, Any]:
             expected="cameras",
             hint="These photographs cannot be solved; measure the cameras and give --rig.",
         )
-    result = json.loads(path.read_text())
-    return dict(result)
+    return dict(read_json(path))
 
 
 def _group_key(picture: GreyPicture, exif: Exif) -> tuple[Any, ...]:

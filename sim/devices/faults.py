@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.formats.config import read_toml
+from lightstage.formats.values import read_lines
 from sim.devices.fault_names import FIELDS, LEDS, NAMES, Counted, FaultName
 from sim.errors import SimError
 
@@ -256,10 +257,10 @@ def read_fault_log(path: Path) -> list[Happening]:
     if not path.is_file():
         return []
     told = []
-    for number, line in enumerate(path.read_text().splitlines(), 1):
+    for number, value in enumerate(read_lines(path), 1):
         try:
-            told.append(Happening(**json.loads(line)))
-        except (ValueError, TypeError) as error:
+            told.append(Happening(**value))
+        except TypeError as error:
             raise SimError(
                 path, field=f"line {number}", found=str(error), expected="a happening"
             ) from None

@@ -20,6 +20,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import atomic_folder, read_json, write_json
 from lightstage.formats.people import PEOPLE_LIST, PEOPLE_LOCK, PEOPLE_SCHEMA
 from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.values import parse_json
 from lightstage.rig import default_rig
 from sim.errors import SimError
 from sim.head.modes import EXPRESSIONS
@@ -257,7 +258,10 @@ def _is_made(plan: Plan, person: Person, expression: str, session: bool) -> bool
             raise SimError(folder, found="another session", expected=f"a record in {record}")
         return False
     found, wanted = read_json(record), plan.made_from(person, expression)
-    differing = [key for key in wanted if found.get(key) != json.loads(json.dumps(wanted[key]))]
+    as_read = parse_json(json.dumps(wanted), record)
+    if not isinstance(found, dict):
+        raise SimError(record, found=type(found).__name__, expected="an object")
+    differing = [key for key in wanted if found.get(key) != as_read[key]]
     if differing:
         key = differing[0]
         raise SimError(

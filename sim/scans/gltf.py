@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import json
 import struct
 import urllib.parse
 from pathlib import Path
@@ -17,10 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.formats.values import parse_json, read_regular
 from sim.errors import SimError
 from sim.scans.file import Picture, ScanFile, decode_picture, merged
 
 MAGIC = b"glTF"
+SCENE_BYTES = 1 << 31
+"""A scan with its pictures; a larger one fits no memory several times over."""
 MM_PER_UNIT = 1000.0
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -91,12 +93,12 @@ def read_gltf(path: Path) -> ScanFile:
 class _Reader:
     def __init__(self, path: Path) -> None:
         self.path = path
-        data = path.read_bytes()
+        data = read_regular(path, SCENE_BYTES, "a glTF scene", SimError)
         text, self.chunk = self._chunks(data) if data[:4] == MAGIC else (data, None)
         if path.suffix.lower() == ".glb" and data[:4] != MAGIC:
             raise self.wrong("something else", "a binary glTF, which begins with 'glTF'")
         try:
-            self.root: dict[str, Any] = json.loads(text)
+            self.root: dict[str, Any] = parse_json(text, path, error=SimError)
             version = str(self.root["asset"]["version"])
         except (ValueError, KeyError, TypeError) as error:
             raise self.wrong(f"no glTF JSON ({error})", "a glTF scene") from None

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 from pathlib import Path
 
 import numpy as np
 
+from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh, read_obj
 from sim.errors import SimError
 from sim.scans.head_data import head_data_folder
@@ -103,11 +103,8 @@ def _load(folder: Path, used: Path, _changed: int) -> IctModel:
 def _read_landmarks(path: Path) -> np.ndarray:
     expected = "68 vertex indices"
     try:
-        found = json.loads(path.read_text())["idx_to_landmark_verts"]
-        marks = np.array(found, np.int64)
-    except FileNotFoundError:
-        raise SimError(path, found="no such file", expected="the model's vertex indices") from None
-    except (OSError, ValueError, TypeError, KeyError, OverflowError) as error:
+        marks = np.array(read_json(path)["idx_to_landmark_verts"], np.int64)
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
         raise SimError(path, found=repr(error), expected=expected) from None
     if marks.shape != (68,) or marks.min() < 0:
         raise SimError(

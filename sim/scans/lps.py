@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
+from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import default_template_path, load_template
 from sim.errors import SimError
@@ -61,7 +61,7 @@ def load_scan(folder: Path, texture_rows: int = 1536) -> Subject:
         SimError: a file is missing or unreadable.
     """
     mesh = _read_mesh(folder / "LeePerrySmith.glb")
-    notes = json.loads(ANNOTATIONS.read_text())
+    notes = read_json(ANNOTATIONS)
     albedo = linear_of(_read_picture(folder / "Map-COL.jpg", texture_rows))
     tangent = _read_picture(folder / "Infinite-Level_02_Tangent_SmoothUV.jpg", texture_rows)
     specular, roughness = skin_specular(albedo)
