@@ -17,7 +17,7 @@ from lightstage.calibrations.run import Assistant, begin_shots, resume_shots, ta
 from lightstage.calibrations.stale import duration
 from lightstage.calibrations.taking import SessionTaker
 from lightstage.cameras.binding import CamerasFile, read_cameras_file
-from lightstage.capture.command import read_config
+from lightstage.capture.command import IgnoreClock, read_config
 from lightstage.capture.stage import open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
 from lightstage.errors import ConfigError
@@ -49,6 +49,7 @@ def calibrate_command(
     unattended: float | None = typer.Option(
         None, min=0.0, help="Ask nobody: so many seconds before each pose to change the target."
     ),
+    ignore_clock: IgnoreClock = False,
     every_light: bool = typer.Option(
         False, "--every-light", help="Of a mirror ball: light after light, not gradients."
     ),
@@ -57,7 +58,7 @@ def calibrate_command(
 ) -> None:
     """Take calibration shots pose by pose; each is looked at before the next."""
     chosen = kind_of(kind)
-    settings = read_config(config)
+    settings = read_config(config, ignore_clock=ignore_clock)
     _require_meaning(kind, resume, poses, every_light)
     the_rig = load_rig(rig)
     planned = plan_shots(chosen.shown(the_rig, every_light), the_rig, chosen.drive)

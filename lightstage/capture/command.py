@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Annotated, Any, cast, get_args
 
 import typer
 
@@ -38,6 +38,14 @@ from lightstage.session import (
 SUBJECT = "subject-1"
 EXPRESSION = "neutral"
 SEQUENCE = "binary"
+IgnoreClock = Annotated[
+    bool,
+    typer.Option(
+        "--ignore-clock",
+        help="This computer's clock is right, though a journal beside the session is of the "
+        "future: warn alone.",
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -46,12 +54,22 @@ def register(app: typer.Typer) -> None:
 
 
 def read_config(
-    path: Path | None, config: CaptureConfig | None = None, **given: Any
+    path: Path | None,
+    config: CaptureConfig | None = None,
+    *,
+    ignore_clock: bool = False,
+    **given: Any,
 ) -> CaptureConfig:
-    """The configuration of a file, else `config`, and what the command line sets in it."""
+    """The configuration of a file, else `config`, and what the command line sets in it.
+
+    `ignore_clock` is the flag of that name; the other arguments are fields of CaptureConfig.
+    """
     config = config or CaptureConfig()
     if path is not None:
         config = make_config(CaptureConfig, read_toml(path), path)
+    if ignore_clock:
+        preflight = dataclasses.replace(config.preflight, ignore_clock=True)
+        config = dataclasses.replace(config, preflight=preflight)
     return dataclasses.replace(config, **{k: v for k, v in given.items() if v is not None})
 
 
@@ -81,6 +99,7 @@ def capture_command(
         [], help="A kind of calibration shots that may be missing or stale; may be repeated."
     ),
     clear: bool = typer.Option(False, "--clear", help="Clear owner and place on the cameras."),
+    ignore_clock: IgnoreClock = False,
     delete: bool = typer.Option(
         False, "--delete-from-cameras", help="Delete each photograph there once it is kept here."
     ),
@@ -93,7 +112,13 @@ def capture_command(
 ) -> None:
     """Light, photograph and verify every pattern; lights end dark whatever happens."""
     own = config_of(out) if resume and config is None else None
-    settings = read_config(config, own, drive=_drive(drive), delete_from_cameras=delete or None)
+    settings = read_config(
+        config,
+        own,
+        ignore_clock=ignore_clock,
+        drive=_drive(drive),
+        delete_from_cameras=delete or None,
+    )
     if clear:
         preflight = dataclasses.replace(settings.preflight, clear=True)
         settings = dataclasses.replace(settings, preflight=preflight)

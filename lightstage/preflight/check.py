@@ -10,8 +10,9 @@ from lightstage.cameras.camera import Summary
 from lightstage.errors import DeviceError, LightstageError, one_error
 from lightstage.findings import Finding
 from lightstage.leds.controller import LedController
+from lightstage.preflight.clock import computer_clock_findings
 from lightstage.preflight.config import Plan, PreflightConfig
-from lightstage.preflight.disk import card_findings, computer_clock_findings, disk_findings
+from lightstage.preflight.disk import card_findings, disk_findings
 from lightstage.preflight.privacy import privacy_findings
 from lightstage.preflight.pulses import pulse_findings
 from lightstage.preflight.settings import settings_findings

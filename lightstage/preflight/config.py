@@ -26,6 +26,8 @@ class PreflightConfig:
         max_trigger_skew_s: between the first and the last camera of one shot; more is told.
         clear: whether owner, artist, copyright and place are cleared on the cameras; otherwise
             cameras that have them are refused.
+        ignore_clock: a journal beside the session whose last line is later than this computer's
+            clock is a warning alone; otherwise it is refused.
     """
 
     min_battery_percent: float = 20.0
@@ -36,6 +38,7 @@ class PreflightConfig:
     first_year: int = 2025
     max_trigger_skew_s: float = 0.1
     clear: bool = False
+    ignore_clock: bool = False
 
     def __post_init__(self) -> None:
         """ConfigError on a limit that is no limit."""

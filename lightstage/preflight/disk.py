@@ -1,11 +1,8 @@
-"""Whether the session's disk and the cameras' cards take the whole plan, and the clock is sane."""
+"""Whether the session's disk and the cameras' cards take the whole plan."""
 
 from __future__ import annotations
 
-import contextlib
-import datetime
 import fcntl
-import json
 import os
 import secrets
 import shutil
@@ -22,9 +19,6 @@ BYTES_PER_PIXEL = 2.0
 """Of a RAW that is not compressed: 14 or 16 bits, previews on top of packed ones."""
 HEADER_BYTES = 1 << 20
 LONGEST_TAKE = ".take99.partial"
-JOURNALS = 50
-TAIL_BYTES = 1 << 16
-CLOCK_GRAIN_S = 2.0
 
 
 def photograph_bytes(camera: Camera, plan: Plan) -> int:
@@ -80,63 +74,6 @@ def disk_findings(rig: Rig, out: Path, plan: Plan, config: PreflightConfig) -> l
     findings += _names(rig, out.absolute(), there, plan)
     findings += _trial(rig, there, plan)
     return findings
-
-
-def computer_clock_findings(
-    out: Path, config: PreflightConfig, now: datetime.datetime | None = None
-) -> list[Finding]:
-    """This computer's clock against the journals of this session and of those beside it.
-
-    Args:
-        out: the session's folder.
-        config: the first year.
-        now: with a zone; the present where None.
-    """
-    now = now or datetime.datetime.now(datetime.UTC)
-    hint = "Set this computer's clock (timedatectl set-ntp true)."
-    if now.year < config.first_year:
-        said, wanted = now.isoformat(timespec="seconds"), f"{config.first_year} or later"
-        return [Finding("refuse", "computer-clock", "this computer, clock", said, wanted, hint)]
-    newest = newest_journal_time(out)
-    if newest is not None and (newest - now).total_seconds() > CLOCK_GRAIN_S:
-        return [
-            Finding(
-                "refuse",
-                "computer-clock",
-                "this computer, clock",
-                now.isoformat(timespec="seconds"),
-                f"later than the last line of a journal, {newest.isoformat(timespec='seconds')}",
-                hint,
-            )
-        ]
-    return []
-
-
-def newest_journal_time(out: Path) -> datetime.datetime | None:
-    """Latest ``time_utc`` at the end of the journals in a session's folder and beside it."""
-    try:
-        beside = [path / "journal.jsonl" for path in out.absolute().parent.iterdir()]
-        journals = [(path.stat().st_mtime, path) for path in beside if path.is_file()]
-    except OSError:
-        return None
-    times = []
-    for _, path in sorted(journals, reverse=True)[:JOURNALS]:
-        with contextlib.suppress(OSError):
-            times += _last_times(path)
-    return max(times, default=None)
-
-
-def _last_times(path: Path) -> list[datetime.datetime]:
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - TAIL_BYTES))
-        lines = file.read().split(b"\n")
-    for line in reversed(lines):
-        try:
-            time = datetime.datetime.fromisoformat(json.loads(line)["time_utc"])
-        except (ValueError, KeyError, TypeError):
-            continue  # half a line, or a damaged one
-        return [time] if time.tzinfo is not None else []
-    return []
 
 
 def _space(rig: Rig, there: Path, plan: Plan, config: PreflightConfig) -> list[Finding]:

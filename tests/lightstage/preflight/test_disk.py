@@ -1,7 +1,6 @@
 """Disk, cards and this computer's clock."""
 
 import datetime
-import json
 import os
 import shutil
 import subprocess
@@ -9,15 +8,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-import pytest
-
 from lightstage.cameras.camera import Summary
 from lightstage.preflight.config import Plan, PreflightConfig
 from lightstage.preflight.disk import (
     card_findings,
-    computer_clock_findings,
     disk_findings,
-    newest_journal_time,
     photograph_bytes,
 )
 
@@ -110,47 +105,3 @@ def test_cards_too_small_for_the_plan_are_refused(small_rig):
     assert finding.camera == "cam1"
     assert "50.0 MB free" in finding.found
     assert "55.0 MB for 10 photographs" in finding.expected
-
-
-def journal(folder, *times, tail=b""):
-    folder.mkdir()
-    lines = [json.dumps({"id": i, "time_utc": t}) + "\n" for i, t in enumerate(times)]
-    (folder / "journal.jsonl").write_bytes("".join(lines).encode() + tail)
-
-
-def test_the_newest_line_of_all_journals_is_found_past_half_a_line(tmp_path):
-    journal(tmp_path / "a", "2026-04-01T00:00:00.000+00:00", "2026-04-02T00:00:00.000+00:00")
-    journal(tmp_path / "b", "2026-04-03T00:00:00.000+00:00", tail=b'{"id": 2, "time_ut')
-    journal(tmp_path / "c")
-    (tmp_path / "d").mkdir()
-    found = newest_journal_time(tmp_path / "new")
-    assert found == datetime.datetime(2026, 4, 3, tzinfo=datetime.UTC)
-
-
-@pytest.mark.parametrize("tail", [b"\xff\xfe\n", b"[]\n", b'{"time_utc": 7}\n', b"null\n"])
-def test_damaged_lines_are_passed_over(tmp_path, tail):
-    journal(tmp_path / "a", "2026-04-01T00:00:00+00:00", tail=tail)
-    assert newest_journal_time(tmp_path / "new").day == 1
-
-
-def test_a_clock_behind_a_journal_or_in_the_past_is_refused(tmp_path):
-    journal(tmp_path / "a", "2026-05-01T11:59:59+00:00")
-    assert computer_clock_findings(tmp_path / "new", CONFIG, NOW) == []
-    hour = datetime.timedelta(hours=1)
-    (finding,) = computer_clock_findings(tmp_path / "new", CONFIG, NOW - hour)
-    assert "later than the last line of a journal" in finding.expected
-    (finding,) = computer_clock_findings(
-        tmp_path / "new", CONFIG, datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
-    )
-    assert finding.severity == "refuse"
-    assert "2025" in finding.expected
-
-
-def test_the_sessions_own_journal_counts_when_it_is_resumed(tmp_path):
-    journal(tmp_path / "own", "2026-05-01T12:00:30+00:00")
-    assert codes(computer_clock_findings(tmp_path / "own", CONFIG, NOW)) == ["computer-clock"]
-
-
-def test_no_journal_is_no_fault(tmp_path):
-    assert computer_clock_findings(tmp_path / "none" / "new", CONFIG, NOW) == []
-    assert computer_clock_findings(tmp_path / "new", CONFIG) == []
