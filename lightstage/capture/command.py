@@ -25,7 +25,7 @@ from lightstage.leds.address import parse_url
 from lightstage.operator import open_operator
 from lightstage.patterns import Drive, read_patterns, sequence_patterns
 from lightstage.rig import Rig, load_rig
-from lightstage.safety import check_shots
+from lightstage.safety import check_shots, photosensitivity_findings
 from lightstage.sequence import plan_shots
 from lightstage.session import (
     Carried,
@@ -150,7 +150,14 @@ def capture_command(
         f"{out}: {report.frames} frames, {report.taken} taken now in {report.seconds:.1f} s, "
         f"overhead {report.overhead_s:.2f} s, {report.retakes} taken again, "
         f"{report.warnings} warnings, largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
-        {"session": str(out), **dataclasses.asdict(report)},
+        {
+            "session": str(out),
+            **dataclasses.asdict(report),
+            "safety": dataclasses.asdict(settings.safety),
+            "photosensitivity": [
+                str(each) for each in photosensitivity_findings(order.shots, settings.safety)
+            ],
+        },
         as_json,
     )
 

@@ -25,6 +25,7 @@ from lightstage.patterns import on_plane
 from lightstage.patterns.names import BINARY
 from lightstage.preflight import Plan, clear_privacy, drift, preflight, require
 from lightstage.rig import Rig, load_rig
+from lightstage.safety import photosensitivity_findings
 from lightstage.sequence import Shot
 from lightstage.session import SessionPlan, SessionWriter, bring_home, read_journal, reconcile
 from lightstage.session.manifest import write_manifest
@@ -96,7 +97,12 @@ def capture_session(
     looked = preflight(
         stage.rig, stage.told, stage.file, stage.lights, order.root, plan, config.preflight
     )
-    findings = [*order.findings, *looked, *_split_lights(stage.rig, order.shots)]
+    findings = [
+        *photosensitivity_findings(order.shots, config.safety),
+        *order.findings,
+        *looked,
+        *_split_lights(stage.rig, order.shots),
+    ]
     require(findings)
     with _writer(stage, order, config, findings) as writer, contextlib.ExitStack() as followed:
         for line in read_journal(writer.journal.path):

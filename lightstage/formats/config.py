@@ -29,7 +29,7 @@ def make_config(cls: type[T], values: Mapping[str, Any], where: str | Path) -> T
         where: what to name in an error, such as the TOML file.
 
     Raises:
-        ConfigError: an unknown key, or a value of another type.
+        ConfigError: an unknown key, a value of another type, or one that the dataclass refuses.
     """
     hints = typing.get_type_hints(cls)
     known = {f.name: f for f in dataclasses.fields(typing.cast(Any, cls))}
@@ -43,7 +43,10 @@ def make_config(cls: type[T], values: Mapping[str, Any], where: str | Path) -> T
                 expected=f"one of {', '.join(sorted(known))}",
             )
         resolved[key] = _convert(hints[key], value, where, key)
-    return cls(**resolved)
+    try:
+        return cls(**resolved)
+    except ConfigError as error:  # the dataclass does not know which file its values are from
+        raise ConfigError(f"{where}: {error}") from None
 
 
 def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:

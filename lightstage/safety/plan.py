@@ -12,6 +12,23 @@ from lightstage.rig import Rig
 from lightstage.safety.budget import FlashCounter, worst_heat
 from lightstage.sequence import Shot
 
+BOUNDS: dict[str, tuple[float, float]] = {
+    "max_flashes_per_s": (0.5, 30.0),
+    "light_interval_s": (0.0, 60.0),
+    "max_light_on_s": (0.1, 86_400.0),
+    "max_heat": (0.01, 1.0),
+    "heat_time_constant_s": (1.0, 86_400.0),
+    "max_silence_s": (0.5, 60.0),
+}
+"""Lowest and highest value of each limit; beyond them it would be no limit, or nothing could be
+lit. One change of light in a second is half a flash."""
+REASONS = {
+    "max_flashes_per_s": "Light that flashes more than 3 times in a second can cause epileptic "
+    "seizures (WCAG 2.3.1); a value above 3 is taken with a warning.",
+    "max_heat": "1 is the warmth of a light at full power for ever.",
+}
+"""What to know where a value is refused."""
+
 
 @dataclasses.dataclass(frozen=True)
 class SafetyConfig:
@@ -19,7 +36,7 @@ class SafetyConfig:
 
     Attributes:
         max_flashes_per_s: flashes in any second; three is the limit below which photosensitive
-            people are held to be safe [WCAG-Flashes].
+            people are held to be safe [WCAG-Flashes]. A higher one is warned of at each start.
         light_interval_s: shortest time between two changes of light; a capture waits for it.
         max_light_on_s: time at full level that one light may be on in one capture.
         max_heat: how warm a light may get, as a share of what full power for ever would make it.
@@ -33,6 +50,24 @@ class SafetyConfig:
     max_heat: float = 0.9
     heat_time_constant_s: float = 300.0
     max_silence_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        """ConfigError, all in one message, on values that are no limits (`BOUNDS`)."""
+        problems: list[LightstageError] = []
+        for name, (low, high) in BOUNDS.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                problems.append(
+                    ConfigError(
+                        "safety",
+                        field=name,
+                        found=f"{value:g}",
+                        expected=f"a number from {low:g} to {high:g}",
+                        hint=REASONS.get(name, ""),
+                    )
+                )
+        if problems:
+            raise one_error(problems)
 
 
 def flash_rate_per_s(shots: Sequence[Shot], light_interval_s: float) -> float:
@@ -65,9 +100,7 @@ def check_shots(shots: Sequence[Shot], rig: Rig, config: SafetyConfig, shot_wors
     Raises:
         ConfigError: what was found and which limit it breaks, all in one message.
     """
-    problems = _config_problems(config)
-    if problems:
-        raise one_error(problems)
+    problems: list[LightstageError] = []
     rate = flash_rate_per_s(shots, config.light_interval_s)
     if rate > config.max_flashes_per_s:
         problems.append(
@@ -103,16 +136,3 @@ def check_shots(shots: Sequence[Shot], rig: Rig, config: SafetyConfig, shot_wors
         )
     if problems:
         raise one_error(problems)
-
-
-def _config_problems(config: SafetyConfig) -> list[LightstageError]:
-    """Limits that are none."""
-    problems: list[LightstageError] = []
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        least_is_fine = field.name == "light_interval_s" and value == 0
-        if not (0 < value < np.inf or least_is_fine):
-            problems.append(
-                ConfigError("safety", field=field.name, found=f"{value:g}", expected="above 0")
-            )
-    return problems

@@ -193,6 +193,39 @@ def test_a_sequence_that_flashes_too_fast_or_burns_too_long_is_refused(stage, tm
     assert stage.device.kinds == []
 
 
+def test_limits_that_are_none_are_refused_with_their_file_before_a_device_is_opened(
+    stage, tmp_path
+):
+    config = tmp_path / "config.toml"
+    config.write_text("[safety]\nmax_flashes_per_s = 1e6\nmax_silence_s = inf\n")
+    done = run(stage, tmp_path / "S", "--config", str(config))
+    one_clear_message(
+        done, str(config), "max_flashes_per_s: found 1e+06, expected a number from 0.5 to 30",
+        "max_silence_s: found inf",
+    )  # fmt: skip
+    assert stage.device.kinds == []
+    assert not (tmp_path / "S").exists()
+
+
+def test_a_limit_above_three_flashes_is_warned_of_at_the_start_in_the_facts_and_the_journal(
+    stage, tmp_path
+):
+    config = tmp_path / "config.toml"
+    config.write_text("[safety]\nmax_flashes_per_s = 10\n")
+    out = tmp_path / "S"
+    done = run(stage, out, "--json", "--sequence", "full", "--config", str(config))
+    assert done.returncode == 0, done.stderr
+    assert "seizures" in done.stderr
+    facts = json.loads(done.stdout.splitlines()[-1])
+    assert facts["safety"]["max_flashes_per_s"] == 10
+    (said,) = facts["photosensitivity"]
+    assert "10 flashes per second allowed" in said
+    lines = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
+    kinds = [line.get("code", line["event"]) for line in lines]
+    assert kinds.index("photosensitivity") < kinds.index("lit")
+    assert json.loads((out / "manifest.json").read_text())["warnings"]["photosensitivity"] == 1
+
+
 def test_another_stages_rig_is_refused_before_a_light_goes_on(stage, tmp_path):
     save_rig(type(stage.rig)(stage.rig.lights[:-1], stage.rig.cameras), stage.rig_path)
     done = run(stage, tmp_path / "S")

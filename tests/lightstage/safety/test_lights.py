@@ -19,7 +19,7 @@ from lightstage.safety import lights as safe_lights
 from sim.devices.faults import Fault, Story
 from sim.devices.led_device import LedDevice
 
-QUICK = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6)
+QUICK = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0)
 FULL = np.ones(8)
 
 
@@ -141,7 +141,7 @@ def test_signals_during_the_last_dark_are_put_off_until_it_is_done(small_rig):
 
 def test_changes_of_light_are_never_closer_than_the_interval(small_rig):
     lamps = Lamps()
-    config = SafetyConfig(light_interval_s=0.05, max_flashes_per_s=1e6)
+    config = SafetyConfig(light_interval_s=0.05, max_flashes_per_s=30.0)
     with SafeLights(lamps, config, small_rig) as lights:
         for number in range(5):
             lights.light(np.full(8, number / 5))
@@ -176,7 +176,7 @@ def test_what_the_plan_could_not_know_is_refused_when_it_would_pass_a_limit(
     small_rig, limit, monkeypatch
 ):
     now = [100.0]
-    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6, **limit)
+    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0, **limit)
     lamps = Lamps()
     with SafeLights(lamps, config, small_rig, shot_worst_s=6.0) as lights:
         monkeypatch.setattr(safe_lights.time, "monotonic", lambda: now[0])
@@ -208,7 +208,7 @@ def test_a_shot_that_overstays_its_plan_is_put_out_and_the_capture_learns_it(
 
 def test_without_a_plan_a_state_stays_as_long_as_the_budget_lasts(small_rig, monkeypatch):
     monkeypatch.setattr(safe_lights, "SLACK_S", 0.0)
-    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6, max_light_on_s=0.1)
+    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0, max_light_on_s=0.1)
     lamps = Lamps(watchdog_s=0.04)
     with SafeLights(lamps, config, small_rig) as lights:
         lights.light(FULL)
@@ -248,7 +248,7 @@ def test_a_light_lost_meanwhile_is_told_by_the_next_confirm_though_it_be_back(sm
 
 def test_dark_from_another_thread_keeps_a_waiting_light_off(small_rig):
     lamps = Lamps()
-    config = SafetyConfig(light_interval_s=300.0)
+    config = SafetyConfig(light_interval_s=60.0)
     with SafeLights(lamps, config, small_rig) as lights:
         lights.light(FULL)
         with ThreadPoolExecutor(1) as pool:
@@ -328,7 +328,7 @@ def test_a_board_that_resets_in_a_shot_is_recovered_and_lit_again(small_rig):
 
 
 def test_lamps_that_take_long_to_settle_are_no_silence_of_the_capture(small_rig):
-    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6, max_silence_s=1.0)
+    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0, max_silence_s=1.0)
     with (
         LedDevice(8, lambda levels: time.sleep(1.8 * bool(levels.any()))) as device,
         open_leds(device.url(60.0), 8) as leds,
@@ -342,7 +342,7 @@ def test_lamps_that_take_long_to_settle_are_no_silence_of_the_capture(small_rig)
 
 
 def test_an_answer_that_does_not_come_is_no_silence_of_the_capture(small_rig):
-    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6, max_silence_s=1.0)
+    config = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0, max_silence_s=1.0)
     lamps = Lamps(watchdog_s=0.04)
     asked, go_on = threading.Event(), threading.Event()
 

@@ -7,7 +7,14 @@ import pytest
 
 from lightstage.errors import ConfigError
 from lightstage.rig import default_rig
-from lightstage.safety import SafetyConfig, check_shots, flash_rate_per_s, light_on_s
+from lightstage.safety import (
+    SafetyConfig,
+    check_shots,
+    flash_rate_per_s,
+    light_on_s,
+    photosensitivity_findings,
+)
+from lightstage.safety.plan import BOUNDS
 from lightstage.sequence import Shot, plan_shots
 
 
@@ -62,8 +69,35 @@ def test_a_long_deadline_alone_can_break_the_warmth(small_rig):
 
 
 @pytest.mark.parametrize("field", list(SafetyConfig.__dataclass_fields__))
-@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
-def test_a_limit_that_is_none_is_refused(small_rig, field, value):
-    shots = plan_shots(["full"], small_rig)
-    with pytest.raises(ConfigError, match=f"safety, {field}: found"):
-        check_shots(shots, small_rig, SafetyConfig(**{field: value}), shot_worst_s=1.0)
+@pytest.mark.parametrize("value", [-1.0, -1e-9, np.nan, np.inf, -np.inf, 1e6, 1e300])
+def test_a_limit_that_is_none_is_refused(field, value):
+    with pytest.raises(ConfigError, match=f"safety, {field}: found .*, expected a number from"):
+        SafetyConfig(**{field: value})
+
+
+@pytest.mark.parametrize("field", list(SafetyConfig.__dataclass_fields__))
+def test_a_limit_at_its_bounds_is_taken_and_one_with_which_nothing_could_be_lit_is_refused(
+    field,
+):
+    for bound in BOUNDS[field]:
+        assert getattr(SafetyConfig(**{field: bound}), field) == bound
+    if field != "light_interval_s":
+        with pytest.raises(ConfigError, match=field):
+            SafetyConfig(**{field: 0.0})
+
+
+def test_all_limits_that_are_none_are_told_in_one_message():
+    with pytest.raises(ConfigError) as caught:
+        SafetyConfig(max_flashes_per_s=31.0, max_heat=2.0)
+    assert "max_flashes_per_s: found 31, expected a number from 0.5 to 30" in str(caught.value)
+    assert "max_heat: found 2" in str(caught.value)
+
+
+def test_more_flashes_than_photosensitive_people_can_bear_are_warned_of():
+    shots = shots_of([1, 0], [0, 1], [1, 1], [0, 0])
+    assert photosensitivity_findings(shots, SafetyConfig()) == []
+    quick = SafetyConfig(max_flashes_per_s=3.1, light_interval_s=0.1)
+    (found,) = photosensitivity_findings(shots, quick)
+    assert (found.severity, found.code) == ("warn", "photosensitivity")
+    assert "3.1 flashes per second allowed, of which these patterns need up to 2" in str(found)
+    assert "seizures" in found.hint

@@ -34,7 +34,7 @@ RETAKES = 2
 FAST = CaptureConfig(
     trigger_lead_s=0.0,
     deadlines=Deadlines.all(5.0),
-    safety=SafetyConfig(light_interval_s=0.0, max_flashes_per_s=1e6),
+    safety=SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0),
     operator=OperatorConfig(retakes=RETAKES),
 )
 SEQUENCE = ("full", "x+", "x-")
