@@ -30,7 +30,7 @@ from lightstage.leds.controller import LightLostError
 from lightstage.preflight import drift, photograph_findings
 from lightstage.preflight.privacy import EMPTY
 from lightstage.rig import Rig
-from lightstage.session import SessionWriter, arrived
+from lightstage.session import SessionWriter, arrived, why_not_delete
 from lightstage.steps import step
 
 
@@ -155,7 +155,7 @@ class Photographer:
         findings = self._look(pattern, camera, path)
         step("checked", pattern, camera.id)
         if self._config.delete_from_cameras:
-            self._delete(pattern, camera, file)
+            findings += self._delete(pattern, take, camera, file)
         return Taken(camera.id, exposure.triggered_s, exposure.exposed_s, tuple(findings))
 
     def look_again(self, pattern: str, camera_id: str, path: Path) -> list[Finding]:
@@ -290,17 +290,38 @@ class Photographer:
             except LightstageError as error:
                 self._writer.note("note", camera=camera.id, said=f"{file.name}: {error}")
 
-    def _delete(self, pattern: str, camera: CameraDevice, file: CardFile) -> None:
-        """Delete a photograph on the camera; what lies beside it, such as a JPEG, stays."""
+    def _delete(
+        self, pattern: str, take: int, camera: CameraDevice, file: CardFile
+    ) -> list[Finding]:
+        """Delete a photograph on the camera; what lies beside it, such as a JPEG, stays.
+
+        It stays too where photographs are missing on the disk; that is a finding.
+        """
+        why = why_not_delete(self._writer.root, self._writer.state, (pattern, camera.id, take))
+        if why:
+            stays = Finding(
+                "warn",
+                "not-deleted",
+                f"camera {camera.id}, {file.name}",
+                found=why,
+                expected="all photographs on the disk, before one is deleted on a camera",
+                hint="Something removes files from the session's folder: stop it. What is missing "
+                "is brought from the card or taken again at the end.",
+                pattern=pattern,
+                camera=camera.id,
+            )
+            self._writer.finding(stays)
+            return [stays]
         self._writer.deleting(pattern, camera.id, file)
         step("deleting", pattern, camera.id)
         try:
             camera.delete(file.name)
         except DeviceError as error:
             self._writer.note("note", camera=camera.id, said=f"{file.name} not deleted: {error}")
-            return
+            return []
         self._writer.deleted(pattern, camera.id, file)
         step("deleted", pattern, camera.id)
+        return []
 
 
 def _late(pattern: str, findings: Sequence[Finding]) -> list[Finding]:

@@ -115,22 +115,37 @@ class Run:
             CaptureError, DeviceError: this computer's disk, or the lights, failed.
         """
         started_s = time.monotonic()
-        last = None
         while self._queue:
             last, ids = self._queue.popleft()
             self._take(self._shots[last], [c for c in self._cameras if c.id in ids])
             self._heed(last)
-        seconds = time.monotonic() - started_s
+        self._count(seconds=time.monotonic() - started_s)
         total = self._total
         spent_s = total.lit_s + total.exposed_s + total.paused_s
         state = self._writer.state
         return dataclasses.replace(
             total,
             frames=sum(len(self._all) - len(state.missing(pattern)) for pattern in self._shots),
-            seconds=seconds,
-            overhead_s=seconds - spent_s,
+            overhead_s=total.seconds - spent_s,
             skew=self._skew.facts(),
         )
+
+    def take_lost(self, wanted: Mapping[str, Collection[str]]) -> CaptureReport:
+        """Take again what was kept and is no longer on the disk; the report is of all so far.
+
+        Args:
+            wanted: as for the constructor; the takes that were lost are rejected already.
+
+        Raises:
+            LightstageError: as take_all.
+        """
+        for pattern in self._shots:
+            if pattern in wanted:
+                for camera in wanted[pattern]:
+                    self._checks.forget(pattern, camera)
+                self._queue.append((pattern, frozenset(wanted[pattern])))
+                self._count(retakes=len(wanted[pattern]))
+        return self.take_all()
 
     def _count(self, **more: float) -> None:
         """Add to the figures of the report."""

@@ -17,7 +17,7 @@ from lightstage.capture.photograph import Checks, Photographer
 from lightstage.capture.run import CaptureReport, Run
 from lightstage.capture.stage import Stage
 from lightstage.checks import ShotChecks
-from lightstage.errors import LightstageError
+from lightstage.errors import CaptureError, LightstageError
 from lightstage.findings import Finding
 from lightstage.formats.config import as_dict, make_config
 from lightstage.operator import Operator, serve_events
@@ -27,7 +27,14 @@ from lightstage.preflight import Plan, clear_privacy, drift, preflight, require
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import photosensitivity_findings
 from lightstage.sequence import Shot
-from lightstage.session import SessionPlan, SessionWriter, bring_home, read_journal, reconcile
+from lightstage.session import (
+    SessionPlan,
+    SessionWriter,
+    bring_home,
+    read_journal,
+    reconcile,
+    require_on_disk,
+)
 from lightstage.session.manifest import write_manifest
 from lightstage.steps import step
 
@@ -114,15 +121,14 @@ def capture_session(
             wanted = writer.state.wanted()
             if order.resume:
                 delete = config.delete_from_cameras
-                wanted = reconcile(writer, stage.cameras, delete=delete).wanted
-            report = _run(stage, order, config, operator, writer, wanted, checks)
-            warned = sum(finding.severity == "warn" for finding in findings)
-            report = dataclasses.replace(report, warnings=report.warnings + warned)
-            stage.lights.dark()
-            bring_home(writer, stage.cameras, delete=config.delete_from_cameras)
+                found = reconcile(writer, stage.cameras, delete=delete)
+                wanted, findings = found.wanted, [*findings, *found.findings]
+            run = _run(stage, order, config, operator, writer, wanted, checks)
+            report = _take_until_whole(run, stage, config, writer, findings)
             writer.finish()
             write_manifest(order.root, {**order.facts, "capture": dataclasses.asdict(report)})
             step("manifest-written")
+            require_on_disk(order.root, writer.state)
             writer.end(capture=dataclasses.asdict(report))
         except BaseException as error:
             # Dark first; that it failed is told where the lights are let go.
@@ -248,7 +254,7 @@ def _run(
     writer: SessionWriter,
     wanted: Mapping[str, Sequence[str]],
     checks: Checks | None,
-) -> CaptureReport:
+) -> Run:
     checks = checks or ShotChecks(stage.rig, order.shots, config.checks)
     cards = {camera.id: camera.card() for camera in stage.cameras}
     photographer = Photographer(stage.rig, writer, checks, config, stage.told, cards)
@@ -257,7 +263,7 @@ def _run(
         found = photographer.look_again(kept.pattern, kept.camera, order.root / kept.path)
         if kept.pattern in wanted:  # of a finished one it was decided
             before.setdefault(kept.pattern, []).extend(found)
-    run = Run(
+    return Run(
         order.shots,
         wanted,
         stage.cameras,
@@ -269,4 +275,34 @@ def _run(
         config,
         before,
     )
-    return run.take_all()
+
+
+def _take_until_whole(
+    run: Run,
+    stage: Stage,
+    config: CaptureConfig,
+    writer: SessionWriter,
+    before: Sequence[Finding],
+) -> CaptureReport:
+    """Take all; then look for it on the disk, and take again what is lost.
+
+    Raises:
+        CaptureError: photographs are lost again and again.
+    """
+    report, findings = run.take_all(), list(before)
+    for left in range(config.operator.retakes, -1, -1):
+        stage.lights.dark()
+        home = bring_home(writer, stage.cameras, delete=config.delete_from_cameras)
+        findings += home.findings
+        if not home.wanted:
+            break
+        if not left:
+            raise CaptureError(
+                writer.root,
+                found=f"photographs of {', '.join(home.wanted)} that vanished from the disk",
+                expected="every photograph that was kept",
+                hint="Something removes files from this folder. Stop it, then go on.",
+            )
+        report = run.take_lost(home.wanted)
+    warned = sum(finding.severity == "warn" for finding in findings)
+    return dataclasses.replace(report, warnings=report.warnings + warned)

@@ -12,6 +12,7 @@ from lightstage.session.journal import Journal, utc_now
 from lightstage.session.kept import Kept
 from lightstage.session.opening import require_new, rig_hash
 from lightstage.session.plan import SessionPlan
+from lightstage.session.present import require_on_disk, why_not_delete
 from lightstage.session.pseudonym import check_consent, check_pseudonym
 from lightstage.session.reading import read_journal
 from lightstage.session.reconciling import Reconciled
@@ -39,8 +40,10 @@ __all__ = [
     "read_journal",
     "reconcile",
     "require_new",
+    "require_on_disk",
     "rig_hash",
     "session_from_journal",
     "state_of",
     "utc_now",
+    "why_not_delete",
 ]

@@ -7,11 +7,10 @@ from pathlib import Path
 
 from lightstage.findings import Finding
 from lightstage.formats.files import fsync_path
-from lightstage.formats.paths import path_inside
 from lightstage.session.aside import FOLDER, asides
 from lightstage.session.disk import disk_errors
-from lightstage.session.keep import sha256_on_disk
 from lightstage.session.kept import Kept, Key
+from lightstage.session.present import damaged
 from lightstage.session.state import Exposed
 from lightstage.session.writer import SessionWriter
 
@@ -44,13 +43,7 @@ class Leftovers:
         Raises:
             FormatError: one that leads out of the session over a link.
         """
-        damaged = []
-        for kept in self.state.frames():
-            path = path_inside(self.root, kept.path, self.root / "journal.jsonl", "path")
-            with disk_errors(path):
-                if not path.is_file() or sha256_on_disk(path) != kept.sha256:
-                    damaged.append(kept)
-        return damaged
+        return damaged(self.root, self.state.frames())
 
     def tidy(self) -> None:
         """Remove or set aside what crashes left; every file ends under a line of the journal."""

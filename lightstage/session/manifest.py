@@ -62,6 +62,7 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
     state = SessionState(lines)
     session = read_json(root / "session.json", "lightstage.session/1")
     rig = load_rig(root / "rig.json")
+    files, lost = _files(root, state)
     begins = [line for line in lines if line["event"] in ("begin", "resume")]
     said = {key: value for line in begins for key, value in line.items()}
     manifest = {
@@ -92,7 +93,8 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
         ),
         "resumed": len(begins) - 1,
         "light_map_sha256": light_map_hash(rig),
-        "files": dict(sorted(_files(root, state))),
+        "files": dict(sorted(files.items())),
+        "lost": dict(sorted(lost.items())),
         "journal": {
             "path": JOURNAL,
             "last_id": lines[-1]["id"],
@@ -186,15 +188,20 @@ def _light_figures(lines: list[Line]) -> dict[str, Any]:
     }
 
 
-def _files(root: Path, state: SessionState) -> Iterator[tuple[str, str]]:
-    """Path in the session and hash of everything that stays as it is."""
-    for kept in state.all_frames():
-        yield kept.path, kept.sha256
-    for aside in state.recovered().values():
-        yield aside.path, aside.sha256
+def _files(root: Path, state: SessionState) -> tuple[dict[str, str], dict[str, str]]:
+    """Path in the session and hash of everything that stays as it is, and of what was lost.
+
+    Lost are photographs that do not count and are no longer on the disk: the others must be there.
+    """
+    files = {kept.path: kept.sha256 for kept in state.frames()}
+    others = {kept.path: kept.sha256 for kept in state.all_frames() if kept.path not in files}
+    others |= {aside.path: aside.sha256 for aside in state.recovered().values()}
+    lost = {path: sha256 for path, sha256 in others.items() if not (root / path).is_file()}
+    files |= {path: sha256 for path, sha256 in others.items() if path not in lost}
     for path in (root / "session.json", root / "rig.json", *sorted(root.glob("calibration/**/*"))):
         if path.is_file():
-            yield path.relative_to(root).as_posix(), sha256_file(path)
+            files[path.relative_to(root).as_posix()] = sha256_file(path)
+    return files, lost
 
 
 def _photographs_on_disk(root: Path) -> Iterator[str]:

@@ -17,6 +17,7 @@ from lightstage.session.disk import disk_errors
 from lightstage.session.keep import Arrival, is_whole, settle, sha256_on_disk
 from lightstage.session.kept import Kept, Key, told
 from lightstage.session.leftovers import Leftovers
+from lightstage.session.present import why_not_delete
 from lightstage.session.state import Exposed
 from lightstage.session.writer import SessionWriter
 from lightstage.steps import step
@@ -266,6 +267,11 @@ class Reconciler(Leftovers):
                 incoming.unlink()
             if got.sha256 != kept.sha256:
                 continue  # another picture under its name: nobody else has that one
+            why = why_not_delete(self.root, self.state, kept.key)
+            if why:
+                said = f"{file.name} stays on the card: {why}"
+                self.writer.note("note", camera=camera.id, said=said)
+                continue
             if file not in begun:
                 self.writer.deleting(pattern, camera.id, file)
             step("deleting", pattern, camera.id)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 from lightstage.cameras.camera import CameraDevice, CardFile
-from lightstage.errors import one_error
+from lightstage.errors import CaptureError, one_error
 from lightstage.findings import Finding
 from lightstage.session.reconciling import Reconciled, Reconciler
 from lightstage.session.writer import SessionWriter
@@ -56,20 +56,36 @@ def reconcile(
 def bring_home(
     writer: SessionWriter, cameras: Sequence[CameraDevice], *, delete: bool = False
 ) -> Reconciled:
-    """Before a session ends: keep what lies on the cards and is not on this computer yet.
+    """Before a session ends: look for every photograph, on the disk and on the cards.
 
-    Such as a photograph that was taken again because its first take did not come.
+    The bytes of each are read back from the disk. One that is missing or damaged comes from its
+    card again, or its take is rejected and the pattern is wanted again (`Reconciled.wanted`).
+    What lies on the cards and is not on this computer yet is kept, such as a photograph that was
+    taken again because its first take did not come.
 
     Args:
         writer: of the session.
-        cameras: opened; one that does not answer now is a finding: what counts is kept already.
+        cameras: opened; one that does not answer now is a finding, where none of its photographs
+            is missing.
         delete: as in `reconcile`.
 
     Raises:
-        CaptureError: this computer's disk refuses.
+        CaptureError: this computer's disk refuses, or a photograph is missing on it and its camera
+            does not answer.
     """
     found = Reconciler(writer, delete)
-    for problem in found.look_at(cameras, []):
+    lost = found.damaged()
+    problems = found.look_at(cameras, lost)
+    settled = {*found.restored, *found.rejected}
+    left = [each for each in lost if each.key not in settled]
+    if left:
+        raise CaptureError(
+            writer.root / left[0].path,
+            found=f"a file that is missing or damaged ({len(left)} in all)",
+            expected="the photograph that was kept",
+            hint="; ".join(map(str, problems)),
+        )
+    for problem in problems:
         found.say(
             Finding(
                 "warn",

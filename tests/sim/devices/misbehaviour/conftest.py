@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,7 @@ class SmallStage:
         self.drive: Drive = "on-off"
         self.config = FAST
         self.captures = 0
+        self.watch: Callable[[Path, dict[str, Any]], object] = lambda _root, _line: None
 
     def capture(
         self,
@@ -156,7 +158,8 @@ class SmallStage:
                             raise one_error(failed)
                         by_id = dict(zip(ports, told, strict=True))
                         stage = Stage(self.rig, lights, tuple(cameras), by_id, CamerasFile())
-                        operator = Unattended(self.config.operator)
+                        operator = Watching(self.config.operator)
+                        operator.watch = functools.partial(self.watch, root)
                         report = capture_session(stage, Order(root, shots), self.config, operator)
                         labels = coded.labels(root)
             except LightstageError as error:
@@ -170,6 +173,16 @@ class SmallStage:
         assert coded.device.failure is None
         happened = [told.name for told in read_fault_log(desk / "faults.jsonl")]
         return Ending(said, root, dark, happened, report, labels, coded.device.states)
+
+
+class Watching(Unattended):
+    """Nobody is asked; a test does something to the disk at a line of the journal."""
+
+    watch: Callable[[dict[str, Any]], object]
+
+    def told(self, line: Mapping[str, Any]) -> None:
+        super().told(line)
+        self.watch(dict(line))
 
 
 class Named(SimulatedCamera):
