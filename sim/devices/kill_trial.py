@@ -37,7 +37,7 @@ CONFIG = """
 trigger_lead_s = 0.0
 [safety]
 light_interval_s = 0.0
-max_flashes_per_s = 1000.0
+max_flashes_per_s = 30.0
 """
 STOP_S = 60.0
 END_S = 120.0

@@ -21,7 +21,7 @@ from sim.devices.coded_stage import CodedStage
 CONFIG = """
 # Nobody sits in the simulated stage: light may change as fast as it can.
 [safety]
-light_interval_s = 0.0
+light_interval_s = 0.02
 max_flashes_per_s = 30.0
 max_light_on_s = 86400.0
 max_heat = 1.0
