@@ -64,6 +64,10 @@ class CutPhotographError(CaptureError):
     """A photograph whose bytes on the disk are not those on the camera; it can be asked again."""
 
 
+class StoppedError(LightstageError):
+    """Work that somebody ended on purpose, by a key, a signal or from elsewhere; no failure."""
+
+
 class DiskError(LightstageError):
     """A file or folder that the system does not let us read or write."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
@@ -145,6 +146,9 @@ def capture_command(
     ):
         if calibration is not None:
             order = _with_calibration(order, stage, calibration, allow_stale, settings)
+        flags = {"--clear": clear, "--delete-from-cameras": delete, "--unattended": unattended}
+        again = _resume_with(leds, cameras, config, flags)
+        order = dataclasses.replace(order, resume_with=again)
         report = capture_session(stage, order, settings, operator)
     finish(
         f"{out}: {report.frames} frames, {report.taken} taken now in {report.seconds:.1f} s, "
@@ -199,6 +203,15 @@ def _with_calibration(
     )
     facts = {**order.facts, "calibration_shots": used.facts}
     return dataclasses.replace(order, facts=facts, findings=[*order.findings, *used.findings])
+
+
+def _resume_with(
+    leds: str, cameras: str, config: Path | None, flags: Mapping[str, bool]
+) -> list[str]:
+    """What a later --resume needs; files by their whole paths, so that it works from anywhere."""
+    file = cameras if cameras == "auto" else str(Path(cameras).absolute())
+    given = [] if config is None else ["--config", str(config.absolute())]
+    return ["--leds", leds, "--cameras", file, *given, *(name for name, on in flags.items() if on)]
 
 
 def _default(given: str | None, default: str) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from lightstage.cameras.camera import CameraDevice
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.photograph import Checks, Photographer
-from lightstage.capture.shot import ShotTaken, aborted, take_shot
+from lightstage.capture.shot import ShotTaken, stopped, take_shot
 from lightstage.capture.wishes import Wishes
 from lightstage.errors import CaptureError, LightstageError, one_error
 from lightstage.findings import Finding
@@ -111,7 +111,8 @@ class Run:
         """Take every shot that is wanted.
 
         Raises:
-            AbortedError: by the operator, or where nothing is left to try.
+            StoppedError: by the operator.
+            CaptureError: nothing is left to try.
             CaptureError, DeviceError: this computer's disk, or the lights, failed.
         """
         started_s = time.monotonic()
@@ -175,6 +176,8 @@ class Run:
             elif decision == "accept" and not missing:
                 self._writer.note("note", pattern=pattern, said="accepted by the operator")
                 again = {}
+            elif self._wishes.aborted():
+                raise stopped()
             else:
                 raise one_error([_unfinished(each) for each in bad])
         if pattern not in again:
@@ -259,7 +262,7 @@ class Run:
         """Act on what the operator wished since the last shot, whose pattern is given."""
         while (wish := self._wishes.take()) is not None:
             if wish == "abort":
-                raise aborted()
+                raise stopped()
             if wish == "pause":
                 self._pause()
             if wish == "retake" and self._is_done(last):
@@ -276,7 +279,7 @@ class Run:
         self._writer.note("note", said="paused, the lights are dark")
         while (wish := self._wishes.take()) != "resume":
             if wish == "abort":
-                raise aborted()
+                raise stopped()
             time.sleep(PAUSE_POLL_S)
         self._count(paused_s=time.monotonic() - begun_s)
 

@@ -15,6 +15,7 @@ from lightstage.cameras.camera import Summary
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.photograph import Checks, Photographer
 from lightstage.capture.run import CaptureReport, Run
+from lightstage.capture.shot import stopped
 from lightstage.capture.stage import Stage
 from lightstage.checks import ShotChecks
 from lightstage.errors import CaptureError, LightstageError
@@ -24,6 +25,7 @@ from lightstage.operator import Operator, serve_events
 from lightstage.patterns import on_plane
 from lightstage.patterns.names import BINARY
 from lightstage.preflight import Plan, clear_privacy, drift, preflight, require
+from lightstage.resume_line import RESUME_WITH, resume_line
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import photosensitivity_findings
 from lightstage.sequence import Shot
@@ -38,7 +40,6 @@ from lightstage.session import (
 from lightstage.session.manifest import write_manifest
 from lightstage.steps import step
 
-AS_BEFORE = "(--leds and --cameras as before)"
 SPARE = 1.5
 """Photographs that cards and disk must have room for, against those that are planned."""
 
@@ -58,6 +59,7 @@ class Order:
         beside: other files of that calibration, by name.
         facts: what else the journal and the manifest shall say, such as calibration shots.
         findings: of whoever looked before, told with those of the preflight.
+        resume_with: options beside ``--out`` with which the command goes on with the session.
     """
 
     root: Path
@@ -70,6 +72,7 @@ class Order:
     beside: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     findings: Sequence[Finding] = ()
+    resume_with: Sequence[str] = ()
 
 
 def capture_session(
@@ -91,6 +94,7 @@ def capture_session(
     Raises:
         DeviceError: something forbids the capture; no light went on. Or the lights failed.
         CaptureError: it could not be finished; what was taken is kept and can be gone on with.
+        StoppedError: by the operator, who may go on with it too.
     """
     if config.preflight.clear:
         stage.told.update(clear_privacy(stage.cameras))
@@ -134,11 +138,14 @@ def capture_session(
             # Dark first; that it failed is told where the lights are let go.
             with contextlib.suppress(LightstageError):
                 stage.lights.dark()
+            if isinstance(error, KeyboardInterrupt):  # Ctrl-C, SIGTERM, a terminal that closed
+                error = stopped()
+            said = str(error) or type(error).__name__
             with contextlib.suppress(LightstageError):
-                writer.note("aborted", said=str(error) or type(error).__name__)
+                writer.note("aborted", said=said, **{RESUME_WITH: [*order.resume_with]})
             if isinstance(error, LightstageError):
-                again = f"lightstage capture --resume --out {order.root}"
-                raise type(error)(f"{error}\n  Go on with: {again} {AS_BEFORE}") from None
+                again = resume_line(order.root, order.resume_with)
+                raise type(error)(f"{said}\n  Go on with: {again}") from None
             raise
     return report
 
@@ -220,6 +227,7 @@ def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
         "on_plane": on_plane(stage.rig),
         "config": as_dict(config),
         "facts": dict(order.facts),
+        RESUME_WITH: [*order.resume_with],
     }
     if not order.resume:
         levels = {shot.pattern: shot.levels.tolist() for shot in order.shots}

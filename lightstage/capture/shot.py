@@ -19,6 +19,7 @@ from lightstage.errors import (
     DeviceError,
     FormatError,
     LightstageError,
+    StoppedError,
 )
 from lightstage.findings import Finding
 from lightstage.leds.controller import LightLostError
@@ -29,10 +30,6 @@ from lightstage.steps import step
 
 POLL_S = 0.03
 """How long the operator's wish to abort may wait."""
-
-
-class AbortedError(CaptureError):
-    """The operator wants no more; what was taken is kept and can be resumed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,13 +89,17 @@ def take_shot(
         config: times.
 
     Raises:
-        AbortedError: by the operator.
+        StoppedError: by the operator.
         CaptureError: this computer's disk failed.
         DeviceError: the lights failed.
     """
+    if wishes.aborted():
+        raise stopped()
     try:
         light = PatternLight(lights, shot.levels, [c.id for c in cameras], config.dark_after_s)
     except LightLostError as error:
+        if wishes.aborted():  # who stopped it put the light out: no device failed
+            raise stopped() from None
         missed = _missed(shot.pattern, cameras, {camera.id: error for camera in cameras}, writer)
         return ShotTaken((), tuple(missed), 0.0, light_lost=True)
     writer.lit(
@@ -114,22 +115,19 @@ def take_shot(
     taken: list[Taken] = []
     failed: dict[str, LightstageError] = {}
     disk: CaptureError | None = None
+    pending: dict[Future[Taken], str] = {}
     try:
         at_s = time.monotonic() + config.trigger_lead_s
         late = LateCameras(shot.pattern, light, photographer.exposure_times, at_s, config, writer)
-        pending: dict[Future[Taken], str] = {
-            pool.submit(photographer.take, shot.pattern, takes[c.id], c, at_s, light): c.id
-            for c in cameras
-        }
+        for c in cameras:
+            taking = pool.submit(photographer.take, shot.pattern, takes[c.id], c, at_s, light)
+            pending[taking] = c.id
         while pending:
             ready, _ = wait(pending, timeout=POLL_S, return_when="FIRST_COMPLETED")
             light.dark_when_due()
             late.look()
             if wishes.aborted():
-                lights.dark()
-                # What is exposed still comes home.
-                wait(pending, timeout=config.deadlines.trigger_s)
-                raise aborted()
+                raise stopped()
             for future in ready:
                 camera = pending.pop(future)
                 try:
@@ -138,6 +136,11 @@ def take_shot(
                     failed[camera] = error
                 except CaptureError as error:
                     disk = error  # the others' photographs may still find room
+    except (StoppedError, KeyboardInterrupt):
+        lights.dark()
+        # What is exposed still comes home, and nobody writes to the journal after its last line.
+        wait(pending, timeout=config.deadlines.trigger_s)
+        raise
     finally:
         # Not waited for: on a failure the lights come first; closing the cameras ends the rest.
         pool.shutdown(wait=False)
@@ -149,9 +152,9 @@ def take_shot(
     return ShotTaken(tuple(taken), tuple(findings), light.lit_s, lost)
 
 
-def aborted() -> AbortedError:
-    """The error that ends a capture at the operator's wish."""
-    return AbortedError("capture", found="the operator's wish to end it")
+def stopped() -> StoppedError:
+    """What ends a capture at the operator's wish."""
+    return StoppedError("Stopped by the operator.")
 
 
 def _missed(

@@ -25,7 +25,9 @@ from lightstage.formats.session import (
     missing_frames,
 )
 from lightstage.photograph import identify
+from lightstage.resume_line import known_options, resume_line, watch_line
 from lightstage.sequence import Shot
+from lightstage.session import read_journal
 from lightstage.session.manifest import check_manifest
 
 SUM_TOLERANCE = 0.1
@@ -136,12 +138,13 @@ def _doubled(session: Session) -> list[LightstageError]:
 def _load(root: Path) -> Session:
     unfinished = (root / "journal.jsonl").is_file() and not (root / "session.json").is_file()
     if unfinished:
+        again = resume_line(root, known_options(read_journal(root / "journal.jsonl")))
         raise FormatError(
             root / "session.json",
             found="only a journal",
             expected="a finished session",
-            hint=f"While it is captured: lightstage watch {root}. If the capture was interrupted: "
-            f"lightstage capture --resume --out {root} (--leds and --cameras as before).",
+            hint=f"While it is captured: {watch_line(root)}. "
+            f"If the capture was interrupted: {again}",
         )
     return load_session(root)
 

@@ -10,7 +10,7 @@ from typing import Any, cast
 import typer
 from typer.exceptions import TyperException
 
-from lightstage.errors import LightstageError
+from lightstage.errors import LightstageError, StoppedError
 from lightstage.failures import explain
 from lightstage.interrupts import interrupted, raise_on_signals
 
@@ -19,7 +19,8 @@ JsonFlag = typer.Option(
 )
 
 BAD_INPUT, DEFECT, INTERRUPTED = 2, 1, 130
-"""Exit codes: what a user can mend; a defect of this software; Ctrl-C or another signal."""
+"""Exit codes: what a user can mend; a defect of this software; stopped by Ctrl-C, another signal
+or a key."""
 
 
 def make_app(help_text: str) -> typer.Typer:
@@ -100,11 +101,11 @@ def _end_with(error: Exception, as_json: bool) -> None:
         raise error
     if os.environ.get("LIGHTSTAGE_TRACEBACK"):
         sys.excepthook(type(error), error, error.__traceback__)
-    name = type(told).__name__
-    print(f"{name}: {told}", file=sys.stderr)
+    name, stopped = type(told).__name__, isinstance(told, StoppedError)
+    print(told if stopped else f"{name}: {told}", file=sys.stderr)
     fields = {key: getattr(told, key) for key in ("where", "field", "found", "expected", "hint")}
     _print_json(as_json, name, {"message": str(told), **fields})
-    sys.exit(BAD_INPUT)
+    sys.exit(INTERRUPTED if stopped else BAD_INPUT)
 
 
 def _end_interrupted(as_json: bool) -> None:

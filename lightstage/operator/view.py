@@ -16,13 +16,13 @@ from typing import Any, Literal
 from lightstage.operator.words import (
     Mark,
     Said,
-    clean,
     duration,
     names_of,
     number_of,
     said,
     text_of,
 )
+from lightstage.printable import printable
 
 State = Literal["idle", "triggering", "downloading", "kept", "failed", "restarting"]
 Phase = Literal["before", "running", "paused", "aborted", "complete"]
@@ -163,8 +163,8 @@ class View:
         for key in ("told", "cameras"):
             cameras = line.get(key)
             for name, told in cameras.items() if isinstance(cameras, dict) else ():
-                if isinstance(told, dict) and clean(name) in self.cameras:
-                    camera = self.cameras[clean(name)]
+                if isinstance(told, dict) and printable(name) in self.cameras:
+                    camera = self.cameras[printable(name)]
                     camera.serial = text_of(told, "serial")
                     camera.model = text_of(told, "model")
                     camera.battery_percent = number_of(told, "battery_percent")

@@ -11,6 +11,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
+from lightstage.printable import printable
+from lightstage.resume_line import options_of, resume_line, watch_line
+
 Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
 """``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
 
@@ -41,10 +44,7 @@ FINDING: dict[str, tuple[Tone, str, str]] = {
 MISSING = "The others are kept. If it fails again, look at its cable, battery and card."
 """Said where a photograph did not come."""
 FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
-RESUME = (
-    "Nothing that was kept is lost. Go on with: lightstage capture --resume --out {session} "
-    "(--leds and --cameras as before)"
-)
+RESUME = "Nothing that was kept is lost. Go on with: {resume}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,17 +68,10 @@ class Said:
         return f"{text}{'' if text.endswith(('.', '?', '!', ':')) else '.'} {self.todo}".strip()
 
 
-def clean(value: object, longest: int = 300) -> str:
-    """A text without control characters, of bounded length."""
-    text = "".join(c if c.isprintable() else " " for c in str(value))
-    text = " ".join(text.split())
-    return text if len(text) <= longest else text[: longest - 1] + "…"
-
-
 def text_of(line: Line, name: str) -> str:
     """A field as clean text; empty where it is missing."""
     value = line.get(name)
-    return "" if value is None or isinstance(value, (dict, list)) else clean(value)
+    return "" if value is None or isinstance(value, (dict, list)) else printable(value)
 
 
 def number_of(line: Line, name: str) -> float | None:
@@ -95,7 +88,7 @@ def number_of(line: Line, name: str) -> float | None:
 def names_of(line: Line, name: str) -> list[str]:
     """A list of names (or the keys of a table), as clean texts."""
     value = line.get(name)
-    return [clean(item) for item in value] if isinstance(value, (list, dict)) else []
+    return [printable(item) for item in value] if isinstance(value, (list, dict)) else []
 
 
 def duration(seconds: float | None) -> str:
@@ -121,8 +114,9 @@ def said(line: Line, session: str = "SESSION") -> Said:
     if make is None:
         return Said("quiet", f"{event or 'something'} {_place(line)}".strip())
     words = make(line)
-    text, todo = (part.replace("{session}", clean(session)) for part in (words.text, words.todo))
-    return Said(words.tone, text, todo, text_of(line, "camera"))
+    text = words.text.replace("{watch}", watch_line(session))
+    todo = words.todo.replace("{resume}", resume_line(session, options_of(line)))
+    return dataclasses.replace(words, text=text, todo=todo, camera=text_of(line, "camera"))
 
 
 def merged(items: Sequence[Said]) -> list[Said]:
@@ -199,7 +193,7 @@ def _shot(line: Line) -> Said:
 
 def _note(line: Line) -> Said:
     if text_of(line, "socket"):
-        return Said("plain", "Anyone here can follow with: lightstage watch {session}")
+        return Said("plain", "Anyone here can follow with: {watch}")
     text = f"{_at(line)}{text_of(line, 'said') or 'noted'}"
     return Said("plain", text[:1].upper() + text[1:] if not _place(line) else text)
 
@@ -217,10 +211,9 @@ def _waiting(line: Line) -> Said:
 
 def _aborted(line: Line) -> Said:
     why = text_of(line, "said") or text_of(line, "why")
-    if why == "KeyboardInterrupt":
-        return Said("stop", "Stopped by Ctrl-C or a signal", RESUME)
-    if not why or "operator's wish" in why:
-        return Said("stop", "Stopped, as the operator wished", RESUME)
+    # Older journals have the other two.
+    if not why or why in ("Stopped by the operator.", "KeyboardInterrupt") or "'s wish" in why:
+        return Said("stop", "Stopped by the operator", RESUME)
     return Said("stop", f"Stopped: {why}", RESUME)
 
 

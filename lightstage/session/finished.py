@@ -8,6 +8,7 @@ from typing import Any
 
 from lightstage.errors import FormatError
 from lightstage.formats.session import Calibration, Driven, Frame, SessionFile
+from lightstage.resume_line import known_options, resume_line
 from lightstage.session.events import Line
 from lightstage.session.kept import key_of
 from lightstage.session.reading import read_journal
@@ -33,7 +34,7 @@ def session_from_journal(path: Path) -> SessionFile:
             path,
             found=said if missing else f"{said} missing",
             expected="all shots of the sequence",
-            hint="Go on with it: lightstage capture --resume.",
+            hint=f"Go on with it: {resume_line(path.parent, known_options(lines))}",
         )
     frames = {key_of(line): line for line in lines if line["event"] == "frame"}
     driven = _levels(lines)

@@ -12,6 +12,7 @@ import time
 import numpy as np
 import pytest
 
+from lightstage.commands.app import INTERRUPTED
 from lightstage.formats.files import sha256_file, write_json
 from lightstage.formats.session import load_session
 from lightstage.rig import Rig, rig_to_json, save_rig
@@ -78,8 +79,10 @@ def test_a_signal_ends_dark_with_whole_files(stage, tmp_path, number):
         time.sleep(0.01)
     child.send_signal(number)
     _, said = child.communicate(timeout=60)
-    assert child.returncode not in (0, 2)
+    assert child.returncode == INTERRUPTED
     assert "Traceback" not in said
+    assert "Stopped by the operator.\n  Go on with: lightstage capture --resume --out" in said
+    assert "Error" not in said
     assert stage.device.dark
     assert not (out / "session.json").exists()
     assert list(out.rglob(".*")) == []

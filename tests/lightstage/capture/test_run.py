@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import time
 
 import numpy as np
 import pytest
@@ -9,8 +10,7 @@ import pytest
 from lightstage.capture import late_cameras
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.late_cameras import ExposureTimes
-from lightstage.capture.shot import AbortedError
-from lightstage.errors import CaptureError, ConfigError, DeviceError
+from lightstage.errors import CaptureError, ConfigError, DeviceError, StoppedError
 from lightstage.findings import Finding
 from lightstage.formats.session import load_session
 from lightstage.leds.controller import LightLostError
@@ -216,11 +216,48 @@ def test_accepting_does_not_make_a_photograph(bench):
 
 def test_an_abort_makes_the_stage_dark_first_and_what_was_exposed_still_comes_home(bench):
     bench.cameras[2].faults[1] = "late"
-    bench.operator.wishes = [None, "abort"]
-    with pytest.raises(AbortedError):
+    bench.operator.wishes = [None, None, "abort"]
+    with pytest.raises(StoppedError):
         bench.run()
     assert bench.log.index("dark") < bench.log.index("download cam2")
     assert not bench.lights.levels.any()
+
+
+def test_a_stop_while_a_light_waits_for_its_turn_is_a_stop_and_no_cameras_failure(bench):
+    lost = LightLostError("lights", found="put out by another thread", expected="a light to stay")
+    bench.lights.fail["light"] = (2, 2, lost)
+    bench.operator.command = lambda: "abort" if bench.log.count("light") == 2 else None
+    with pytest.raises(StoppedError, match=r"^Stopped by the operator\.$"):
+        bench.run()
+    assert bench.events("finding", "failed") == []
+    assert bench.operator.asked == []
+
+
+def test_a_stop_at_a_question_is_a_stop(bench):
+    bench.cameras[1].faults = {1: "fail"}
+    bench.operator.decide = lambda *_: "abort"
+    bench.operator.command = lambda: "abort" if bench.events("finding") else None
+    with pytest.raises(StoppedError, match=r"^Stopped by the operator\.$"):
+        bench.run()
+
+
+def test_a_signal_in_the_middle_of_an_exposure_is_a_stop_after_which_no_line_comes(bench):
+    bench.cameras[2].faults[1] = "late"
+
+    def interrupt():
+        if bench.log.count("trigger cam2"):
+            raise KeyboardInterrupt
+        return None
+
+    bench.operator.command = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        bench.run()
+    assert not bench.lights.levels.any()
+    last = bench.events("exposed", "frame", "recovered", "note")[-1]["id"]
+    bench.writer.note("aborted", said="Stopped by the operator.")
+    time.sleep(0.1)
+    assert bench.events("aborted")[0]["id"] > last
+    assert "download cam2" in bench.log
 
 
 def test_a_picture_taken_after_the_lights_were_put_out_is_never_kept_as_the_patterns(bench):

@@ -21,8 +21,8 @@ MISSING = Finding("retake", "not-taken", "x+ by cam0", "no answer", "a photograp
 
 CAPTURE = """
 import json, sys, threading, time
-from lightstage.commands import run_app
-from lightstage.errors import CaptureError
+from lightstage.commands import make_app, run_app
+from lightstage.errors import StoppedError
 from lightstage.findings import Finding
 from lightstage.operator import open_operator
 
@@ -44,7 +44,10 @@ def main():
     finally:
         light("dark")
 
-run_app(main)
+app = make_app("A capture.")
+app.command("main")(main)
+sys.argv[1:] = ["main"]
+run_app(app)
 """
 LOOP = """
             while True:
@@ -52,7 +55,7 @@ LOOP = """
                 if wish is not None:
                     light(wish)
                 if wish == "abort":
-                    raise CaptureError("capture", found="the operator's wish")
+                    raise StoppedError("the operator's wish")
                 time.sleep(0.01)
 """
 STUCK = "threading.Event().wait()"

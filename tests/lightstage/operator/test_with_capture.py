@@ -1,12 +1,15 @@
 """`lightstage capture` at a terminal: real keys, real virtual cameras, a device on a pty."""
 
 import json
+import re
+import shlex
 import subprocess
 import sys
 import threading
 
 import pytest
 
+from lightstage.commands.app import INTERRUPTED
 from lightstage.formats.session import load_session
 from lightstage.operator.client import ask, follow
 
@@ -17,7 +20,7 @@ SEQUENCE = ("--sequence", ",".join(PATTERNS))
 @pytest.fixture
 def capture(stage, tmp_path, terminals, runtime):
     """Starts a capture of the small stage at a terminal."""
-    out = tmp_path / "S"
+    out = tmp_path / "it's a (new) $HOME & S"
 
     def start(*more):
         what = ["--resume"] if "--resume" in more else ["--rig", str(stage.rig_path)]
@@ -38,21 +41,24 @@ def events(out, *kinds):
     return [line for line in lines if line["event"] in kinds]
 
 
-def test_q_in_the_middle_is_dark_and_kept_and_resume_finishes(stage, capture):
+def test_q_in_the_middle_is_a_stop_and_the_advised_line_goes_on(stage, capture, terminals):
     terminal, out = capture(*SEQUENCE)
     terminal.wait_until(lambda: len(events(out, "shot")) == 2, "no two shots")
     terminal.press("q")
-    assert terminal.end() == 2
+    assert terminal.end() == INTERRUPTED
     assert stage.device.dark
     assert terminal.mode() == terminal.before
     terminal.wait_for("STOPPING: lights out")
-    terminal.wait_for(f"lightstage capture --resume --out {out}")
+    terminal.wait_for("Stopped by the operator.")
+    assert "Error" not in terminal.said
+    advised = re.findall(r"Go on with: (lightstage capture --resume[^\r\n]*)", terminal.said)[-1]
     assert len(events(out, "aborted")) == 1
     assert not (out / "session.json").exists()
     kept = len(events(out, "frame"))
     assert kept >= 6
 
-    again, _ = capture("--resume")
+    program, *words = shlex.split(advised)
+    again = terminals("-m", program, *words)
     assert again.end() == 0, again.said[-3000:]
     again.wait_for("12 of 12 photographs, COMPLETE")
     session = load_session(out)
@@ -64,7 +70,7 @@ def test_after_q_no_light_goes_on_again(stage, capture):
     terminal, out = capture(*SEQUENCE)
     terminal.wait_until(lambda: len(events(out, "lit")) == 2, "no second light")
     terminal.press("q")
-    assert terminal.end() == 2
+    assert terminal.end() == INTERRUPTED
     lit = [bool(state.any()) for state in stage.device.states]
     first_dark = lit.index(False, lit.index(True))
     assert not any(lit[first_dark:]), lit
@@ -116,7 +122,7 @@ def test_others_follow_every_line_and_may_stop_it(stage, capture):
     follower = threading.Thread(target=lambda: got.extend(follow(out)))
     follower.start()
     assert ask(out, "abort") is None
-    assert terminal.end() == 2
+    assert terminal.end() == INTERRUPTED
     follower.join(60)
     journal = [json.loads(raw) for raw in (out / "journal.jsonl").read_bytes().splitlines()]
     assert got == journal

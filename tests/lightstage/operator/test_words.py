@@ -16,11 +16,11 @@ from lightstage.operator.words import (
     SIGNS,
     STATES,
     Tone,
-    clean,
     duration,
     merged,
     said,
 )
+from lightstage.printable import printable
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=30),
@@ -121,9 +121,9 @@ def test_the_same_of_several_cameras_is_said_once():
 
 
 def test_control_characters_never_reach_the_terminal():
-    text = clean("a\x1b[2Jb\x07\r\n\tc\u202ed\x9b31m")
+    text = printable("a\x1b[2Jb\x07\r\n\tc\u202ed\x9b31m")
     assert text.isprintable()
-    assert len(clean("x" * 10_000)) == 300
+    assert len(printable("x" * 10_000)) == 300
 
 
 @given(

@@ -1,0 +1,48 @@
+"""Lines to paste into a shell: what goes on with a session, and what follows it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lightstage.printable import printable
+
+RESUME_WITH = "resume_with"
+"""Name in the journal of the options that a resumed capture needs beside ``--out``."""
+LONGEST = 4000
+
+
+def resume_line(session: str | Path, options: Sequence[str] = ()) -> str:
+    """What to type to go on with a session.
+
+    Args:
+        session: its folder.
+        options: as the capture was given them; none where they are not known.
+    """
+    line = _joined("capture", "--resume", "--out", str(session), *options)
+    return line if options else f"{line} (with --leds and --cameras as before)"
+
+
+def watch_line(session: str | Path) -> str:
+    """What to type to follow a session."""
+    return _joined("watch", str(session))
+
+
+def options_of(line: Mapping[str, Any]) -> list[str]:
+    """The options that a line of a journal has for `resume_line`; none where it has none."""
+    options = line.get(RESUME_WITH)
+    if not isinstance(options, list):
+        return []
+    return [option for option in options if isinstance(option, str)]
+
+
+def known_options(lines: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The latest options that any line of a journal has."""
+    told = [options for line in lines if (options := options_of(line))]
+    return told[-1] if told else []
+
+
+def _joined(*words: str) -> str:
+    return printable(shlex.join(["lightstage", *words]), LONGEST, squeeze=False)
