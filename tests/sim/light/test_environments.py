@@ -144,7 +144,6 @@ def test_any_light_however_bright_or_sparse_is_kept(values: list[float], count: 
     [
         ((4, 7, 3), 1.0, "twice as many columns"),
         ((4, 8), 1.0, None),
-        ((1, 2, 3), 1.0, "twice as many columns"),
         ((4, 8, 3), np.nan, "NaN or infinite"),
         ((4, 8, 3), np.inf, "NaN or infinite"),
         ((4, 8, 3), -0.1, "negative"),
