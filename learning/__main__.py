@@ -226,7 +226,7 @@ def infer(
         facts = infer_command(texture, mesh, checkpoint, out, head_pose, progress)
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels in {facts['tiles']} tiles, "
-        f"{facts['seconds']:.1f} s",
+        f"{facts['seconds']:.1f} s" + "".join(f"; {note}" for note in facts["notes"]),
         facts,
         as_json,
     )

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.metadata
+import os
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from learning.errors import CheckpointError
+from learning.limits import require_within
 from learning.networks.generator import Generator, GeneratorConfig
 from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_path, read_json, sha256_file, write_json
@@ -78,6 +80,8 @@ def save_checkpoint(
         path = folder / f"{role}-{step:07d}.safetensors"
         with atomic_path(path) as beside:
             save_file({name: value.contiguous() for name, value in named.items()}, beside)
+            # safetensors makes its files the owner's alone, whatever the user's umask says.
+            beside.chmod(0o666 & ~_umask())
         files[role] = {"name": path.name, "sha256": sha256_file(path)}
     index = folder / INDEX
     value = {"schema": SCHEMA, "step": step, **about, "code_version": code_version()}
@@ -88,6 +92,13 @@ def save_checkpoint(
             if path.name not in kept:
                 path.unlink()
     return index
+
+
+def _umask() -> int:
+    """The process's mask of file permissions, which can only be read by setting it."""
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
@@ -141,9 +152,19 @@ def load_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
             hint="The file was changed or cut; copy the run again.",
         )
     try:
-        return load_file(path)
+        tensors = load_file(path)
     except (SafetensorError, OSError) as error:
         raise CheckpointError(path, found=str(error), expected="a safetensors file") from None
+    for name, values in tensors.items():
+        if values.is_floating_point() and not bool(values.isfinite().all()):
+            raise CheckpointError(
+                path,
+                field=name,
+                found=f"{int((~values.isfinite()).sum())} values that are NaN or infinite",
+                expected="finite weights",
+                hint="The training diverged; use an earlier checkpoint or a lower learning_rate.",
+            )
+    return tensors
 
 
 def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
@@ -156,6 +177,7 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
     checkpoint = read_checkpoint(path)
     where = checkpoint.folder / INDEX
     config = make_config(GeneratorConfig, checkpoint.config.get("generator", {}), where)
+    require_within(config, where, "generator")
     with torch.device("meta"):
         generator = Generator(config)
     generator.to_empty(device="cpu")

@@ -26,6 +26,7 @@ from learning.relight import (
 )
 from learning.render.occlusion_model import OcclusionConfig, bake_table
 from learning.render.shading import ShadeOptions
+from learning.resample import resampled_texture
 from learning.train import train
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
@@ -222,13 +223,7 @@ def infer_command(
     image = read_exr(texture, finite=True)
     if image.ndim != 3:
         raise MapsError(texture, found="one channel", expected="R G B")
-    if image.shape[0] != about.texture_rows:
-        raise MapsError(
-            texture,
-            found=f"{image.shape[0]} rows",
-            expected=f"{about.texture_rows}, as the network was trained on",
-            hint="Skin's detail has one size for the network; make the texture that large.",
-        )
+    image, notes = resampled_texture(image, about.texture_rows, texture)
     head_from_mesh = read_head_pose(head_pose)[:, :3] if head_pose else np.eye(3)
     data = make_config(DataConfig, about.config.get("data", {}), checkpoint)
     found = infer(generator, data, image, read_mesh(mesh), head_from_mesh, progress)
@@ -240,5 +235,6 @@ def infer_command(
         "columns": columns,
         "tiles": found.tiles,
         "step": about.step,
+        "notes": notes,
         "seconds": time.monotonic() - began,
     }

@@ -7,6 +7,7 @@ from typing import Any
 
 from learning.augment import AugmentConfig
 from learning.data import DataConfig
+from learning.limits import require_within
 from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
 from learning.render.environments import RandomLightConfig
@@ -60,7 +61,7 @@ class TrainConfig:
     environments: int = 3
     seed: int = 0
     log_steps: int = 20
-    save_seconds: float = 600.0
+    save_seconds: float = 60.0
     score_patches: int = 32
 
 
@@ -104,7 +105,7 @@ def preset(name: str, overrides: dict[str, Any], where: str) -> TrainConfig:
         where: what to name in errors.
 
     Raises:
-        ConfigError: an unknown preset or key.
+        ConfigError: an unknown preset or key, or a value out of bounds.
     """
     if name not in PRESETS:
         raise ConfigError("--preset", found=repr(name), expected=f"one of {', '.join(PRESETS)}")
@@ -112,4 +113,6 @@ def preset(name: str, overrides: dict[str, Any], where: str) -> TrainConfig:
     for key, value in overrides.items():
         both = isinstance(value, dict) and isinstance(values.get(key), dict)
         values[key] = {**values[key], **value} if both else value
-    return make_config(TrainConfig, values, where)
+    config = make_config(TrainConfig, values, where)
+    require_within(config, where)
+    return config

@@ -26,13 +26,13 @@ from learning.checkpoint import (
 )
 from learning.data import Batch, PatchData
 from learning.errors import CheckpointError, TrainingError
+from learning.limits import require_within
 from learning.losses import maps_loss, rendering_loss
 from learning.networks.discriminator import Discriminators, feature_loss, verdict_loss
 from learning.networks.generator import IN_CHANNELS, OUT_CHANNELS, Generator, initialise
 from learning.presets import TrainConfig
 from learning.score import Score, score
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import ConfigError
 from lightstage.formats.config import as_dict
 from lightstage.formats.values import parse_json
 from processing.dataset import Store
@@ -167,10 +167,7 @@ def train(
             `resume`, a run that is there already.
     """
     began = time.monotonic()
-    if config.seconds is not None and not config.seconds > 0:
-        raise ConfigError(
-            "training", field="seconds", found=str(config.seconds), expected="more than 0"
-        )
+    require_within(config, "training")
     held_out, trained_on = split(store, config.data.held_out_subjects)
     trainer, first = Trainer(config), 0
     if resume:
@@ -279,14 +276,18 @@ def _check_same(checkpoint: Checkpoint, config: TrainConfig, store: Store) -> No
     where = checkpoint.folder / INDEX
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")
     # How long to go on is a new decision each time.
-    differing = [k for k in wanted if k != "seconds" and checkpoint.config.get(k) != wanted[k]]
+    differing = {
+        name: values
+        for name, values in _differences(checkpoint.config, wanted).items()
+        if name != "seconds"
+    }
     if differing:
         raise CheckpointError(
             where,
             field=", ".join(differing),
-            found="other values than now",
-            expected="the configuration that the run began with",
-            hint="Resume with the same preset, --config and --seed.",
+            found=", ".join(str(now) for _, now in differing.values()) + " now",
+            expected=", ".join(str(then) for then, _ in differing.values()) + ", as the run began",
+            hint="Resume with the same --preset, --config and --seed.",
         )
     if checkpoint.data_fingerprint != store.fingerprint:
         raise CheckpointError(
@@ -296,6 +297,17 @@ def _check_same(checkpoint: Checkpoint, config: TrainConfig, store: Store) -> No
             expected=f"{store.fingerprint[:12]}, of {store.path}",
             hint="The run was trained on other data.",
         )
+
+
+def _differences(then: Any, now: Any, name: str = "") -> dict[str, tuple[Any, Any]]:
+    """Values that two nested configurations do not share, by dotted name."""
+    if not (isinstance(then, dict) and isinstance(now, dict)):
+        return {} if then == now else {name: (then, now)}
+    found: dict[str, tuple[Any, Any]] = {}
+    for key in sorted(then.keys() | now.keys()):
+        below = f"{name}.{key}" if name else key
+        found |= _differences(then.get(key, "nothing"), now.get(key, "nothing"), below)
+    return found
 
 
 def _log(out: Path, values: dict[str, Any], began: float) -> None:

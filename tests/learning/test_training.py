@@ -2,11 +2,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
 from learning import augment
 from learning.checkpoint import INDEX, load_generator, read_checkpoint
@@ -34,6 +37,7 @@ from learning.render.shading import unit
 from learning.score import score
 from learning.train import split, train
 from lightstage.errors import ConfigError
+from lightstage.formats.files import sha256_file
 from processing.dataset import open_store
 
 TINY = TrainConfig(
@@ -310,17 +314,25 @@ def test_a_run_is_neither_overwritten_nor_mixed(store_path: Path, tmp_path: Path
     run_interrupted(store_path, tmp_path / "run", TINY, 1)
     with pytest.raises(CheckpointError, match="a run that is there already"):
         train(store, tmp_path / "run", TINY)
-    with pytest.raises(CheckpointError, match="learning_rate: found other values"):
-        train(store, tmp_path / "run", dataclasses.replace(TINY, learning_rate=1.0), resume=True)
+    wide = dataclasses.replace(TINY.generator, width=16)
+    changed = dataclasses.replace(TINY, learning_rate=1.0, generator=wide)
+    said = "generator.width, learning_rate: found 16, 1.0 now, expected 8, 0.002, as the run began"
+    with pytest.raises(CheckpointError, match=said):
+        train(store, tmp_path / "run", changed, resume=True)
     other = dataclasses.replace(store, fingerprint="0" * 64)
     with pytest.raises(CheckpointError, match="data_fingerprint"):
         train(other, tmp_path / "run", TINY, resume=True)
 
 
-def test_a_training_that_diverges_says_so(store_path: Path, tmp_path: Path) -> None:
-    config = dataclasses.replace(TINY, learning_rate=1e30)
+def test_a_training_that_diverges_says_so(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def diverged(*given: Any) -> torch.Tensor:
+        return maps_loss(*given) * torch.inf
+
+    monkeypatch.setattr("learning.train.maps_loss", diverged)
     with pytest.raises(TrainingError, match="Lower learning_rate"):
-        train(open_store(store_path), tmp_path / "run", config)
+        train(open_store(store_path), tmp_path / "run", TINY)
     assert not (tmp_path / "run" / INDEX).exists()
 
 
@@ -345,6 +357,44 @@ def test_damaged_checkpoints_are_refused(store_path: Path, tmp_path: Path) -> No
     (run / INDEX).write_text(json.dumps(value))
     with pytest.raises(CheckpointError, match="step"):
         load_generator(run)
+
+
+def test_weights_that_are_not_finite_are_refused(store_path: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run_interrupted(store_path, run, TINY, 1)
+    weights = next(run.glob("generator-*.safetensors"))
+    tensors = load_file(weights)
+    name = sorted(tensors)[3]
+    tensors[name].view(-1)[:2] = torch.nan
+    save_file(tensors, weights)
+    value = json.loads((run / INDEX).read_text())
+    value["files"]["generator"]["sha256"] = sha256_file(weights)
+    (run / INDEX).write_text(json.dumps(value))
+    with pytest.raises(CheckpointError, match=f"{name}: found 2 values that are NaN or infinite"):
+        load_generator(run)
+
+
+def test_a_checkpoint_of_an_impossible_network_is_refused(store_path: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run_interrupted(store_path, run, TINY, 1)
+    for width in (-8, 0, 10**9):
+        value = json.loads((run / INDEX).read_text())
+        value["config"]["generator"]["width"] = width
+        (run / INDEX).write_text(json.dumps(value))
+        with pytest.raises(ConfigError, match=f"generator.width: found {width}, expected 2 or"):
+            load_generator(run)
+
+
+def test_all_files_of_a_run_have_the_users_own_permissions(
+    store_path: Path, tmp_path: Path
+) -> None:
+    before = os.umask(0o027)
+    try:
+        run_interrupted(store_path, tmp_path / "run", TINY, 1)
+    finally:
+        os.umask(before)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in (tmp_path / "run").iterdir()}
+    assert set(modes.values()) == {0o640}, modes
 
 
 def test_people_are_split_never_patches(store_path: Path) -> None:

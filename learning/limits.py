@@ -1,0 +1,128 @@
+"""What a training may be configured as: bounds of every number, told before anything is built.
+
+A width of minus one, a patch that the network's strides do not divide or a network of a terabyte
+end here in one message, not in a library's traceback.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+from learning.networks.generator import GeneratorConfig
+from lightstage.errors import ConfigError
+
+_POSITIVE, _ANY = 1e-30, 1e12
+LIMITS: dict[str, tuple[float, float]] = {
+    "generator.width": (2, 1024),
+    "generator.downsamplings": (1, 8),
+    "generator.global_blocks": (0, 64),
+    "generator.local_blocks": (0, 64),
+    "discriminator.width": (1, 1024),
+    "discriminator.layers": (1, 8),
+    "discriminator.scales": (1, 8),
+    "data.patch_px": (8, 8192),
+    "data.stride_px": (1, 8192),
+    "data.min_coverage": (0, 1),
+    "data.held_out_subjects": (1, 1_000_000),
+    "data.patches_in_memory": (1, 10_000_000),
+    "data.shadow_rows": (0, 8192),
+    "data.shadow_sets": (1, 100_000),
+    "data.detail_px": (0, 4096),
+    "lights.lights": (1, 64),
+    "lights.distance_mm": (1, 1e6),
+    "lights.exposure": (1e-3, 1e3),
+    "lights.ambient_share": (0, 1),
+    "lights.tint": (0, 3),
+    "lights.camera_mm": (1, 1e6),
+    "lights.position_spread": (0, 0.99),
+    "lights.camera_spread": (0, 0.99),
+    "lights.intensity_spread": (0, 0.99),
+    "augment.melanin": (0, 3),
+    "augment.haemoglobin": (0, 3),
+    "augment.shininess": (1, 1e4),
+    "augment.translucency": (0, 1),
+    "batch": (1, 4096),
+    "epochs": (1, 1_000_000),
+    "seconds": (_POSITIVE, _ANY),
+    "learning_rate": (_POSITIVE, 1),
+    "beta1": (0, 0.999999),
+    "beta2": (0, 0.999999),
+    "constant_share": (0, 1),
+    "feature_weight": (0, _ANY),
+    "render_weight": (0, _ANY),
+    "map_weight": (0, _ANY),
+    "environments": (0, 64),
+    "seed": (0, 2**63 - 1),
+    "log_steps": (1, 1_000_000_000),
+    "save_seconds": (0, _ANY),
+    "score_patches": (1, 1_000_000),
+}
+"""Smallest and largest value of each number; of a pair, of both, the first not above the second."""
+MOST_WEIGHTS = 4e9
+"""Weights of a generator, at most: 16 GB of float32."""
+
+
+def require_within(config: Any, where: str | Path, table: str = "") -> None:
+    """Refuse a configuration whose numbers are out of bounds.
+
+    Args:
+        config: a TrainConfig, or one of its tables.
+        where: what to name in an error.
+        table: the name of `config` within a TrainConfig; nothing for all of it.
+
+    Raises:
+        ConfigError: a number out of its bounds, or one that does not fit the others.
+    """
+    for field in dataclasses.fields(config):
+        name = f"{table}.{field.name}" if table else field.name
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            require_within(value, where, name)
+        elif value is not None and not isinstance(value, bool):
+            _require(value, name, where)
+    if isinstance(config, GeneratorConfig):
+        _require_size(config, where)
+    if hasattr(config, "generator") and hasattr(config, "data"):
+        _require_patch(config.data.patch_px, config.generator, where)
+
+
+def _require(value: Any, name: str, where: str | Path) -> None:
+    low, high = LIMITS[name]
+    numbers = value if isinstance(value, tuple) else (value,)
+    good = all(math.isfinite(n) and low <= n <= high for n in numbers)
+    if not good or list(numbers) != sorted(numbers):
+        least = "more than 0" if low == _POSITIVE else f"{low:g} or more"
+        most = "a finite number" if high == _ANY else f"at most {high:g}"
+        order = ", the smaller first" if len(numbers) > 1 else ""
+        raise ConfigError(where, field=name, found=str(value), expected=f"{least}, {most}{order}")
+
+
+def _require_size(config: GeneratorConfig, where: str | Path) -> None:
+    """The largest layers alone: two 3 x 3 convolutions a block at the network's narrowest place."""
+    widest = config.width * 2**config.downsamplings
+    weights = 9.0 * widest**2 * (2 * config.global_blocks + 1)
+    if weights > MOST_WEIGHTS:
+        raise ConfigError(
+            where,
+            field="generator",
+            found=f"about {weights / 1e9:.0f} thousand million weights",
+            expected=f"at most {MOST_WEIGHTS / 1e9:.0f}",
+            hint="Lower width, downsamplings or global_blocks.",
+        )
+
+
+def _require_patch(patch_px: int, generator: GeneratorConfig, where: str | Path) -> None:
+    """A patch must halve evenly down to two texels, which the blocks' padding needs."""
+    multiple = generator.multiple_px
+    least = max(8, 2 * multiple)
+    if patch_px % multiple or patch_px < least:
+        raise ConfigError(
+            where,
+            field="data.patch_px",
+            found=str(patch_px),
+            expected=f"a multiple of {multiple}, at least {least}",
+            hint=f"The generator halves a patch {multiple.bit_length() - 1} times.",
+        )

@@ -1,0 +1,86 @@
+"""Numbers of a training's configuration: every one has bounds, and what is out of them is named."""
+
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from learning.limits import LIMITS, require_within
+from learning.networks.generator import GeneratorConfig
+from learning.presets import PRESETS, TrainConfig, preset
+from lightstage.errors import ConfigError
+
+
+def named_numbers(config, table=""):
+    """Every number of a configuration by its dotted name."""
+    found = {}
+    for field in dataclasses.fields(config):
+        value, name = getattr(config, field.name), f"{table}{field.name}"
+        if dataclasses.is_dataclass(value):
+            found |= named_numbers(value, f"{name}.")
+        elif not isinstance(value, bool):
+            found[name] = value
+    return found
+
+
+def changed(config, name, value):
+    head, _, rest = name.partition(".")
+    inner = changed(getattr(config, head), rest, value) if rest else value
+    return dataclasses.replace(config, **{head: inner})
+
+
+def test_every_number_has_bounds_and_every_bound_a_number():
+    assert set(named_numbers(TrainConfig())) == set(LIMITS)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_is_within_its_bounds(name):
+    require_within(preset(name, {}, "test"), "test")
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_a_number_out_of_bounds_is_named_with_its_bounds(name):
+    low, high = LIMITS[name]
+    default = named_numbers(TrainConfig())[name]
+    wrongs = [low - 1, high * 2 + 1, math.nan, math.inf, -math.inf]
+    for wrong in wrongs:
+        value = (wrong, wrong) if isinstance(default, tuple) else wrong
+        with pytest.raises(ConfigError) as raised:
+            require_within(changed(TrainConfig(), name, value), "run.toml")
+        assert raised.value.field == name
+        assert raised.value.where == "run.toml"
+        assert "expected" in str(raised.value)
+
+
+def test_a_pair_whose_first_is_larger_is_refused():
+    with pytest.raises(ConfigError, match=r"lights.exposure: found \(2.0, 1.0\).*smaller first"):
+        require_within(changed(TrainConfig(), "lights.exposure", (2.0, 1.0)), "run.toml")
+
+
+@given(st.integers(1, 600), st.integers(1, 6), st.booleans())
+def test_a_patch_is_taken_exactly_where_the_generator_takes_it(patch_px, downsamplings, enhancer):
+    import torch
+
+    from learning.networks.generator import IN_CHANNELS, Generator
+
+    small = GeneratorConfig(2, downsamplings, 1, 1, enhancer)
+    config = changed(changed(TrainConfig(), "generator", small), "data.patch_px", patch_px)
+    with torch.device("meta"):
+        network = Generator(small)
+        try:
+            size = network(torch.zeros(1, IN_CHANNELS, patch_px, patch_px)).shape[2:]
+            works = tuple(size) == (patch_px, patch_px)
+        except (RuntimeError, ValueError):
+            works = False
+    if works and patch_px >= 8:
+        require_within(config, "run.toml")
+    else:
+        with pytest.raises(ConfigError, match="patch_px"):
+            require_within(config, "run.toml")
+
+
+def test_a_network_that_no_machine_holds_is_refused_before_it_is_built():
+    with pytest.raises(ConfigError, match="thousand million weights"):
+        preset("paper", {"generator": {"width": 1024, "downsamplings": 8}}, "run.toml")
