@@ -22,6 +22,7 @@ from lightstage.commands import (
     progress_bar,
     run_app,
 )
+from lightstage.formats.access import group_of, limited_access
 
 app = make_app("Render skin, train the networks, infer reflectance.")
 
@@ -222,7 +223,7 @@ def infer(
     """Infer albedo and normals from a texture with light in it."""
     from learning.commands import infer_command
 
-    with progress_bar("infer") as progress:
+    with limited_access(group_of([texture.parent])), progress_bar("infer") as progress:
         facts = infer_command(texture, mesh, checkpoint, out, head_pose, progress)
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels in {facts['tiles']} tiles, "

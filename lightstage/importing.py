@@ -12,13 +12,21 @@ from pathlib import Path
 from lightstage.cameras.camera import CardFile
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
+from lightstage.findings import Finding
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import fsync_path, sha256_file
 from lightstage.formats.landmarks import read_points_px, write_points_px
 from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.photograph import identify_file
 from lightstage.rig import Rig
-from lightstage.session import Carried, SessionPlan, SessionWriter, check_pseudonym, require_new
+from lightstage.session import (
+    Carried,
+    SessionPlan,
+    SessionWriter,
+    check_consent,
+    check_pseudonym,
+    require_new,
+)
 
 
 def find_photographs(
@@ -117,6 +125,8 @@ def import_session(
     calibration: Carried | None = None,
     landmarks: Path | None = None,
     progress: ProgressCallback = quiet,
+    consent: str | None = None,
+    findings: Sequence[Finding] = (),
 ) -> int:
     """Make a session of photographs taken elsewhere; all of it appears at once, or nothing.
 
@@ -129,6 +139,8 @@ def import_session(
         calibration: as read by session.read_calibration.
         landmarks: landmarks.json, to be kept with the session.
         progress: called with photographs kept and wanted.
+        consent: id of the record of the person's consent.
+        findings: of whoever looked before, for the journal.
 
     Returns:
         How many photographs.
@@ -139,18 +151,22 @@ def import_session(
     """
     check_pseudonym(subject, "subject")
     check_pseudonym(expression, "expression")
+    if consent is not None:
+        check_consent(consent)
     require_new(out)
     marks = None if landmarks is None else read_points_px(landmarks)
     found = find_photographs(folder, rig)
     total = sum(len(files) for files in found.values())
     beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
     try:
-        plan = SessionPlan(tuple(found), subject, expression)
+        plan = SessionPlan(tuple(found), subject, expression, consent=consent)
         own = calibration or Carried()
         writer = SessionWriter.new(
             beside, rig, plan, facts={"imported": True}, colour=own.colour, beside=own.beside
         )
         try:
+            for finding in findings:
+                writer.finding(finding)
             _keep_all(found, writer, total, progress)
             writer.finish()
             writer.end()

@@ -21,6 +21,7 @@ from lightstage.commands import (
     progress_bar,
     run_app,
 )
+from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.template import default_template_path
 from processing.calibration import cameras_command
 from processing.calibration import command as calibration_command
@@ -105,15 +106,11 @@ def _process(
 ) -> None:
     from processing import pipeline
 
-    report = pipeline.run(
-        session,
-        out,
-        template,
-        pipeline.read_config(config, atlas_rows),
-        until=until,
-        only=only,
-        bar=progress_bar,
-    )
+    settings = pipeline.read_config(config, atlas_rows)
+    with limited_access(group_of([session])):
+        report = pipeline.run(
+            session, out, template, settings, until=until, only=only, bar=progress_bar
+        )
     ran = report["ran"]
     seconds = sum(report["stages"][stage]["seconds"] for stage in ran)
     peak = max((report["stages"][stage]["peak_rss_mb"] for stage in ran), default=0.0)
@@ -161,9 +158,9 @@ def register_mesh(
             found="no landmarks",
             expected="--landmarks L.json or --landmark-command PROGRAM",
         )
-    with progress_bar("register-mesh") as progress:
+    with limited_access(group_of([mesh.parent])), progress_bar("register-mesh") as progress:
         vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
-    write_obj(shape.mesh.with_vertices(vertices), out)
+        write_obj(shape.mesh.with_vertices(vertices), out)
     finish(f"{out}: {_said(facts)}", {"out": str(out), **facts}, as_json)
 
 
@@ -195,7 +192,7 @@ def build(
 
     _require_new(out, overwrite)
     folders, passed = without_people_files(processed)
-    with progress_bar("dataset build") as progress:
+    with limited_access(group_of(folders)), progress_bar("dataset build") as progress:
         build_store(folders, out, progress)
     scans = open_store(out).scans
     subjects = len({scan.subject for scan in scans})

@@ -21,6 +21,7 @@ from lightstage.commands import (
     progress_bar,
     run_app,
 )
+from lightstage.formats.access import limited_access
 from sim.devices.stage_command import add_stage_commands
 from sim.errors import SimError
 from sim.scans.commands import add_import_commands
@@ -35,6 +36,7 @@ add_stage_commands(app)
 
 
 @app.command()
+@limited_access()
 def session(
     subject: str = typer.Option(..., help=SUBJECT_HELP),
     out: Path = output_folder("--out", help="Session folder; truth goes to OUT.truth."),
@@ -132,6 +134,7 @@ def session(
 
 
 @app.command()
+@limited_access()
 def dataset(
     out: Path = output_folder("--out", help="Folder for all of them."),
     subjects: int | None = typer.Option(

@@ -17,7 +17,8 @@ from lightstage.calibrations.run import Assistant, begin_shots, resume_shots, ta
 from lightstage.calibrations.stale import duration
 from lightstage.calibrations.taking import SessionTaker
 from lightstage.cameras.binding import CamerasFile, read_cameras_file
-from lightstage.capture.command import IgnoreClock, read_config
+from lightstage.capture.command import IgnoreClock
+from lightstage.capture.config import read_config
 from lightstage.capture.stage import open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
 from lightstage.errors import ConfigError

@@ -63,7 +63,7 @@ def write_card_file(path: Path, size: int, source: Iterable[bytes | memoryview])
     digest = hashlib.sha256()
     written, halved = 0, False
     with _disk(path, size):
-        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     whole = False
     try:
         for piece in source:

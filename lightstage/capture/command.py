@@ -11,7 +11,7 @@ import typer
 
 from lightstage.calibrations.stale import use_calibrations
 from lightstage.cameras.binding import CamerasFile, read_cameras_file
-from lightstage.capture.config import CaptureConfig
+from lightstage.capture.config import CaptureConfig, read_config
 from lightstage.capture.session_run import (
     Order,
     capture_session,
@@ -21,10 +21,11 @@ from lightstage.capture.session_run import (
 from lightstage.capture.stage import Stage, open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
 from lightstage.errors import ConfigError, LightstageError, one_error
-from lightstage.formats.config import make_config, read_toml
+from lightstage.formats.access import group_of, limited_access
 from lightstage.leds.address import parse_url
 from lightstage.operator import open_operator
 from lightstage.patterns import Drive, read_patterns, sequence_patterns
+from lightstage.preflight import consent_findings
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import check_shots, photosensitivity_findings
 from lightstage.sequence import plan_shots
@@ -54,26 +55,6 @@ def register(app: typer.Typer) -> None:
     app.command("capture")(capture_command)
 
 
-def read_config(
-    path: Path | None,
-    config: CaptureConfig | None = None,
-    *,
-    ignore_clock: bool = False,
-    **given: Any,
-) -> CaptureConfig:
-    """The configuration of a file, else `config`, and what the command line sets in it.
-
-    `ignore_clock` is the flag of that name; the other arguments are fields of CaptureConfig.
-    """
-    config = config or CaptureConfig()
-    if path is not None:
-        config = make_config(CaptureConfig, read_toml(path), path)
-    if ignore_clock:
-        preflight = dataclasses.replace(config.preflight, ignore_clock=True)
-        config = dataclasses.replace(config, preflight=preflight)
-    return dataclasses.replace(config, **{k: v for k, v in given.items() if v is not None})
-
-
 def capture_command(
     out: Path = output_folder("--out", help="The session's folder: new, or with --resume."),
     rig: Path | None = typer.Option(
@@ -85,9 +66,11 @@ def capture_command(
     leds: str = typer.Option(..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.."),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the session in --out."),
-    subject: str | None = typer.Option(None, help="Pseudonym of the person (subject-1)."),
+    subject: str | None = typer.Option(None, help="Pseudonym, such as P07 (subject-1)."),
     expression: str | None = typer.Option(None, help="Such as neutral, the default."),
-    consent: str | None = typer.Option(None, help="Id of the record of the person's consent."),
+    consent: str | None = typer.Option(
+        None, help="Id of the record of the person's consent; without it there is a warning."
+    ),
     patterns: Path | None = typer.Option(None, help="Your own patterns (TOML)."),
     drive: str | None = typer.Option(None, help="solid-angle (the default) or on-off."),
     colour: Path | None = typer.Option(
@@ -137,10 +120,14 @@ def capture_command(
             _default(expression, EXPRESSION),
             consent, patterns, colour, settings,
         )  # fmt: skip
+    order = dataclasses.replace(order, findings=consent_findings(order.consent, settings.session))
     worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
     check_shots(order.shots, the_rig, settings.safety, worst_s)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
+    # What is added to a session stays as private as the session is.
+    group = group_of([out]) if resume else settings.session.group
     with (
+        limited_access(group),
         open_stage(the_rig, leds, file, settings) as stage,
         open_operator(out, settings.operator, ask=not unattended) as operator,
     ):
@@ -156,6 +143,7 @@ def capture_command(
         f"{report.warnings} warnings, largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
         {
             "session": str(out),
+            "consent": order.consent,
             **dataclasses.asdict(report),
             "safety": dataclasses.asdict(settings.safety),
             "photosensitivity": [
@@ -187,7 +175,7 @@ def _new_order(
     require_new(out)
     the_rig = load_rig(rig)
     own = {} if patterns is None else read_patterns(patterns, the_rig)
-    shots = plan_shots(sequence_patterns(sequence), the_rig, config.drive, own)
+    shots = plan_shots(sequence_patterns(sequence, the_rig), the_rig, config.drive, own)
     own_calibration = Carried() if colour is None else read_calibration(colour, the_rig)
     return the_rig, Order(
         out, shots, subject=subject, expression=expression, consent=consent,

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
+from typing import Any
 
 from lightstage.calibrations.config import CalibrationConfig
 from lightstage.cameras.process import Deadlines
 from lightstage.checks.config import ChecksConfig
 from lightstage.errors import ConfigError
+from lightstage.formats.config import make_config, read_toml
 from lightstage.operator import OperatorConfig
 from lightstage.patterns import Drive
 from lightstage.preflight import PreflightConfig
 from lightstage.safety import SafetyConfig
+from lightstage.session.config import SessionConfig
 
 GRACE_S = (0.5, 60.0)
 """Bounds of `late_camera_grace_s`: cameras differ in how long they write to their card."""
@@ -37,6 +41,7 @@ class CaptureConfig:
         checks: what a photograph must show.
         operator: what is decided where nobody is asked.
         calibration: which calibration shots a session wants, and how long they hold.
+        session: consent, and who may read what is captured.
     """
 
     trigger_lead_s: float = 0.02
@@ -51,6 +56,7 @@ class CaptureConfig:
     checks: ChecksConfig = dataclasses.field(default_factory=ChecksConfig)
     operator: OperatorConfig = dataclasses.field(default_factory=OperatorConfig)
     calibration: CalibrationConfig = dataclasses.field(default_factory=CalibrationConfig)
+    session: SessionConfig = dataclasses.field(default_factory=SessionConfig)
 
     def __post_init__(self) -> None:
         """ConfigError on values with which nothing could be taken."""
@@ -81,3 +87,23 @@ class CaptureConfig:
             acknowledge_s: after which a silent LED device counts as failed.
         """
         return acknowledge_s + self.trigger_lead_s + self.deadlines.trigger_s + self.dark_after_s
+
+
+def read_config(
+    path: Path | None,
+    config: CaptureConfig | None = None,
+    *,
+    ignore_clock: bool = False,
+    **given: Any,
+) -> CaptureConfig:
+    """The configuration of a file, else `config`, and what the command line sets in it.
+
+    `ignore_clock` is the flag of that name; the other arguments are fields of CaptureConfig.
+    """
+    config = config or CaptureConfig()
+    if path is not None:
+        config = make_config(CaptureConfig, read_toml(path), path)
+    if ignore_clock:
+        preflight = dataclasses.replace(config.preflight, ignore_clock=True)
+        config = dataclasses.replace(config, preflight=preflight)
+    return dataclasses.replace(config, **{k: v for k, v in given.items() if v is not None})

@@ -10,8 +10,10 @@ from typing import Any
 
 import typer
 
+from lightstage.capture.config import read_config
 from lightstage.commands import JsonFlag, finish, output_folder, progress_bar
 from lightstage.errors import ConfigError
+from lightstage.formats.access import limited_access
 from lightstage.formats.cameras import NAME
 from lightstage.importing import (
     brightest_pattern,
@@ -22,6 +24,7 @@ from lightstage.importing import (
 from lightstage.motion.cameras import FoundCameras, find_cameras
 from lightstage.motion.lengths import Length, parse_length
 from lightstage.motion.points import read_clicks
+from lightstage.preflight import consent_findings
 from lightstage.rig import Rig, default_rig, load_rig
 from lightstage.session import Carried, read_calibration, require_new
 
@@ -37,8 +40,14 @@ def import_command(
         None, "--rig", help="rig.json: where lights and cameras stand. Without: see --length."
     ),
     out: Path = output_folder("--out", help="The session's folder, new."),
-    subject: str = typer.Option("subject-1", help="Pseudonym of the person."),
+    subject: str = typer.Option("subject-1", help="Pseudonym of the person, such as P07."),
     expression: str = typer.Option("neutral", help="What the face does."),
+    consent: str | None = typer.Option(
+        None, help="Id of the record of the person's consent; without it there is a warning."
+    ),
+    config: Path | None = typer.Option(
+        None, help="TOML as of `capture`; its table [session] is used."
+    ),
     colour: Path | None = typer.Option(
         None, help="A calibration folder, or a colour calibration alone."
     ),
@@ -66,6 +75,10 @@ def import_command(
     Without --rig, cameras are found from the photographs themselves, and are approximate.
     """
     require_new(out)
+    settings = read_config(config).session
+    findings = consent_findings(consent, settings)
+    for finding in findings:
+        print(f"warning: {finding}", file=sys.stderr)
     found: FoundCameras | None = None
     if rig is not None:
         given = {"--length": length, "--points": points, "--front": front, "--lights": lights}
@@ -85,14 +98,18 @@ def import_command(
     if found is not None:
         data = json.dumps(found.facts, indent=2).encode() + b"\n"
         carried = dataclasses.replace(carried, beside={**carried.beside, NAME: data})
-    with progress_bar("import") as progress:
+    with limited_access(settings.group), progress_bar("import") as progress:
         frames = import_session(
-            folder, the_rig, out, subject, expression, carried, landmarks, progress
-        )
-    facts: dict[str, Any] = {"session": str(out), "frames": frames}
+            folder, the_rig, out, subject, expression, carried, landmarks, progress,
+            consent, findings,
+        )  # fmt: skip
+    warnings = [str(finding) for finding in findings]
+    facts: dict[str, Any] = {
+        "session": str(out), "frames": frames, "consent": consent, "warnings": warnings,
+    }  # fmt: skip
     said = ""
     if found is not None:
-        facts |= {"cameras": found.facts, "warnings": found.warnings}
+        facts |= {"cameras": found.facts, "warnings": [*warnings, *found.warnings]}
         said = (
             f"; {len(the_rig.cameras)} cameras found from the photographs, approximate: "
             f"{found.facts['residual_px']:.2f} px (mean), {found.facts['points']} points"

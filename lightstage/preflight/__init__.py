@@ -2,6 +2,7 @@
 
 from lightstage.preflight.check import device_findings, preflight, refusals, require
 from lightstage.preflight.config import Plan, PreflightConfig
+from lightstage.preflight.consent import consent_findings
 from lightstage.preflight.drift import drift
 from lightstage.preflight.photograph import photograph_findings
 from lightstage.preflight.privacy import clear_privacy
@@ -12,6 +13,7 @@ __all__ = [
     "PreflightConfig",
     "SkewReport",
     "clear_privacy",
+    "consent_findings",
     "device_findings",
     "drift",
     "photograph_findings",

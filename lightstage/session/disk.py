@@ -72,7 +72,7 @@ def rename_new(source: Path, target: Path) -> None:
         if error.errno not in _NO_LINKS:
             raise
         # The name is taken first, by an empty file of our own; only that is then replaced.
-        os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
+        os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         os.replace(source, target)
         return
     os.unlink(source)

@@ -38,9 +38,8 @@ def session_from_journal(path: Path) -> SessionFile:
         )
     frames = {key_of(line): line for line in lines if line["event"] == "frame"}
     driven = _levels(lines)
-    extra: dict[str, Any] = {}
-    if state.begin.get("consent") is not None:
-        extra["consent"] = state.begin["consent"]
+    # Null says that there is no record of it; an older journal says nothing.
+    extra: dict[str, Any] = {k: state.begin[k] for k in ("consent",) if k in state.begin}
     return SessionFile(
         id=state.begin["session"],
         created_utc=state.begin["created_utc"],

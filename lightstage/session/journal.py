@@ -86,7 +86,7 @@ class Journal:
         beside = path.with_name(begun_name(path))
         with disk_errors(path):
             # One that was left by a crash before its first line was whole is used again.
-            handle = os.open(beside, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
+            handle = os.open(beside, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o666)
         journal = Journal(beside, handle)
         try:
             journal._lock_file(path)

@@ -38,6 +38,21 @@ def pseudonym_problem(text: str) -> str | None:
     return None
 
 
+def name_problem(text: str) -> str | None:
+    """Why a pseudonym of a person may be a name; None where it cannot be taken for one.
+
+    Names have a first and a last part, or letters that a pseudonym does not need. Refused are
+    blanks, and without any digit also a second part and letters other than a to z.
+
+    Args:
+        text: that `pseudonym_problem` takes.
+    """
+    plain = re.fullmatch(r"[A-Za-z]+", text)
+    if " " in text or not (plain or re.search(r"[0-9]", text)):
+        return "one word of letters a to z, or one with a digit, such as P07 or subject-12"
+    return None
+
+
 def consent_problem(text: str) -> str | None:
     """Why a text is no id of a consent record; None where it is.
 

@@ -5,25 +5,31 @@ from __future__ import annotations
 import unicodedata
 
 from lightstage.errors import ConfigError
-from lightstage.session.names import consent_problem, pseudonym_problem
+from lightstage.session.names import consent_problem, name_problem, pseudonym_problem
 
 
 def check_pseudonym(text: str, field: str) -> str:
     """A subject or expression as a session may carry it, in one spelling (`names`).
 
+    Args:
+        text: given.
+        field: of the session; what an ``expression`` says is no person's name.
+
     Raises:
         ConfigError: empty, too long, or what could be a path, an e-mail address, a control
-            character, or a name that only looks like another.
+            character, a name that only looks like another, or a person's name.
     """
     # Letters with their accents as one character, however a keyboard or a file name wrote them.
     composed = unicodedata.normalize("NFC", text)
     wanted = pseudonym_problem(composed)
+    if wanted is None and field != "expression":
+        wanted = name_problem(composed)
     if wanted is not None:
         raise ConfigError(
             f"--{field}",
             found=ascii(text),  # what looks like something else shall not be printed
             expected=wanted,
-            hint="Use a pseudonym, never a name, an address or a path.",
+            hint="Use a pseudonym such as P07 or subject-12, never a name, an address or a path.",
         )
     return composed
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from lightstage.cameras.camera import CameraDevice, CardFile
 from lightstage.errors import CaptureError, FormatError
+from lightstage.formats.access import close_folder
 from lightstage.formats.paths import path_inside
 from lightstage.formats.session import save_session, session_id
 from lightstage.rig import Rig, load_rig
@@ -77,6 +78,7 @@ class SessionWriter(Record):
         created = utc_now()
         with disk_errors(root):
             root.mkdir(parents=True, exist_ok=True)
+            close_folder(root)
         journal, begin = Journal.new(
             root / JOURNAL,
             lambda: save_beside(root, rig, colour, beside or {}),

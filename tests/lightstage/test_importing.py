@@ -2,6 +2,7 @@
 
 import json
 import os
+import stat
 import subprocess
 import sys
 
@@ -113,3 +114,41 @@ def test_the_command_imports_and_says_how_many(folder, tmp_path, small_rig):
     nothing = run(tmp_path / "none", tmp_path / "T")
     assert nothing.returncode == 2
     assert "no such folder" in nothing.stderr
+
+
+def imported(folder, tmp_path, small_rig, *more):
+    rig = save_rig(small_rig, tmp_path / "rig.json")
+    command = [sys.executable, "-m", "lightstage", "import", str(folder), "--rig", str(rig)]
+    command += ["--out", str(tmp_path / "S"), "--json", *more]
+    return subprocess.run(command, capture_output=True, text=True, umask=0)
+
+
+def test_an_imported_face_is_nobody_elses_and_says_that_consent_is_missing(
+    folder, tmp_path, small_rig
+):
+    (tmp_path / "S").mkdir(mode=0o777)
+    done = imported(folder, tmp_path, small_rig)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("no record of this person's consent") == 1
+    facts = json.loads(done.stdout.splitlines()[-1])
+    assert facts["consent"] is None
+    assert "no record of this person's consent" in facts["warnings"][0]
+    out = tmp_path / "S"
+    assert json.loads((out / "session.json").read_text())["consent"] is None
+    assert '"no-consent"' in (out / "journal.jsonl").read_text()
+    for path in (out, *out.rglob("*")):
+        assert stat.S_IMODE(path.stat().st_mode) == (0o700 if path.is_dir() else 0o600), path
+
+
+def test_an_import_keeps_the_consent_record_and_may_require_one(folder, tmp_path, small_rig):
+    config = tmp_path / "config.toml"
+    config.write_text('[session]\nrequire_consent = true\ngroup = "read"\n')
+    done = imported(folder, tmp_path, small_rig, "--config", str(config))
+    assert done.returncode == 2
+    assert "--consent: found no id" in done.stderr
+    assert not (tmp_path / "S").exists()
+    more = ("--config", str(config), "--consent", "C-17")
+    done = imported(folder, tmp_path, small_rig, *more)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert load_session(tmp_path / "S").file.model_extra["consent"] == "C-17"
+    assert stat.S_IMODE((tmp_path / "S").stat().st_mode) == 0o750

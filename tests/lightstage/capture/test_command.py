@@ -44,13 +44,13 @@ def test_every_photograph_is_the_one_that_the_acknowledged_light_gave(stage, tmp
     for camera in stage.rig.cameras:
         colour["cameras"][camera.id] = {"linear_from_raw": np.eye(3).tolist()}
     write_json(tmp_path / "colour.json", colour)
-    done = run(stage, out, "--json", "--subject", "p 7", "--colour", str(tmp_path / "colour.json"))
+    done = run(stage, out, "--json", "--subject", "p7", "--colour", str(tmp_path / "colour.json"))
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout.splitlines()[-1])
     assert facts["frames"] == 21
     assert stage.device.dark
     session = load_session(out)
-    assert session.file.subject == "p 7"
+    assert session.file.subject == "p7"
     assert session.file.calibration.colour == "calibration/colour.json"
     for frame in session.file.frames:
         index = int(frame.camera[-1])

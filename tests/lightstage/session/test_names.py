@@ -12,7 +12,8 @@ from lightstage.session.pseudonym import check_consent, check_pseudonym
 
 
 @pytest.mark.parametrize(
-    "text", ["P1", "subject-1", "P 07", "person_3.b", "Ω7", "Ж12", "é", "被験者3", "x" * 64, "7"]
+    "text",
+    ["P1", "subject-1", "P07", "person_3.b", "Ω7", "Ж12", "é1", "被験者3", "x" * 64, "7", "lps"],
 )
 def test_pseudonyms_are_taken(text):
     assert check_pseudonym(text, "subject") == text
@@ -74,7 +75,21 @@ def test_paths_addresses_tricks_and_reserved_names_are_refused(text):
 
 
 def test_one_accent_written_two_ways_is_one_pseudonym():
-    assert check_pseudonym("e\u0301 1", "subject") == check_pseudonym("\u00e9 1", "subject")
+    assert check_pseudonym("e\u03011", "subject") == check_pseudonym("\u00e91", "subject")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["Ann Person", "ann person 2", "Ann-Maria", "Ann_Person", "ann.person", "Jürgen", "Müller",
+     "P 07", "佐藤", "Иван"],
+)  # fmt: skip
+def test_what_may_be_a_persons_name_is_no_pseudonym(text):
+    with pytest.raises(ConfigError, match="such as P07 or subject-12"):
+        check_pseudonym(text, "subject")
+
+
+def test_an_expression_may_have_two_words():
+    assert check_pseudonym("mouth open", "expression") == "mouth open"
 
 
 @given(st.text(max_size=70))

@@ -252,9 +252,9 @@ def test_names_that_differ_in_capitals_only_are_refused(tmp_path, small_rig):
         SessionWriter.new(tmp_path / "S", small_rig, SessionPlan(("full", "Full")))
 
 
-@pytest.mark.parametrize("text", ["subject-1", "P 07", "lps", "person_3.b", "Ω7", "é", "e\u0301"])
+@pytest.mark.parametrize("text", ["subject-1", "P07", "lps", "person_3.b", "Ω7", "é7", "e\u03017"])
 def test_pseudonyms_are_taken(text):
-    assert check_pseudonym(text, "subject") in (text, "é")
+    assert check_pseudonym(text, "subject") in (text, "é7")
 
 
 @pytest.mark.parametrize(
