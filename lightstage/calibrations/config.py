@@ -7,6 +7,7 @@ import math
 
 from lightstage.errors import ConfigError
 from lightstage.formats.board import BoardConfig
+from lightstage.formats.config import require_bounds
 
 KIND_NAMES = ("charuco", "mirror", "grey", "chart", "dark", "flat")
 
@@ -70,6 +71,14 @@ class LookConfig:
     min_flat_level: float = 0.05
     min_flat_evenness: float = 0.4
 
+    def __post_init__(self) -> None:
+        """ConfigError on a limit that is none: before a light goes on."""
+        require_bounds(
+            self,
+            "calibration, look",
+            {"looked_at_px": (64, 16384), "min_board_cameras": (1, 1000), "min_ball_px": (2, 1e5)},
+        )
+
 
 @dataclasses.dataclass(frozen=True)
 class CalibrationConfig:
@@ -110,11 +119,9 @@ class CalibrationConfig:
                 raise ConfigError(
                     "calibration, days", field=field.name, found=str(value), expected="above 0"
                 )
-        for name in ("board_poses_per_camera", "mirror_poses", "grey_poses", "dark_poses"):
-            if getattr(self, name) < 1:
-                raise ConfigError(
-                    "calibration", field=name, found=str(getattr(self, name)), expected="at least 1"
-                )
+        poses = ("board_poses_per_camera", "mirror_poses", "grey_poses", "dark_poses")
+        bounds = {**dict.fromkeys(poses, (1, 1000)), "retakes_per_pose": (0, 1000)}
+        require_bounds(self, "calibration", bounds)
 
 
 def require_kind(name: str, where: str) -> str:

@@ -60,9 +60,9 @@ class CaptureConfig:
 
     def __post_init__(self) -> None:
         """ConfigError on values with which nothing could be taken."""
-        if self.downloads < 1:
+        if not 1 <= self.downloads <= 100:
             raise ConfigError(
-                "config", field="downloads", found=str(self.downloads), expected="1 or more"
+                "config", field="downloads", found=str(self.downloads), expected="from 1 to 100"
             )
         for name in ("trigger_lead_s", "dark_after_s"):
             value = getattr(self, name)

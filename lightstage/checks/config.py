@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from lightstage.formats.config import require_bounds
+
 
 @dataclasses.dataclass(frozen=True)
 class ChecksConfig:
@@ -61,3 +63,11 @@ class ChecksConfig:
     warn_sharpness: float = 0.65
     min_highlight_ratio: float = 0.01
     max_baseline_change: float = 0.1
+
+    def __post_init__(self) -> None:
+        """ConfigError on limits by which nothing could be checked: before a light goes on."""
+        require_bounds(self, "checks", BOUNDS)
+
+
+BOUNDS = {"thumbnail_px": (8, 4096), "kept_photographs": (0, 10_000)}
+"""Least and largest; every other number is 0 or more."""

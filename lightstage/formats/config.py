@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from lightstage.errors import ConfigError
+from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.formats.values import read_toml_value
 
 T = TypeVar("T")
+MOST = 1e12
+"""No number of a configuration is larger, in whatever unit."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -58,7 +60,9 @@ def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:
         options = [h for h in typing.get_args(hint) if h is not type(None)]
         if value is None:
             return None
-        return _convert(options[0], value, where, key) if len(options) == 1 else value
+        if len(options) == 1:
+            return _convert(options[0], value, where, key)
+        return _first_that_takes(options, value, where, key)
     if origin is typing.Literal:
         if value not in typing.get_args(hint):
             raise ConfigError(
@@ -69,7 +73,18 @@ def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:
             )
         return value
     if origin is tuple and isinstance(value, (list, tuple)):
-        return tuple(value)
+        inner, *rest = typing.get_args(hint)
+        if rest == [...]:
+            kinds: Sequence[Any] = [inner] * len(value)
+        else:
+            kinds = [inner, *rest]
+        if len(value) != len(kinds):
+            found, expected = f"{len(value)} values", f"{len(kinds)} values"
+            raise ConfigError(where, field=key, found=found, expected=expected)
+        return tuple(
+            _convert(kind, each, where, f"{key}[{index}]")
+            for index, (kind, each) in enumerate(zip(kinds, value, strict=True))
+        )
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         if abs(value) > 10**300:
             raise ConfigError(where, field=key, found="a number too large", expected="float")
@@ -81,6 +96,44 @@ def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:
     if isinstance(plain, type) and (wrong_bool or not isinstance(value, plain)):
         raise ConfigError(where, field=key, found=repr(value), expected=plain.__name__)
     return value
+
+
+def _first_that_takes(options: list[Any], value: Any, where: str | Path, key: str) -> Any:
+    """A value as the first of several types that takes it."""
+    for option in options:
+        try:
+            return _convert(option, value, where, key)
+        except ConfigError:
+            continue
+    names = " or ".join(getattr(option, "__name__", str(option)) for option in options)
+    raise ConfigError(where, field=key, found=repr(value), expected=names)
+
+
+def require_bounds(config: Any, where: str, bounds: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse a configuration whose numbers leave their bounds; all of them in one message.
+
+    Args:
+        config: a dataclass.
+        where: what to name in an error.
+        bounds: of a field, the least and the largest value; every other number of the dataclass
+            must be 0 or more, and at most `MOST`.
+
+    Raises:
+        ConfigError: numbers that are not between their bounds.
+    """
+    problems: list[LightstageError] = []
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            continue
+        least, most = bounds.get(field.name, (0.0, MOST))
+        if not least <= value <= most:  # NaN is between no two
+            expected = f"{least:g} or more" if most == MOST else f"from {least:g} to {most:g}"
+            problems.append(
+                ConfigError(where, field=field.name, found=repr(value), expected=expected)
+            )
+    if problems:
+        raise one_error(problems)
 
 
 def as_dict(config: Any) -> dict[str, Any]:

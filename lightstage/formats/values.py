@@ -243,7 +243,7 @@ def _check(value: Any, where: str | Path, limits: Limits, error: type[Lightstage
                 todo.append((_place(place, key, depth), inner, depth + 1))
                 wrong = None
             elif kind is float:
-                wrong = None if inner - inner == 0 else ("no finite number", "finite numbers")
+                wrong = None if inner - inner == 0 else (str(inner), "a finite number")
             elif kind is int:
                 wrong = None if LEAST <= inner <= MOST else ("a number too large", _NUMBERS)
             elif kind is str:

@@ -11,6 +11,7 @@ from typing import Any, Literal, Protocol, get_args
 
 from lightstage.errors import LightstageError
 from lightstage.findings import Finding
+from lightstage.formats.config import require_bounds
 
 Wish = Literal["abort", "retake", "pause", "resume"]
 """``retake`` is of the last pattern that is done; ``resume`` ends a pause."""
@@ -33,6 +34,10 @@ class OperatorConfig:
 
     retakes: int = 2
     then: Literal["abort", "accept"] = "abort"
+
+    def __post_init__(self) -> None:
+        """ConfigError on a count that is none: before a light goes on."""
+        require_bounds(self, "operator", {"retakes": (0, 1000)})
 
 
 class Operator(Protocol):

@@ -7,7 +7,7 @@ from typing import Literal
 import pytest
 
 from lightstage.errors import ConfigError
-from lightstage.formats.config import as_dict, make_config, read_toml
+from lightstage.formats.config import as_dict, make_config, read_toml, require_bounds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,3 +81,66 @@ def test_a_toml_file_is_read_or_refused_with_its_name(tmp_path):
 def test_a_resolved_configuration_is_json_ready():
     assert as_dict(Outer())["path"] == "x"
     assert as_dict(Outer())["inner"] == {"size_px": 3, "gain": 1.0}
+
+
+@dataclasses.dataclass(frozen=True)
+class Bounded:
+    size_px: int = 10
+    share: float = 0.5
+    on: bool = False
+
+    def __post_init__(self):
+        require_bounds(self, "bounded", {"size_px": (1, 100)})
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"size_px": 0}, "size_px: found 0, expected from 1 to 100"),
+        ({"size_px": 101}, "size_px: found 101"),
+        ({"share": -0.1}, "share: found -0.1, expected 0 or more"),
+        ({"share": float("nan")}, "share: found nan"),
+        ({"share": float("inf")}, "share: found inf"),
+        ({"share": -1.0, "size_px": -1}, "2 problems"),
+    ],
+)
+def test_a_number_outside_its_bounds_is_refused(values, said):
+    with pytest.raises(ConfigError, match=said):
+        make_config(Bounded, values, "t")
+    assert make_config(Bounded, {"size_px": 100, "share": 0, "on": True}, "t").share == 0
+
+
+@pytest.mark.parametrize("values", [{"sizes": [1, "a"]}, {"sizes": [True]}, {"sizes": [[1]]}])
+def test_each_value_of_a_list_has_its_type(values):
+    with pytest.raises(ConfigError, match=r"sizes\[\d\]: found .*, expected int"):
+        make_config(Outer, values, "t")
+
+
+OF_A_CAPTURE = [
+    "[checks]\nthumbnail_px = 0",
+    "[checks]\nthumbnail_px = 1000000000",
+    "[checks]\nkept_photographs = -1",
+    "[checks]\nmin_snr = -1.0",
+    "[operator]\nretakes = -1",
+    "[calibration]\nretakes_per_pose = -1",
+    "[calibration]\nclock_slack_s = -5.0",
+    "[calibration]\ndark_poses = 0",
+    "[calibration.look]\nlooked_at_px = 0",
+    "[calibration.look]\nmin_board_cameras = 0",
+    "[deadlines]\nopen_s = 0.0",
+    "[preflight]\nspace_margin = -0.5",
+    "trigger_lead_s = -1.0",
+    "downloads = 0",
+    "downloads = 1000000",
+]
+
+
+@pytest.mark.parametrize("text", OF_A_CAPTURE)
+def test_a_capture_refuses_a_number_out_of_bounds_before_any_device_is_opened(tmp_path, text):
+    from lightstage.capture.command import read_config
+
+    path = tmp_path / "capture.toml"
+    path.write_text(text)
+    name = text.split("\n")[-1].split(" ")[0]
+    with pytest.raises(ConfigError, match=f"{name}: found"):
+        read_config(path)

@@ -194,7 +194,7 @@ BAD = {
     "board": ({"board": {"marker_mm": 30.0}}, "markers smaller than squares"),
     "dictionary": ({"board": {"dictionary": "CharucoBoard"}}, "such as DICT_4X4_50"),
     "days": ({"days": {"dark": 0.0}}, "days, dark: found 0.0, expected above 0"),
-    "poses": ({"dark_poses": 0}, "dark_poses: found 0, expected at least 1"),
+    "poses": ({"dark_poses": 0}, "dark_poses: found 0, expected from 1 to 1000"),
     "key": ({"expiry": 3}, "expiry: found an unknown key"),
 }
 
