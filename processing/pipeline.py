@@ -30,6 +30,7 @@ from processing.records import (
     hash_of,
     measured,
     read_records,
+    require_own,
     versions,
     write_records,
 )
@@ -127,6 +128,7 @@ def run(
     problems = unmendable_frames(session) or changed_frames(session)
     if problems:
         raise one_error(problems)
+    require_own(out)
     template, template_hash = None, ""
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
         template, template_hash = load_template(template_path), hash_folder(template_path)

@@ -16,8 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.formats.files import read_json, sha256_file, write_json
+from processing.errors import ProcessingError
 
 SCHEMA = "processing.stages/1"
+MADE_FIRST = ("work", "views", "stages.json")
+"""What a stage makes before all else: a folder with one of these is a processed folder."""
 REPORTED = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "pycolmap")
 CODE = ("processing", "lightstage/formats", "lightstage/rig.py", "lightstage/patterns/names.py")
 
@@ -35,6 +38,23 @@ class Record:
     key: str
     outputs: list[str]
     facts: dict[str, Any]
+
+
+def require_own(out: Path) -> None:
+    """Refuse a folder that holds other things than a processed session's.
+
+    Raises:
+        ProcessingError: a folder with files in it, none of which the stages make.
+    """
+    names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
+    if names and not any(name in names for name in MADE_FIRST):
+        raise ProcessingError(
+            out,
+            field="--out",
+            found=f"a folder that holds {names[0]}" + " and more" * (len(names) > 1),
+            expected="a new folder, or one that the stages made",
+            hint="Name another, so that nothing of yours is mixed with what the stages write.",
+        )
 
 
 def read_records(out: Path) -> dict[str, Record]:

@@ -56,7 +56,7 @@ def make_cameras(
     Raises:
         FormatError: `out` is something else, or a photograph cannot be read.
         PoseError: see `measure_cameras`.
-        ProcessingError: no shots of a board.
+        ProcessingError: no shots of a board, or a camera to allow that the rig does not have.
     """
     poses = source.poses.get("charuco")
     if not poses:
@@ -66,8 +66,17 @@ def make_cameras(
             expected="shots of a ChArUco board",
             hint="Take them: `lightstage calibrate charuco --out LAB`.",
         )
+    rig = poses[0].session.rig
+    known = [camera.id for camera in rig.cameras]
+    unknown = [name for name in config.cameras.allow if name not in known]
+    if unknown:
+        raise ProcessingError(
+            source.root,
+            field="cameras.allow (--allow-camera)",
+            found=", ".join(unknown),
+            expected=f"cameras of this rig: {', '.join(known)}",
+        )
     with atomic_folder(out, NAME) as folder:
-        rig = poses[0].session.rig
         sights = see_boards(poses, config.board, progress)
         found = measure_cameras(sights, rig, config.board, config.cameras)
         save_rig(dataclasses.replace(rig, cameras=found.cameras), folder / "rig.json")

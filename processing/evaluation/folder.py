@@ -61,10 +61,12 @@ def evaluate(
         `atlas`: those of which both sides hold the files.
 
     Raises:
-        EvaluationError: nothing to compare, or pictures of different size.
+        EvaluationError: a folder that is missing, truth of another person or expression, nothing
+            to compare, or pictures of different size.
         FormatError: a damaged file.
     """
     config = config or EvaluateConfig()
+    _require_same_person(out, truth)
     found, true = ProcessedFolder(out), ProcessedFolder(truth)
     facts: dict[str, Any] = {}
     cameras = [c for c in true.view_ids() if found.view_path(c, "confidence").is_file()]
@@ -154,3 +156,28 @@ def _reader(folder: ProcessedFolder, camera: str) -> MapReader:
         return folder.read_view(camera, name) if path.is_file() else np.zeros(0)
 
     return read
+
+
+def _require_same_person(out: Path, truth: Path) -> None:
+    """EvaluationError where two folders are not there, or say that they are of different people."""
+    for folder in (out, truth):
+        if not folder.is_dir():
+            raise EvaluationError(
+                folder, found="no such folder", expected="a processed folder, then its truth"
+            )
+    told = [_report(folder) for folder in (out, truth)]
+    for field in ("subject", "expression"):
+        ours, true = (report.get(field) for report in told)
+        if ours is not None and true is not None and ours != true:
+            raise EvaluationError(
+                truth,
+                field=field,
+                found=repr(true),
+                expected=f"{ours!r}, as {out / 'report.json'} has it",
+                hint="Errors against another person's truth mean nothing.",
+            )
+
+
+def _report(folder: Path) -> dict[str, Any]:
+    path = folder / "report.json"
+    return dict(read_json(path)) if path.is_file() else {}

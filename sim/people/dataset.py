@@ -26,7 +26,7 @@ from sim.errors import SimError
 from sim.head.modes import EXPRESSIONS
 from sim.light.scene import Scene
 from sim.light.world import World
-from sim.people.person import person_expressions
+from sim.people.person import person_expressions, require_rows
 from sim.people.table import PeopleTable, people
 from sim.people.traits import Traits
 from sim.session import SessionConfig, truth_path, write_direct
@@ -102,7 +102,7 @@ def make_plan(
         rows: of the maps.
 
     Raises:
-        SimError: more expressions than there are, or a negative seed.
+        SimError: more expressions than there are, a negative seed, or rows of no texture.
     """
     names = ("neutral", *EXPRESSIONS)
     if not 1 <= expressions <= len(names):
@@ -111,6 +111,7 @@ def make_plan(
         )
     if seed < 0:
         raise SimError("--seed", found=str(seed), expected="0 or more")
+    require_rows(rows, "--rows")
     persons = tuple(
         Person(f"person-{index:04d}", _person_seed(seed, index), traits)
         for index, traits in enumerate(people(table, subjects, seed))

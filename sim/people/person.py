@@ -60,13 +60,7 @@ def person_expressions(
     Returns:
         The subjects in the order asked for, each equal to what `parametric_subject` gives.
     """
-    if texture_rows < 96 or texture_rows % 3:
-        raise SimError(
-            f"subject {name}",
-            field="texture_rows",
-            found=str(texture_rows),
-            expected="a multiple of 3, at least 96",
-        )
+    require_rows(texture_rows, f"subject {name}, texture_rows")
     who = random_traits(_stream(seed, 3)) if traits is None else traits
     heads = [random_head(_stream(seed, 0), expression, who) for expression in expressions]
     turn, shift = sitting(_stream(seed, 2))
@@ -114,3 +108,9 @@ def person_skin(seed: int, traits: Traits, texture_rows: int) -> Skin:
 def _stream(seed: int, part: int) -> np.random.Generator:
     """Head, skin, pose and traits draw from streams 0 to 3 of the seed."""
     return np.random.default_rng([seed, part])
+
+
+def require_rows(rows: int, where: str) -> None:
+    """SimError unless a texture can have so many rows: their columns are two thirds of them."""
+    if rows < 96 or rows % 3:
+        raise SimError(where, found=str(rows), expected="a multiple of 3, at least 96")

@@ -12,7 +12,7 @@ from lightstage.formats.mesh import Mesh, vertex_normals
 from sim.errors import SimError
 from sim.head.modes import EXPRESSIONS
 from sim.light.texture import raster_uv, texture_of
-from sim.people.person import sitting
+from sim.people.person import require_rows, sitting
 from sim.people.subject import Subject
 from sim.people.traits import Traits, random_traits
 from sim.scans.ict import SOURCE, IctModel, load_ict
@@ -80,13 +80,7 @@ def ict_subject(
         SimError: see `load_ict`; an unknown expression, one whose shapes the copy lacks, or a size
             that the tile cannot have.
     """
-    if texture_rows < 96 or texture_rows % 3:
-        raise SimError(
-            f"subject {name}",
-            field="texture_rows",
-            found=str(texture_rows),
-            expected="a multiple of 3, at least 96",
-        )
+    require_rows(texture_rows, f"subject {name}, texture_rows")
     model = load_ict(path)
     parts = parts_of(model)
     drawn = _draw(seed, len(model.identity), traits)
