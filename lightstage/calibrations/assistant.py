@@ -29,12 +29,20 @@ class TerminalAssistant:
         self._say(f"Pose {number} of {count}: {asked}")
         return self._answer("Enter takes it, q stops: ", {"": True, "q": False})
 
-    def judge(self, number: int, findings: Sequence[Finding]) -> Verdict:
-        """Tell what is amiss and ask what to do."""
+    def judge(self, number: int, findings: Sequence[Finding], left: int) -> Verdict:
+        """Tell what is amiss and ask what to do; where no take is left, whether to keep it."""
         for finding in findings:
             self._say(f"  {finding}")
+        if left <= 0:
+            return self._answer(
+                f"Pose {number}: this was its last take. k keeps it, Enter or q stops: ",
+                {"": "stop", "k": "keep", "q": "stop"},
+            )
         answers: dict[str, Verdict] = {"": "again", "k": "keep", "q": "stop"}
-        return self._answer(f"Pose {number}: Enter takes it again, k keeps it, q stops: ", answers)
+        return self._answer(
+            f"Pose {number}: Enter takes it again (at most {left} more), k keeps it, q stops: ",
+            answers,
+        )
 
     def _answer(self, question: str, answers: dict[str, Meaning]) -> Meaning:
         while True:
@@ -75,9 +83,9 @@ class UnattendedAssistant:
         self._sleep(self._pause_s)
         return True
 
-    def judge(self, number: int, findings: Sequence[Finding]) -> Verdict:
+    def judge(self, number: int, findings: Sequence[Finding], left: int) -> Verdict:
         """Again while any retakes are left, then stop: what does not do is not kept unseen."""
         for finding in findings:
             self._say(f"  {finding}")
         self._taken[number] = self._taken.get(number, 0) + 1
-        return "again" if self._taken[number] <= self._retakes else "stop"
+        return "again" if left > 0 and self._taken[number] <= self._retakes else "stop"

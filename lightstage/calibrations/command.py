@@ -79,7 +79,7 @@ def calibrate_command(
                 chosen, out, the_rig, stage.told, hello, own, now, poses, every_light
             )
         taker = SessionTaker(stage, chosen, settings, Unattended(settings.operator))
-        report = take_poses(chosen, shots, the_rig, taker, assistant, own)
+        report = take_poses(chosen, shots, the_rig, taker, assistant, own, _poses_done)
     held = (shots.file.expires - shots.file.created).total_seconds() / 86400
     finish(
         f"{shots.root}: {report.poses} poses, {report.again} taken again, "
@@ -136,6 +136,11 @@ def _require_meaning(kind: str, resume: bool, poses: int | None, every_light: bo
             found="--poses" if poses is not None else "--every-light",
             expected="neither: the shots that are gone on with have theirs",
         )
+
+
+def _poses_done(done: int, count: int) -> None:
+    if done:
+        _say(f"  {done} of {count} poses done.")
 
 
 def _say(text: str) -> None:

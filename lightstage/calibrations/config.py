@@ -94,6 +94,9 @@ class CalibrationConfig:
         grey_poses: places of the grey ball.
         dark_poses: dark photographs of each camera; the median of several has no noise to speak of.
         retakes_per_pose: of a pose that does not show what it must, where nobody is asked.
+        takes_per_pose: after which a pose that never shows it stops the command, whoever is asked.
+            An operator can change the target's place, its tilt, the light and the exposure; where
+            six takes were in vain the target or a limit is wrong, and each take costs disk.
         clock_slack_s: shots may seem so much younger than now before the clock is doubted.
     """
 
@@ -106,6 +109,7 @@ class CalibrationConfig:
     grey_poses: int = 1
     dark_poses: int = 4
     retakes_per_pose: int = 2
+    takes_per_pose: int = 6
     clock_slack_s: float = 60.0
 
     def __post_init__(self) -> None:
@@ -119,9 +123,19 @@ class CalibrationConfig:
                 raise ConfigError(
                     "calibration, days", field=field.name, found=str(value), expected="above 0"
                 )
-        poses = ("board_poses_per_camera", "mirror_poses", "grey_poses", "dark_poses")
-        bounds = {**dict.fromkeys(poses, (1, 1000)), "retakes_per_pose": (0, 1000)}
+        counts = (
+            *("board_poses_per_camera", "mirror_poses", "grey_poses", "dark_poses"),
+            "takes_per_pose",
+        )
+        bounds = {**dict.fromkeys(counts, (1, 1000)), "retakes_per_pose": (0, 1000)}
         require_bounds(self, "calibration", bounds)
+        if self.retakes_per_pose >= self.takes_per_pose:
+            raise ConfigError(
+                "calibration",
+                field="retakes_per_pose, takes_per_pose",
+                found=f"{self.retakes_per_pose}, {self.takes_per_pose}",
+                expected="more takes than retakes",
+            )
 
 
 def require_kind(name: str, where: str) -> str:

@@ -51,7 +51,8 @@ def look_at_board(picture: Picture, config: CalibrationConfig) -> Seen:
                 f"{count} corners of the board",
                 f"at least {wanted} of {config.board.corners}",
                 "Turn the board more toward this camera, keep fingers off it, and see that it is "
-                "sharp; is it the board of the configuration?",
+                "sharp and its markers at least 15 pixels wide; is it the board of the "
+                "configuration?",
             )
         )
     if count >= 4:

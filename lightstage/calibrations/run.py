@@ -21,6 +21,7 @@ from lightstage.calibrations.folder import (
 )
 from lightstage.calibrations.kinds import Kind
 from lightstage.calibrations.pose import PoseLook, look_at_pose
+from lightstage.calibrations.reasons import told_together
 from lightstage.calibrations.stale import changes
 from lightstage.cameras.camera import Summary
 from lightstage.commands import ProgressCallback, quiet
@@ -51,8 +52,8 @@ class Assistant(Protocol):
     def ready(self, number: int, count: int, asked: str) -> bool:
         """Ask for pose `number` of `count` and wait until it is held; False: stop here."""
 
-    def judge(self, number: int, findings: Sequence[Finding]) -> Verdict:
-        """What to do with a pose that does not show what it must."""
+    def judge(self, number: int, findings: Sequence[Finding], left: int) -> Verdict:
+        """What to do with a pose that does not show what it must, `left` more takes at most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,7 +160,8 @@ def take_poses(
         progress: of poses.
 
     Raises:
-        CaptureError: stopped before the end; what was taken is kept, and can be gone on with.
+        CaptureError: stopped before the end, or a pose did not do `takes_per_pose` times; what was
+            taken is kept, and can be gone on with.
         LightstageError: what the capture of a pose says.
     """
     again = now = 0
@@ -169,17 +171,22 @@ def take_poses(
     for index in range(count):
         if index in done:
             continue
+        failed: list[Sequence[Finding]] = []
         while True:
             if not assistant.ready(index + 1, count, kind.asks(rig, index)):
-                raise _stopped(shots, kind)
+                raise _stopped(shots, kind, index, failed)
             folder = _folder(shots, index)
             take(shots.root / folder, shots.file.patterns, kind.drive)
             look = look_at_pose(shots.root / folder, kind, index, config)
-            verdict: Verdict = "keep" if look.does else assistant.judge(index + 1, look.findings)
-            if verdict == "stop":
-                raise _stopped(shots, kind, look.findings)
+            if look.does:
+                break
+            failed.append(look.findings)
+            left = config.takes_per_pose - len(failed)
+            verdict = assistant.judge(index + 1, look.findings, left)
             if verdict == "keep":
                 break
+            if verdict == "stop" or left <= 0:
+                raise _stopped(shots, kind, index, failed)
             again += 1
         _keep(shots, kind, rig, index, folder, look)
         now += 1
@@ -223,12 +230,20 @@ def _keep(shots: Shots, kind: Kind, rig: Rig, index: int, folder: str, look: Pos
     shots.save()
 
 
-def _stopped(shots: Shots, kind: Kind, findings: Sequence[Finding] = ()) -> CaptureError:
+def _stopped(
+    shots: Shots, kind: Kind, index: int, failed: Sequence[Sequence[Finding]]
+) -> CaptureError:
+    """Why no more is taken of a pose: what was amiss in each take, and what to change."""
     done, count = len(shots.file.poses), shots.file.poses_wanted
-    said = "".join(f"; {finding.where}: {finding.found}" for finding in findings)
+    found, expected = f"stopped after {done} of {count} poses", "all poses"
+    again = f"Go on with: lightstage calibrate {kind.name} --resume (the same options)."
+    if not failed:
+        return CaptureError(shots.root, found=found, expected=expected, hint=again)
+    reasons, wanted, hints = told_together(failed)
+    takes = "1 take" if len(failed) == 1 else f"{len(failed)} takes"
     return CaptureError(
         shots.root,
-        found=f"stopped after {done} of {count} poses{said}",
-        expected="all poses",
-        hint=f"Go on with: lightstage calibrate {kind.name} --resume (the same options).",
+        found=f"{found}: pose {index + 1} did not do in {takes}: {reasons}",
+        expected=wanted,
+        hint=f"{hints} {again}",
     )

@@ -22,14 +22,17 @@ from lightstage.findings import Finding, Severity
 from lightstage.leds.controller import Hello
 from lightstage.rig import Rig
 
+MANY = 3
+"""More cameras, or values of one setting, than this are told by their number."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Used:
     """What a session is told of its lab's calibration shots.
 
     Attributes:
-        findings: `refuse` for each kind that is missing or no longer holds, `warn` where that was
-            allowed.
+        findings: one for each kind that is missing or no longer holds, with all its reasons:
+            `refuse`, or `warn` where that was allowed.
         facts: for the journal's event ``calibration`` and the manifest, by kind: ``id``,
             ``path`` (in the lab's folder), ``sha256`` of calibration.json, ``age_days``,
             ``stale`` (what does not hold and was allowed).
@@ -111,16 +114,25 @@ def changes(
     if shots.file.rig_sha256 != rig_sha256(rig):
         out.append(("rig-changed", "another rig.json", "the one with which they were taken"))
     cameras = shots.file.devices.cameras
-    for camera_id, summary in told.items():
-        before = cameras.get(camera_id)
-        if before is None:
-            out.append(("camera-new", f"no photographs of {camera_id}", "some of every camera"))
+    new = [camera_id for camera_id in told if camera_id not in cameras]
+    if new:
+        out.append(("camera-new", f"no photographs of {', '.join(new)}", "some of every camera"))
+    for name in kind.settings:
+        other: dict[tuple[str | None, str | None], list[str]] = {}
+        for camera_id, summary in told.items():
+            values = getattr(summary, name), cameras.get(camera_id, {}).get(name)
+            if camera_id in cameras and values[0] != values[1]:
+                other.setdefault(values, []).append(camera_id)
+        code = "camera-changed" if name in ("serial", "model") else "setting-changed"
+        if len(other) > MANY:
+            own = [camera_id for each in other.values() for camera_id in each]
+            found = f"{_named(own, told)} with another {name.replace('_', ' ')}"
+            out.append((code, found, "those of then"))
             continue
-        for name in kind.settings:
-            was, now = before.get(name), getattr(summary, name)
-            if was != now:
-                code = "camera-changed" if name in ("serial", "model") else "setting-changed"
-                out.append((code, f"{camera_id} with {_value(name, now)}", _value(name, was)))
+        out += [
+            (code, f"{_named(own, told)} with {_value(name, now)}", _value(name, was))
+            for (now, was), own in other.items()
+        ]
     firmware = shots.file.devices.leds.get("firmware")
     if kind.lit and firmware != leds.firmware:
         out.append(
@@ -166,22 +178,26 @@ def _findings(
                 "shots made before now; is the computer's clock right?",
             )
         ]
-    out = []
+    reasons: list[tuple[str, str, str]] = []
     if now >= shots.file.expires:
         held = (shots.file.expires - shots.file.created).total_seconds() / 86400
-        out.append(
-            finding(
-                "calibration-expired", f"{where}, {duration(age)} old", f"at most {duration(held)}"
-            )
+        reasons.append(
+            ("calibration-expired", f"{where}, {duration(age)} old", f"at most {duration(held)}")
         )
-    out += [
-        finding(code, f"{found}, since {where}", expected)
-        for code, found, expected in changes(shots, rig, told, leds)
-    ]
+    changed = changes(shots, rig, told, leds)
+    if changed:
+        codes, found, expected = zip(*changed, strict=True)
+        code = codes[0] if len(set(codes)) == 1 else "stage-changed"
+        said = f"{'; '.join(found)}, since {where}"
+        reasons.append((code, said, "; ".join(dict.fromkeys(expected))))
     problems: list[LightstageError] = shots.changed()
     if problems:
-        out.append(finding("calibration-damaged", str(one_error(problems)), f"{where} unchanged"))
-    return out
+        reasons.append(("calibration-damaged", str(one_error(problems)), f"{where} unchanged"))
+    if not reasons:
+        return []
+    codes, found, expected = zip(*reasons, strict=True)
+    code = codes[0] if len(codes) == 1 else "calibration-stale"
+    return [finding(code, "; ".join(found), "; ".join(expected))]
 
 
 def duration(days: float) -> str:
@@ -190,6 +206,13 @@ def duration(days: float) -> str:
         return f"{days:.0f} days"
     hours = days * 24
     return f"{hours:.0f} hours" if hours >= 2 else f"{hours * 60:.0f} minutes"
+
+
+def _named(own: Collection[str], told: Collection[str]) -> str:
+    """Cameras by their ids, or by their number where they are more than three."""
+    if len(own) <= MANY:
+        return ", ".join(own)
+    return f"all {len(own)} cameras" if len(own) == len(told) else f"{len(own)} cameras"
 
 
 def _value(name: str, value: str | None) -> str:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from sim.camera.exposure import exposure_gain
+from sim.camera.optics import Lens
+from sim.camera.sensor import Sensor
 from sim.errors import SimError
 
 SUFFIXES = {"RAW": (".DNG",), "JPEG": (".JPG",), "RAW+JPEG": (".DNG", ".JPG")}
@@ -76,6 +81,28 @@ class CameraSettings:
         return SUFFIXES[self.image_format]
 
 
+def exposed_with(
+    sensors: Mapping[str, Sensor], lenses: Mapping[str, Lens]
+) -> dict[str, dict[str, Any]]:
+    """The settings under which photographs are simulated, so that cameras tell the truth.
+
+    Args:
+        sensors: camera id to sensor.
+        lenses: camera id to lens.
+
+    Returns:
+        Camera id to ISO, shutter and aperture, by the names of CameraSettings.
+    """
+    return {
+        camera_id: {
+            "iso": str(sensor.config.iso),
+            "shutter": _plain(sensor.exposure_s),
+            "aperture": f"f/{lenses[camera_id].config.f_number:g}",
+        }
+        for camera_id, sensor in sensors.items()
+    }
+
+
 def changed(settings: CameraSettings, name: str, value: Any) -> CameraSettings:
     """Settings with another value.
 
@@ -94,3 +121,8 @@ def changed(settings: CameraSettings, name: str, value: Any) -> CameraSettings:
         raise SimError(
             "camera settings", field=name, found=repr(value), expected=kind.__name__
         ) from None
+
+
+def _plain(seconds: float) -> str:
+    """A time of six digits, without an exponent, which cameras do not write."""
+    return np.format_float_positional(seconds, precision=6, fractional=False, trim="-")

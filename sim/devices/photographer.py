@@ -12,13 +12,14 @@ import numpy as np
 from lightstage.errors import PatternError
 from lightstage.formats.environment import white_reading
 from lightstage.patterns import Drive, drive_levels
-from lightstage.rig import Camera
+from lightstage.rig import Camera, Rig
 from sim.camera.chart import calibrate_colour
 from sim.camera.dng import Exif, dng_bytes
 from sim.camera.flaws import CaptureFlaws
 from sim.camera.optics import own_rng
 from sim.camera.sensor import Sensor, make_sensor
 from sim.camera.shooting import LitSubject, Shooting
+from sim.devices.camera_settings import exposed_with
 from sim.devices.story_cameras import Lens
 
 
@@ -35,6 +36,7 @@ class Photographer:
         flaws: what the apparatus does to the light; the default adds the sensor's noise alone.
         sequence: patterns that will be shot, in order; other states are taken as the first of them.
         drive: how the stage drives its lamps; cameras are exposed for its `full`.
+        peak: (3,) what just does not clip; the brightest skin of this person where absent.
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class Photographer:
         flaws: CaptureFlaws | None = None,
         sequence: Sequence[str] = (),
         drive: Drive = "solid-angle",
+        peak: np.ndarray | None = None,
     ) -> None:
         self.world = world
         self.seed = seed
@@ -56,7 +59,8 @@ class Photographer:
                 self._shots.setdefault(_state(drive_levels(name, world.rig, drive)), shot)
         self.drive = drive
         self.full = drive_levels("full", world.rig, drive)
-        peak = world.skin_peak(levels=self.full)
+        if peak is None:
+            peak = world.skin_peak(levels=self.full)
         self.sensors: dict[str, Sensor] = {
             camera.id: make_sensor(flaws.sensor, peak, own_rng(seed, camera.id, b"sensor"))
             for camera in world.rig.cameras
@@ -76,6 +80,10 @@ class Photographer:
                 pending.append(pool.submit(self._put, camera, levels, light, folders))
             for job in pending:
                 job.result()
+
+    def settings(self) -> dict[str, dict[str, Any]]:
+        """Each camera's settings as its photographs will say (CameraSettings' names)."""
+        return exposed_with(self.sensors, self.shooting.lenses)
 
     def colour_calibration(self) -> dict[str, object]:
         """FORMATS' colour calibration of all cameras, from simulated chart photographs."""
@@ -125,6 +133,15 @@ class Photographer:
         counts = sensor.expose(light, own_rng(self.seed, camera.id, _state(levels)))
         exif = Exif(camera.model, camera.serial, lens.config.f_number, lens.focal_mm)
         return dng_bytes(counts, sensor, exif)
+
+
+def lab_white(rig: Rig) -> np.ndarray:
+    """(3,) what a perfect white reads under a session's `full`.
+
+    Cameras of a lab are exposed for it once, and photograph its chart and every person alike: no
+    skin is brighter.
+    """
+    return np.full(3, white_reading(rig, drive_levels("full", rig)))
 
 
 def _state(levels: np.ndarray) -> bytes:

@@ -14,6 +14,10 @@ from lightstage.commands import output_folder, progress_bar
 from sim.errors import SimError
 
 POLL_S = 0.2
+SCALE = 0.12
+"""Of `stage` and `calibrate` alike, since calibration shots hold for one rig.json alone. At half of
+it a marker of the ChArUco board is 12 pixels wide, which is too few to be read."""
+ScaleOption = typer.Option(SCALE, min=0.005, max=1.0, help="Share of the rig's pixels a side.")
 
 
 def add_stage_commands(app: typer.Typer) -> None:
@@ -26,7 +30,7 @@ def stage(
     subject: str = typer.Option("P1", help="As in `session`."),
     sequence: str = typer.Option("binary", help="What will be shot; others may be shot too."),
     seed: int = typer.Option(0, help="Of the person and the noise."),
-    scale: float = typer.Option(0.06, min=0.005, max=1.0, help="Share of the rig's pixels a side."),
+    scale: float = ScaleOption,
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     faults: Path | None = typer.Option(None, help="What goes wrong (TOML, docs/faults.md)."),
 ) -> None:
@@ -35,6 +39,7 @@ def stage(
     from lightstage.rig import default_rig, load_rig
     from lightstage.sequence import plan_shots
     from sim.devices.faults import FaultLog, Story
+    from sim.devices.photographer import lab_white
     from sim.devices.standing_stage import standing_stage
     from sim.light.world import World
     from sim.people.subjects import check_subject, load_subject
@@ -52,7 +57,8 @@ def stage(
     with tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name:
         desk = Path(name)
         log = FaultLog(None if faults is None else faults.with_suffix(".jsonl").absolute())
-        with standing_stage(world, desk, seed, patterns, None, story, log) as standing:
+        devices = standing_stage(world, desk, seed, patterns, None, story, log, lab_white(where))
+        with devices as standing:
             command = ["lightstage", *standing.command(Path("SESSION")), "--sequence", sequence]
             print(f"Ready; Ctrl-C ends it. In another terminal:\n\n  {shlex.join(command)}\n")
             if log.path is not None:
@@ -70,7 +76,7 @@ def calibrate(
     kind: str = typer.Argument(help="charuco, mirror, grey, chart, dark or flat."),
     out: Path = output_folder("--out", help="The lab's folder of calibration shots."),
     seed: int = typer.Option(0, help="Of poses, lenses and noise."),
-    scale: float = typer.Option(0.06, min=0.005, max=1.0, help="Share of the rig's pixels a side."),
+    scale: float = ScaleOption,
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
 ) -> None:
     """Let `lightstage calibrate` take a simulated target, held pose by pose as it asks."""
@@ -84,13 +90,18 @@ def calibrate(
         tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name,
         TargetStage(Path(name), where, kind, seed) as standing,
     ):
-        done = standing.calibrate(out, kind)
-    print(done.stderr, file=sys.stderr, end="")
+        done = standing.calibrate(out, kind, echo=_echo)
     print(done.stdout, end="")
     if done.returncode != 0:
         raise SimError(
             "lightstage calibrate",
             found=f"exit code {done.returncode}",
             expected="0",
-            hint="Its own message is above.",
+            hint="Its own message is above. The simulated devices are gone: begin again with this "
+            "command, at a larger --scale where targets are too small in the pictures.",
         )
+
+
+def _echo(text: str) -> None:
+    """What the command says, as it says it."""
+    print(text, end="", file=sys.stderr, flush=True)

@@ -62,6 +62,7 @@ def standing_stage(
     flaws: CaptureFlaws | None = None,
     story: Story | None = None,
     log: FaultLog | None = None,
+    peak: np.ndarray | None = None,
 ) -> Iterator[StandingStage]:
     """A person in a stage whose devices wait for `lightstage capture`.
 
@@ -74,16 +75,17 @@ def standing_stage(
         story: what goes wrong with the devices; an empty one for none. The cameras are simulated
             ones then, whose cards outlive their processes; else libgphoto2's virtual ones.
         log: where what went wrong is noted.
+        peak: as in `Photographer`.
     """
     world = seen_through(world, patterns)
-    photographer = Photographer(world, seed, flaws, patterns)
+    photographer = Photographer(world, seed, flaws, patterns, peak=peak)
     dark = np.zeros(len(world.rig.lights))
     folders: CameraFolders | StoryCameras
     log, timeout_s, attempts = log or FaultLog(), SETTLE_TIMEOUT_S, 1
     if story is None:
         folders = CameraFolders(desk / "cameras", [camera.id for camera in world.rig.cameras])
     else:
-        folders = StoryCameras(desk / "cameras", world.rig, story, log)
+        folders = StoryCameras(desk / "cameras", world.rig, story, log, photographer.settings())
         if story.faults:
             timeout_s, attempts = TIMEOUT_S, ATTEMPTS
             for levels in [dark, *(drive_levels(name, world.rig) for name in patterns)]:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -54,10 +55,18 @@ class StoryCameras(SimulatedCameras):
         rig: whose cameras they are.
         story: what goes wrong.
         log: where that is noted.
+        settings: under which their photographs are made.
     """
 
-    def __init__(self, root: Path, rig: Rig, story: Story, log: FaultLog) -> None:
-        super().__init__(root, rig, story, log)
+    def __init__(
+        self,
+        root: Path,
+        rig: Rig,
+        story: Story,
+        log: FaultLog,
+        settings: Mapping[str, Mapping[str, Any]],
+    ) -> None:
+        super().__init__(root, rig, story, log, settings)
         self._shelves = root / "shelves"
 
     def shelf(self, levels: np.ndarray) -> Shelf:

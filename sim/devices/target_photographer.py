@@ -6,11 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.calibrations.config import KIND_NAMES, CalibrationConfig
+from lightstage.calibrations.kinds import KINDS
 from lightstage.rig import Camera, Rig
 from sim.camera.dng import Exif, dng_bytes
 from sim.camera.flaws import CaptureFlaws
 from sim.camera.optics import make_lens, own_rng
 from sim.camera.sensor import Sensor, make_sensor
+from sim.devices.camera_settings import exposed_with
+from sim.devices.photographer import lab_white
 from sim.errors import SimError
 from sim.light.lamps import lamps_of
 from sim.targets.ball import Ball, photograph_grey, photograph_mirror
@@ -18,7 +22,8 @@ from sim.targets.boards import board_poses, chart_plane, facing
 from sim.targets.photographs import LONGEST, SHORTEST, TargetsConfig
 from sim.targets.plane import Plane, photograph_plane
 
-KINDS = ("charuco", "mirror", "grey", "chart", "dark", "flat")
+AS_SESSIONS = ("chart", "dark")
+"""Kinds that hold only for sessions of the same exposure: taken as `lightstage-sim stage` does."""
 EVEN = 0.5
 """What a card close before a lens reads of `full`, white being 1."""
 ROOM_LEFT = 0.8
@@ -32,11 +37,11 @@ class TargetPhotographer:
 
     Args:
         rig: the stage.
-        kind: of KINDS; ``nothing`` is an empty stage, where the target was forgotten.
+        kind: of KIND_NAMES; ``nothing`` is an empty stage, where the target was forgotten.
         seed: of poses, lenses, sensors and noise.
         flaws: what lamps, lens, room and sensor do.
         config: size and looks of the targets.
-        poses: how many poses of a board there are.
+        poses: how many poses of a board there are; as many as a lab is asked for by default.
 
     Attributes:
         pose: which one is held, from 0; set by whoever holds the target.
@@ -52,10 +57,10 @@ class TargetPhotographer:
         seed: int,
         flaws: CaptureFlaws | None = None,
         config: TargetsConfig | None = None,
-        poses: int = 16,
+        poses: int | None = None,
     ) -> None:
-        if kind not in (*KINDS, "nothing"):
-            raise SimError("target", found=repr(kind), expected=f"one of {', '.join(KINDS)}")
+        if kind not in (*KIND_NAMES, "nothing"):
+            raise SimError("target", found=repr(kind), expected=f"one of {', '.join(KIND_NAMES)}")
         flaws = flaws or CaptureFlaws()
         self.rig = rig
         self.kind = kind
@@ -65,25 +70,21 @@ class TargetPhotographer:
         self._config = config or TargetsConfig()
         self._ambient = flaws.room.ambient * np.array(flaws.room.ambient_rgb)
         self._lamps = lamps_of(rig, flaws.lamps, seed)
-        self._boards = board_poses(rig, self._config.board, poses, seed)
+        count = poses or KINDS["charuco"].poses(rig, CalibrationConfig())
+        self._boards = board_poses(rig, self._config.board, count, seed)
         self._lenses = {c.id: make_lens(c, flaws.lens, seed) for c in rig.cameras}
+        white = lab_white(rig)
         self._sensors = {
-            c.id: make_sensor(flaws.sensor, np.ones(3), own_rng(seed, c.id, b"sensor"))
+            c.id: make_sensor(flaws.sensor, white, own_rng(seed, c.id, b"sensor"))
             for c in rig.cameras
         }
-        factor = self._exposure(flaws.sensor.headroom)
-        self._sensors = {key: sensor.exposed(factor) for key, sensor in self._sensors.items()}
+        if kind not in AS_SESSIONS:
+            factor = self._exposure(flaws.sensor.headroom)
+            self._sensors = {key: sensor.exposed(factor) for key, sensor in self._sensors.items()}
 
     def settings(self) -> dict[str, dict[str, Any]]:
         """Each camera's settings as its photographs will say (CameraSettings' names)."""
-        return {
-            camera.id: {
-                "iso": str(self._sensors[camera.id].config.iso),
-                "shutter": _plain(self._sensors[camera.id].exposure_s),
-                "aperture": f"f/{self._lenses[camera.id].config.f_number:g}",
-            }
-            for camera in self.rig.cameras
-        }
+        return exposed_with(self._sensors, self._lenses)
 
     def photograph(self, camera: Camera, levels: np.ndarray) -> bytes:
         """One camera's DNG of the pose that is held, under (m,) levels; its noise is its own."""
@@ -106,7 +107,7 @@ class TargetPhotographer:
         return float(np.clip(ROOM_LEFT * headroom / brightest, SHORTEST, LONGEST))
 
     def _picture(self, camera: Camera, levels: np.ndarray) -> Picture:
-        if self.kind in ("dark", "nothing"):
+        if self.kind in ("dark", "nothing") or not (levels.any() or self._ambient.any()):
             return _even(camera, 0.0)
         if self.kind == "flat":
             return _even(camera, EVEN * float(levels.mean()))
@@ -132,11 +133,6 @@ class TargetPhotographer:
         )
         place = np.array(places[self.pose % len(places)], float)
         return Ball(place, self._config.ball_radius_mm, reflectance)
-
-
-def _plain(seconds: float) -> str:
-    """A time of six digits, without an exponent, which cameras do not write."""
-    return np.format_float_positional(seconds, precision=6, fractional=False, trim="-")
 
 
 def _raw(sensor: Sensor, light: np.ndarray) -> float:

@@ -6,7 +6,7 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,7 @@ class TargetStage:
     Args:
         desk: a new folder for all that is simulated.
         rig: the stage.
-        kind: of target_photographer.KINDS.
+        kind: as of TargetPhotographer.
         seed: of poses, lenses, sensors and noise.
         flaws: what lamps, lens, room and sensor do.
 
@@ -89,7 +89,12 @@ class TargetStage:
         ]
 
     def calibrate(
-        self, lab: Path, kind: str, *more: str, answers: Sequence[str] = ()
+        self,
+        lab: Path,
+        kind: str,
+        *more: str,
+        answers: Sequence[str] = (),
+        echo: Callable[[str], object] = str,
     ) -> subprocess.CompletedProcess[str]:
         """Run `lightstage calibrate` as an operator does: hold what is asked for, press Enter.
 
@@ -98,6 +103,7 @@ class TargetStage:
             kind: what the command is asked to take.
             more: further arguments.
             answers: given in order in place of Enter, at each question; then Enter.
+            echo: hears letter by letter what the command says, and the answers.
         """
         child = subprocess.Popen(
             self.arguments(lab, kind, *more),
@@ -111,18 +117,26 @@ class TargetStage:
         assert child.stderr is not None
         left = list(answers)
         said, line = "", ""
-        while letter := child.stderr.read(1):
-            said += letter
-            line = "" if letter == "\n" else line + letter
-            asked = _POSE.match(line)
-            if letter == " " and asked and not line[asked.end() :]:
-                self.hold(int(asked[1]) - 1)
-            if line.endswith("q stops: "):
-                child.stdin.write((left.pop(0) if left else "") + "\n")
-                child.stdin.flush()
-                line = ""  # what is answered here ends no line there
-        out = child.stdout.read()
-        child.stdin.close()
+        try:
+            while letter := child.stderr.read(1):
+                echo(letter)
+                said += letter
+                line = "" if letter == "\n" else line + letter
+                asked = _POSE.match(line)
+                if letter == " " and asked and not line[asked.end() :]:
+                    self.hold(int(asked[1]) - 1)
+                if line.endswith("q stops: "):
+                    answer = (left.pop(0) if left else "") + "\n"
+                    child.stdin.write(answer)
+                    child.stdin.flush()
+                    echo(answer)
+                    line = ""  # what is answered here ends no line there
+            out = child.stdout.read()
+            child.stdin.close()
+        except BaseException:  # Ctrl-C too: nobody would answer the command any more
+            child.terminate()
+            child.wait()
+            raise
         return subprocess.CompletedProcess(child.args, child.wait(), out, said)
 
     def _show(self, levels: np.ndarray) -> None:

@@ -109,6 +109,7 @@ class Holder:
         stop_at: the pose before which it stops, from 1.
         asked: what it was asked to do.
         findings: what it was told is amiss.
+        left: how many takes more, as it was told each time.
     """
 
     photographer: TargetPhotographer
@@ -116,6 +117,7 @@ class Holder:
     stop_at: int | None = None
     asked: list[str] = dataclasses.field(default_factory=list)
     findings: list[object] = dataclasses.field(default_factory=list)
+    left: list[int] = dataclasses.field(default_factory=list)
     mend: Callable[[], None] = lambda: None
 
     def ready(self, number: int, count: int, asked: str) -> bool:
@@ -124,9 +126,10 @@ class Holder:
         self.photographer.pose = number - 1
         return number != self.stop_at
 
-    def judge(self, number: int, findings: Sequence[object]) -> str:
+    def judge(self, number: int, findings: Sequence[object], left: int) -> str:
         assert all(f"pose {number}" in str(finding) for finding in findings)
         self.findings += findings
+        self.left.append(left)
         self.mend()
         return self.verdicts.pop(0)
 

@@ -9,6 +9,7 @@ from lightstage.calibrations.assistant import TerminalAssistant, UnattendedAssis
 from lightstage.calibrations.config import KIND_NAMES, CalibrationConfig
 from lightstage.calibrations.folder import latest, newest_unfinished, read_shots
 from lightstage.calibrations.kinds import KINDS
+from lightstage.calibrations.reasons import told_together
 from lightstage.calibrations.run import begin_shots, resume_shots, take_poses
 from lightstage.errors import CaptureError, ConfigError, FormatError
 from lightstage.findings import Finding
@@ -195,6 +196,7 @@ BAD = {
     "dictionary": ({"board": {"dictionary": "CharucoBoard"}}, "such as DICT_4X4_50"),
     "days": ({"days": {"dark": 0.0}}, "days, dark: found 0.0, expected above 0"),
     "poses": ({"dark_poses": 0}, "dark_poses: found 0, expected from 1 to 1000"),
+    "takes": ({"takes_per_pose": 2}, "found 2, 2, expected more takes"),
     "key": ({"expiry": 3}, "expiry: found an unknown key"),
 }
 
@@ -213,7 +215,7 @@ def test_the_terminal_asks_until_it_understands_and_stops_where_nobody_is():
     assert asks.ready(2, 5, "Hold it.") is True
     assert said == ["Pose 2 of 5: Hold it."]
     finding = Finding("retake", "clipped", "chart, pose 2, cam0", "much", "little", "Less.")
-    assert asks.judge(2, [finding]) == "keep"
+    assert asks.judge(2, [finding], 3) == "keep"
     assert said[-1] == "  chart, pose 2, cam0: found much, expected little. Less."
     assert asks.ready(3, 5, "Hold it.") is False
 
@@ -222,7 +224,7 @@ def test_the_terminal_asks_until_it_understands_and_stops_where_nobody_is():
 
     asks = TerminalAssistant(said.append, nobody)
     assert asks.ready(1, 5, "Hold it.") is False
-    assert asks.judge(1, [finding]) == "stop"
+    assert asks.judge(1, [finding], 3) == "stop"
 
 
 def test_unattended_waits_before_each_pose_and_gives_up_after_its_retakes():
@@ -231,5 +233,50 @@ def test_unattended_waits_before_each_pose_and_gives_up_after_its_retakes():
     assert nobody.ready(1, 2, "Cap it.")
     assert slept == [3.0]
     assert said == ["Pose 1 of 2 in 3 s: Cap it."]
-    assert [nobody.judge(1, []) for _ in range(3)] == ["again", "again", "stop"]
-    assert nobody.judge(2, []) == "again"
+    assert [nobody.judge(1, [], 3) for _ in range(3)] == ["again", "again", "stop"]
+    assert nobody.judge(2, [], 1) == "again"
+    assert nobody.judge(3, [], 0) == "stop"
+
+
+def test_a_pose_that_never_does_stops_with_what_each_take_showed(bench, begin, small_stage):
+    photographer = TargetPhotographer(small_stage, "nothing", 1)
+    holder = bench.holder(photographer, ["again"] * 99)
+    taker = bench.taker(photographer)
+    shots = begin("chart")
+    with pytest.raises(CaptureError) as error:
+        take_poses(KINDS["chart"], shots, small_stage, taker, holder, CONFIG)
+    assert len(taker.taken) == CONFIG.takes_per_pose == 6
+    assert holder.left == [5, 4, 3, 2, 1, 0]
+    assert (
+        "found stopped after 0 of 3 poses: pose 1 did not do in 6 takes: cam0: no colour chart, "
+        "expected its 24 patches. Turn the chart toward this camera"
+    ) in str(error.value)
+    assert str(error.value).endswith(
+        " Go on with: lightstage calibrate chart --resume (the same options)."
+    )
+
+
+def test_what_takes_showed_is_said_once_with_its_takes():
+    def board(camera, found):
+        return Finding("retake", "board-corners", "pose", found, "28", "Turn it.", camera=camera)
+
+    takes = [[board("cam1", "9 corners")], [board("cam1", "8 corners")], []]
+    takes[2] = [*takes[0], board("cam2", "none")]
+    assert told_together(takes) == (
+        "cam1: 9 corners (takes 1, 3), 8 corners (take 2); cam2: none (take 3)",
+        "28",
+        "Turn it.",
+    )
+
+
+def test_the_last_take_is_kept_or_stops():
+    said, asked = [], []
+
+    def ask(question):
+        asked.append(question)
+        return ""
+
+    assert TerminalAssistant(said.append, ask).judge(2, [], 0) == "stop"
+    assert asked == ["Pose 2: this was its last take. k keeps it, Enter or q stops: "]
+    assert TerminalAssistant(said.append, ask).judge(2, [], 2) == "again"
+    assert "at most 2 more" in asked[1]

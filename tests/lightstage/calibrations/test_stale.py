@@ -136,6 +136,40 @@ def test_a_changed_camera_ends_what_rests_on_that_setting_at_once(bench, lab, sm
         assert f"cam1 with {name} {value or 'not told'}" in finding.found
 
 
+def test_what_is_other_of_many_cameras_is_one_line_a_kind(bench, lab, small_stage):
+    few = bench.told(small_stage)
+    for count, named in ((2, "cam0, cam1"), (9, "all 9 cameras"), (8, "8 cameras")):
+        told = {f"cam{index}": few["cam0"] for index in range(9)}
+        for shots in lab.glob("*/calibration.json"):
+            value = json.loads(shots.read_text())
+            one = value["devices"]["cameras"]["cam0"]
+            value["devices"]["cameras"] = dict.fromkeys(told, one)
+            shots.write_text(json.dumps(value))
+        for index in range(count):
+            told[f"cam{index}"] = dataclasses.replace(few["cam0"], iso="200", aperture="f/11")
+        [board, chart, dark] = found(bench, lab, small_stage, told=told)
+        assert board.found == f"{named} with aperture f/11, since charuco-20260301T120000Z"
+        assert chart.found.startswith(f"{named} with iso 200; {named} with aperture f/11, since")
+        assert chart.expected == "iso 100; aperture f/8"
+        assert (dark.code, dark.expected) == ("setting-changed", "iso 100")
+    told = {
+        f"cam{index}": dataclasses.replace(few["cam0"], serial=str(index)) for index in range(9)
+    }
+    [board, *_] = found(bench, lab, small_stage, told=told)
+    assert board.found.startswith("all 9 cameras with another serial, since")
+
+
+def test_all_reasons_of_a_kind_are_one_line(bench, lab, small_stage):
+    told = bench.told(small_stage)
+    told["cam1"] = dataclasses.replace(told["cam1"], iso="400")
+    now = bench.now + 8 * DAY
+    [chart, dark] = found(bench, lab, small_stage, told=told, now=now)
+    assert (chart.code, dark.code) == ("setting-changed", "calibration-stale")
+    assert dark.found == (
+        "dark-20260301T120000Z, 8 days old; cam1 with iso 400, since dark-20260301T120000Z"
+    )
+
+
 def test_another_rig_ends_all_and_another_led_firmware_what_shows_its_light(
     bench, lab, small_stage
 ):

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 import rawpy
 
+from lightstage.calibrations.config import KIND_NAMES
+from lightstage.calibrations.kinds import KINDS
+from lightstage.patterns import drive_levels
 from lightstage.rig import Rig, default_rig
-from sim.devices.target_photographer import KINDS, TargetPhotographer
+from sim.devices.target_photographer import TargetPhotographer
 from sim.errors import SimError
 
 BLACK, WHITE = 600, 16383
@@ -23,10 +26,10 @@ def counts(photographer, camera, levels, path):
         return raw.raw_image_visible.astype(float) - BLACK
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", KIND_NAMES)
 def test_light_is_the_lamps_and_nothing_clips(rig, tmp_path, kind):
     photographer = TargetPhotographer(rig, kind, 3)
-    full, camera = np.ones(len(rig.lights)), rig.cameras[0]
+    full, camera = drive_levels("full", rig, KINDS[kind].drive), rig.cameras[0]
     whole = counts(photographer, camera, full, tmp_path / "a.dng")
     half = counts(photographer, camera, full / 2, tmp_path / "b.dng")
     none = counts(photographer, camera, full * 0, tmp_path / "c.dng")
