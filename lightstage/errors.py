@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lightstage.printable import printable_lines
+
+LONGEST_MESSAGE = 1 << 17
+"""Characters of a whole message; it may hold those of very many devices."""
+
 
 class LightstageError(Exception):
     """Base of all errors of the four packages that a user can mend; a command exits 2 on it.
 
-    The message reads ``where, field: found X, expected Y. Hint``.
+    The message reads ``where, field: found X, expected Y. Hint``. What is not printable in it, such
+    as an escape sequence in a file's name, is escaped, and a part of endless length is cut.
     """
 
     def __init__(
@@ -20,16 +26,16 @@ class LightstageError(Exception):
         expected: str = "",
         hint: str = "",
     ) -> None:
-        self.where = str(where)
-        self.field = field
-        self.found = found
-        self.expected = expected
-        self.hint = hint
-        place = f"{self.where}, {field}" if field else self.where
-        said = [f"found {found}"] if found else []
-        said += [f"expected {expected}"] if expected else []
+        self.where = printable_lines(where, LONGEST_MESSAGE)
+        self.field = printable_lines(field)
+        self.found = printable_lines(found)
+        self.expected = printable_lines(expected)
+        self.hint = printable_lines(hint)
+        place = f"{self.where}, {self.field}" if field else self.where
+        said = [f"found {self.found}"] if found else []
+        said += [f"expected {self.expected}"] if expected else []
         text = f"{place}: {', '.join(said)}" if said else place
-        super().__init__(f"{text}. {hint}" if hint else text)
+        super().__init__(f"{text}. {self.hint}" if hint else text)
 
 
 class FormatError(LightstageError):

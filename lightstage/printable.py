@@ -10,6 +10,8 @@ from __future__ import annotations
 
 LONGEST = 300
 """Characters of a device's text that are kept."""
+LONGEST_LINES = 4000
+"""Characters of one part of an error."""
 
 
 def printable(value: object, longest: int = LONGEST, squeeze: bool = True) -> str:
@@ -32,9 +34,19 @@ def printable(value: object, longest: int = LONGEST, squeeze: bool = True) -> st
     return text if len(text) <= longest else f"{text[: longest - 1]}…"
 
 
-def printable_lines(value: object) -> str:
-    """The same for a text of several lines, such as five errors in one message; nothing is cut."""
-    return "\n".join("".join(map(_escaped, line)) for line in str(value).split("\n"))
+def printable_lines(value: object, longest: int = LONGEST_LINES) -> str:
+    """The same for a text that may have several lines, such as five errors in one message.
+
+    Args:
+        value: a text, or whatever has one.
+        longest: characters at most.
+    """
+    text = str(value)
+    if text.isprintable() and len(text) <= longest:
+        return text
+    lines = text[: longest + 1].split("\n")
+    text = "\n".join("".join(map(_escaped, line)) for line in lines)
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
 
 
 def _escaped(character: str) -> str:

@@ -12,6 +12,8 @@ import struct
 from collections.abc import Iterator
 from typing import BinaryIO
 
+from lightstage.printable import printable
+
 SUB_IFDS, EXIF_IFD, GPS_IFD = 330, 34665, 34853
 MAX_DIRECTORIES = 32
 MAX_ENTRIES = 2000
@@ -44,11 +46,11 @@ class Directory:
     places: dict[int, int]
 
     def text(self, tag: int) -> str:
-        """A tag as text without padding; empty where there is none."""
+        """A tag as printable text without padding; empty where there is none."""
         value = self.tags.get(tag, b"")
         if not isinstance(value, bytes):
             return ""
-        return value.decode("utf-8", "replace").replace("\0", " ").strip()
+        return printable(value.decode("utf-8", "replace").replace("\0", " "))
 
     def number(self, tag: int) -> float | None:
         """A tag's first number; None where there is none or it is not finite."""

@@ -15,8 +15,11 @@ from typing import Any
 
 from lightstage.cameras import messages
 from lightstage.errors import CaptureError, DeviceError
+from lightstage.printable import printable
 
 STDERR_BYTES = 1 << 16
+LONGEST_SAID = 2000
+"""Characters of each part of an error that a driver tells."""
 GRACE_S = 2.0
 """So long a child may take to let go of its camera when it is closed."""
 DEATH_S = 0.5
@@ -110,7 +113,7 @@ class Child:
             if reply is None:
                 raise self._died(doing, "its process ended")
         if "error" in reply:
-            told = reply["error"]
+            told = {name: printable(text, LONGEST_SAID) for name, text in reply["error"].items()}
             kind = CaptureError if told.pop("kind") == "disk" else DeviceError
             raise kind(f"{self.name} ({told.pop('where')})", **told)
         return reply
@@ -159,12 +162,12 @@ class Child:
         """Its death as an error; `_turn` is held."""
         self._ended_within(DEATH_S)
         self._end()
-        lines = self._last_words.splitlines()
+        lines = self._last_words.splitlines()[-1:]
         return DeviceError(
             self.name,
             field=doing,
             found=f"{said}, exit status {self._child.returncode}"
-            + (f", {lines[-1]}" if lines else ""),
+            + (f", {printable(lines[0])}" if lines else ""),
             expected="an answer",
             hint="Switch the camera off and on, then try again.",
         )

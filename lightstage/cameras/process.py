@@ -13,6 +13,7 @@ from typing import Any
 from lightstage.cameras.camera import CardFile, Download, Exposure, Summary
 from lightstage.cameras.child import Child
 from lightstage.errors import ConfigError, DeviceError, LightstageError
+from lightstage.printable import printable
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +51,8 @@ class Deadlines:
         return Deadlines(open_s=seconds, trigger_s=seconds, download_s=seconds, other_s=seconds)
 
 
+LONGEST_NAME = 1000
+"""Characters of a file's path on a card."""
 UNKNOWN_BYTES = 100_000_000
 """Taken for the size of a file of which the camera has not told it."""
 PAUSE_S = 0.2
@@ -153,7 +156,7 @@ class CameraProcess:
 
     def summary(self) -> Summary:
         """What the camera tells about itself, read anew."""
-        return Summary(**self._ask({"command": "summary"}, self.deadlines.other_s))
+        return _summary(self._ask({"command": "summary"}, self.deadlines.other_s))
 
     def change(self, name: str, value: str) -> None:
         """Set a field of Summary by its name."""
@@ -235,7 +238,7 @@ class CameraProcess:
             child = self._child = Child(self.id, f"camera {self.id}")
         command = {**self._place(port), "command": "open", "patient": patient}
         try:
-            return Summary(**child.ask(command, deadline_s))
+            return _summary(child.ask(command, deadline_s))
         except LightstageError:
             child.kill()
             raise
@@ -252,6 +255,15 @@ class CameraProcess:
 
     def _files(self, reply: dict[str, Any]) -> tuple[CardFile, ...]:
         files = tuple(CardFile(str(name), int(size)) for name, size in reply["files"])
+        for file in files:
+            if file.name != printable(file.name, LONGEST_NAME, squeeze=False):
+                raise DeviceError(
+                    f"camera {self.id}",
+                    field="a file's name on the card",
+                    found=printable(file.name),
+                    expected=f"at most {LONGEST_NAME} printable characters",
+                    hint="Rename or remove that file, or put in another card.",
+                )
         self._sizes.update({file.name: file.size for file in files})
         return files
 
@@ -270,4 +282,12 @@ def _ports(
         reply = child.ask(command, deadline_s)
     finally:
         child.close()
-    return [(str(model), str(port)) for model, port in reply["ports"]]
+    return [(printable(model), str(port)) for model, port in reply["ports"]]
+
+
+def _summary(reply: dict[str, Any]) -> Summary:
+    """What a camera tells; its texts are shown, so they are made printable here."""
+    told: dict[str, Any] = {
+        name: printable(value) if isinstance(value, str) else value for name, value in reply.items()
+    }
+    return Summary(**told)

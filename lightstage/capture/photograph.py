@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -28,7 +28,7 @@ from lightstage.errors import (
 from lightstage.findings import Finding
 from lightstage.leds.controller import LightLostError
 from lightstage.preflight import drift, photograph_findings
-from lightstage.preflight.privacy import EMPTY
+from lightstage.preflight.privacy import EMPTY, FIELDS
 from lightstage.rig import Rig
 from lightstage.session import SessionWriter, arrived, why_not_delete
 from lightstage.steps import step
@@ -275,7 +275,7 @@ class Photographer:
         # A camera that dies now is noticed at its next trigger; this photograph is safe.
         with contextlib.suppress(DeviceError):
             told = self._told[camera.id]
-            findings += _late(pattern, drift(told, camera.summary(), camera.id))
+            findings += _late(pattern, map(_mendable, drift(told, camera.summary(), camera.id)))
         for finding in findings:
             self._writer.finding(finding)
         return findings
@@ -324,7 +324,16 @@ class Photographer:
         return []
 
 
-def _late(pattern: str, findings: Sequence[Finding]) -> list[Finding]:
+def _mendable(finding: Finding) -> Finding:
+    """A setting that changed in the middle: what `Photographer.set_back` will do is the hint."""
+    name = finding.where.rpartition(", ")[2]
+    if finding.code != "drift" or name in ("serial", "model", "firmware"):
+        return finding
+    does = "clears it" if name in FIELDS else "sets it back"
+    return dataclasses.replace(finding, hint=f"Taking it again (key r) {does} on the camera first.")
+
+
+def _late(pattern: str, findings: Iterable[Finding]) -> list[Finding]:
     """Findings now that lights are on: what would have been refused before is taken again."""
     return [
         dataclasses.replace(

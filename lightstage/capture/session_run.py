@@ -22,6 +22,7 @@ from lightstage.errors import CaptureError, LightstageError
 from lightstage.findings import Finding
 from lightstage.formats.config import as_dict, make_config
 from lightstage.operator import Operator, serve_events
+from lightstage.operator.plain import plain
 from lightstage.patterns import on_plane
 from lightstage.patterns.names import BINARY
 from lightstage.preflight import Plan, clear_privacy, drift, preflight, require
@@ -145,7 +146,7 @@ def capture_session(
                 writer.note("aborted", said=said, **{RESUME_WITH: [*order.resume_with]})
             if isinstance(error, LightstageError):
                 again = resume_line(order.root, order.resume_with)
-                raise type(error)(f"{said}\n  Go on with: {again}") from None
+                raise type(error)(f"{plain(said)}\n  Go on with: {again}") from None
             raise
     return report
 

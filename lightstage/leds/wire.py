@@ -12,6 +12,7 @@ import numpy as np
 from cobs import cobs
 
 from lightstage.leds.controller import Hello, level_steps
+from lightstage.printable import printable
 
 VERSION = 1
 FULL = 65535
@@ -143,7 +144,7 @@ def parse_hello(payload: bytes) -> Hello:
     told = dict(field.split("=", 1) for field in fields if "=" in field)
     watchdog_ms, pulse_hz = _positive(told, "watchdog_ms"), _positive(told, "pulse_hz")
     watchdog_s = None if watchdog_ms is None else watchdog_ms / 1e3
-    return Hello(boot_id, count, firmware, watchdog_s, pulse_hz)
+    return Hello(boot_id, count, printable(firmware), watchdog_s, pulse_hz)
 
 
 def _positive(told: dict[str, str], name: str) -> float | None:
@@ -163,5 +164,5 @@ def parse_refused(payload: bytes) -> str:
     """What a REFUSED says, as text."""
     code = payload[0] if payload else 0
     known = {1: "unknown type", 2: "wrong light count", 3: "bad length"}
-    reason = payload[1:].decode(errors="replace")
+    reason = printable(payload[1:].decode(errors="replace"))
     return f"{known.get(code, f'code {code}')}: {reason}" if reason else known.get(code, f"{code}")

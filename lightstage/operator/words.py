@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
+from lightstage.operator.plain import plain
 from lightstage.printable import printable
 from lightstage.resume_line import options_of, resume_line, watch_line
 
@@ -72,6 +73,11 @@ def text_of(line: Line, name: str) -> str:
     """A field as clean text; empty where it is missing."""
     value = line.get(name)
     return "" if value is None or isinstance(value, (dict, list)) else printable(value)
+
+
+def _told(line: Line, name: str) -> str:
+    """A field that may have a driver's words, in plain ones."""
+    return plain(text_of(line, name))
 
 
 def number_of(line: Line, name: str) -> float | None:
@@ -160,7 +166,7 @@ def _frame(line: Line) -> Said:
 
 
 def _failed(line: Line) -> Said:
-    why = text_of(line, "said") or text_of(line, "found") or "no photograph"
+    why = _told(line, "said") or _told(line, "found") or "no photograph"
     return Said("warning", f"{_at(line)}{why}", FAILED)
 
 
@@ -168,7 +174,7 @@ def _finding(line: Line) -> Said:
     severity = text_of(line, "severity")
     tone, begins, todo = FINDING.get(severity, FINDING["warn"])
     where = text_of(line, "where") or _place(line)
-    found, expected = text_of(line, "found"), text_of(line, "expected")
+    found, expected = _told(line, "found"), text_of(line, "expected")
     what = f"{found or text_of(line, 'code') or 'something'}"
     obvious = text_of(line, "code") == "not-taken"
     todo = MISSING if obvious else todo
@@ -194,7 +200,7 @@ def _shot(line: Line) -> Said:
 def _note(line: Line) -> Said:
     if text_of(line, "socket"):
         return Said("plain", "Anyone here can follow with: {watch}")
-    text = f"{_at(line)}{text_of(line, 'said') or 'noted'}"
+    text = f"{_at(line)}{_told(line, 'said') or 'noted'}"
     return Said("plain", text[:1].upper() + text[1:] if not _place(line) else text)
 
 
@@ -210,7 +216,7 @@ def _waiting(line: Line) -> Said:
 
 
 def _aborted(line: Line) -> Said:
-    why = text_of(line, "said") or text_of(line, "why")
+    why = _told(line, "said") or _told(line, "why")
     # Older journals have the other two.
     if not why or why in ("Stopped by the operator.", "KeyboardInterrupt") or "'s wish" in why:
         return Said("stop", "Stopped by the operator", RESUME)

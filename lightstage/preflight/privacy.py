@@ -36,7 +36,7 @@ def privacy_findings(told: Mapping[str, Summary]) -> list[Finding]:
             f"camera {camera_id}, {', '.join(names)}",
             "not empty",
             "nothing that names a person or a place",
-            "Clear them in the camera's menu, or let the capture do it (clear = true).",
+            "Clear them in the camera's menu, or start the capture with --clear.",
             camera=camera_id,
         )
         for camera_id, summary in told.items()

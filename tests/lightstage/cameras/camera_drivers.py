@@ -88,3 +88,24 @@ class Segfaulting(Fine):
 
     def trigger(self, _at_s):
         ctypes.string_at(0)
+
+
+HOSTILE = "\x1b[2J\x1b]0;mine\x07\r\n\t\0\u202eeman\udcff\x9b31m\u2028" + "x" * 60_000
+
+
+class Hostile(Fine):
+    """Says what would move a terminal's cursor, in whatever it says; its port chooses where."""
+
+    def summary(self):
+        return Summary(serial="1", model=HOSTILE, firmware=HOSTILE, owner="\0" * 40)
+
+    def card(self):
+        return (CardFile(f"/{HOSTILE}", 1),)
+
+    def change(self, _name, _value):
+        raise DeviceError(HOSTILE, field=HOSTILE, found=HOSTILE, expected=HOSTILE, hint=HOSTILE)
+
+    def delete(self, _name):
+        sys.stderr.write(HOSTILE.encode("utf-8", "surrogateescape").decode("utf-8", "replace"))
+        sys.stderr.flush()
+        os._exit(3)

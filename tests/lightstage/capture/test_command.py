@@ -104,7 +104,12 @@ def test_a_camera_whose_picture_is_gone_is_named_and_the_others_are_kept(stage, 
     stage.device.on_state = show_and_lose
     out = tmp_path / "S"
     done = run(stage, out, "--sequence", "full,x+,x-")
-    one_clear_message(done, "x+ by cam1", "error -1", f"lightstage capture --resume --out {out}")
+    one_clear_message(
+        done,
+        "x+ by cam1",
+        "the camera could not take the photograph",
+        f"lightstage capture --resume --out {out}",
+    )
     assert stage.device.dark
     assert len(list(out.glob("frames/*/*.dng"))) == 5
     assert not (out / "session.json").exists()

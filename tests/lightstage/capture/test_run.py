@@ -324,6 +324,20 @@ def test_a_full_disk_ends_the_capture_and_the_other_photographs_are_kept(bench):
     assert bench.kept("full") == ["cam0.dng", "cam2.dng"]
 
 
+@pytest.mark.parametrize(
+    ("name", "said"), [("owner", "clears it on the camera"), ("iso", "sets it back on the camera")]
+)
+def test_a_setting_that_the_key_r_mends_says_so(bench, name, said):
+    camera = bench.cameras[1]
+    changed = dataclasses.replace(camera.open(), **{name: "800"})
+    camera.summary = lambda: camera.open() if "retake" in bench.log else changed
+    bench.operator.decide = lambda *_: bench.log.append("retake") or "retake"
+    bench.run()
+    hints = [line["hint"] for line in bench.events("finding") if line["code"] == "drift"]
+    assert hints
+    assert all(hint == f"Taking it again (key r) {said} first." for hint in hints)
+
+
 def test_a_setting_that_drifted_is_told_set_back_and_the_photograph_taken_again(bench):
     camera = bench.cameras[0]
     told = camera.open()

@@ -89,7 +89,7 @@ def test_the_picture_is_shown_and_q_stops_with_the_terminal_as_it_was(capture):
     terminal.wait_for("stop, dark at once")
     assert terminal.mode() != terminal.before
     terminal.press("q")
-    assert terminal.end() == 2
+    assert terminal.end() == 130
     terminal.wait_for("STOPPING")
     assert lights.read_text().split() == ["lit", "dark-by-key", "abort", "dark"]
     assert terminal.mode() == terminal.before
@@ -141,7 +141,7 @@ def test_ctrl_z_and_ctrl_backslash_do_not_leave_the_lights_on(capture):
     terminal.press("p")
     terminal.wait_until(lambda: "pause" in lights.read_text(), "it stands still")
     terminal.press("q")
-    assert terminal.end() == 2
+    assert terminal.end() == 130
 
 
 def test_keys_are_wishes_and_what_makes_no_sense_is_said(capture):

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightstage.findings import Severity
+from lightstage.operator.plain import plain
 from lightstage.operator.view import State, View
 from lightstage.operator.words import (
     _WORDS,
@@ -118,6 +119,33 @@ def test_the_same_of_several_cameras_is_said_once():
         "x+, cam1, cam10: cam1, cam10 is gone",
     ]
     assert words[1].todo
+
+
+@pytest.mark.parametrize(
+    ("raw", "read"),
+    [
+        (
+            "camera cam1 (usb:001,004), connect: found libgphoto2 error -53 (Could not claim the "
+            "USB device). Another program has the camera: stop it.",
+            "camera cam1, connect: found another program has the camera. "
+            "Another program has the camera: stop it.",
+        ),
+        (
+            "camera cam1 (/tmp/stage/cam1), trigger: found error -1 (its battery is empty). Charge",
+            "camera cam1, trigger: found its battery is empty. Charge",
+        ),
+        (
+            "camera cam1, trigger: found its process ended, exit status 1, RuntimeError: a fault, "
+            "expected an answer. Switch it off",
+            "camera cam1, trigger: found its process ended, expected an answer. Switch it off",
+        ),
+        ("x+ by cam0: found a blurred eye (f/2.8)", "x+ by cam0: found a blurred eye (f/2.8)"),
+    ],
+)
+def test_a_drivers_codes_ports_and_class_names_are_said_in_plain_words(raw, read):
+    assert plain(raw) == read
+    line = {"event": "finding", "severity": "retake", "code": "not-taken", "found": raw}
+    assert read in said(line).text
 
 
 def test_control_characters_never_reach_the_terminal():

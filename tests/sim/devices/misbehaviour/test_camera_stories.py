@@ -56,7 +56,7 @@ def test_a_picture_that_is_on_the_card_is_fetched_and_not_taken_again(stage, nam
     ("fault", "said"),
     [
         (Fault("battery-empty", camera="cam1", at=2), "its battery is empty"),
-        (Fault("fill-up", camera="cam1", at=2), "the card is full). Free its card"),
+        (Fault("fill-up", camera="cam1", at=2), "the card is full. Free its card"),
     ],
     ids=lambda value: value.name if isinstance(value, Fault) else "",
 )
