@@ -1,4 +1,4 @@
-"""Commands of the stage: capture, watch, check, import, calibrate, patterns."""
+"""Commands of the stage: capture, retake, watch, check, import, calibrate, patterns."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import typer
 
 from lightstage.calibrations import command as calibrations_command
 from lightstage.capture import command as capture_command
+from lightstage.capture import retake_command
 from lightstage.checks import check_session
 from lightstage.commands import JsonFlag, finish, make_app, progress_bar, run_app
 from lightstage.motion import command as import_command
@@ -23,6 +24,7 @@ from lightstage.patterns import command as patterns_command
 
 app = make_app("Drive the light stage: capture a session, check it, import one taken elsewhere.")
 capture_command.register(app)
+retake_command.register(app)
 operator_command.register(app)
 calibrations_command.register(app)
 patterns_command.register(app)

@@ -23,6 +23,8 @@ class Finding:
         hint: what to do.
         pattern: whose light, where it is a matter of one.
         camera: whose photograph or settings, where it is a matter of one.
+        suspects: other patterns whose photographs by the same camera take part in a contradiction,
+            and may be the wrong ones instead of `pattern`'s.
     """
 
     severity: Severity
@@ -33,6 +35,7 @@ class Finding:
     hint: str = ""
     pattern: str | None = None
     camera: str | None = None
+    suspects: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         text = f"{self.where}: found {self.found}, expected {self.expected}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
@@ -55,6 +55,13 @@ def register(app: typer.Typer) -> None:
     app.command("capture")(capture_command)
 
 
+def clearing(config: CaptureConfig, clear: bool) -> CaptureConfig:
+    """The same, with owner and place cleared on the cameras where somebody wants that."""
+    if not clear:
+        return config
+    return dataclasses.replace(config, preflight=dataclasses.replace(config.preflight, clear=True))
+
+
 def capture_command(
     out: Path = output_folder("--out", help="The session's folder: new, or with --resume."),
     rig: Path | None = typer.Option(
@@ -103,9 +110,7 @@ def capture_command(
         drive=_drive(drive),
         delete_from_cameras=delete or None,
     )
-    if clear:
-        preflight = dataclasses.replace(settings.preflight, clear=True)
-        settings = dataclasses.replace(settings, preflight=preflight)
+    settings = clearing(settings, clear)
     if resume:
         fixed = {
             "--rig": rig, "--sequence": sequence, "--subject": subject, "--consent": consent,
@@ -120,29 +125,62 @@ def capture_command(
             _default(expression, EXPRESSION),
             consent, patterns, colour, settings,
         )  # fmt: skip
+
+    def calibrated(order: Order, stage: Stage) -> Order:
+        if calibration is None:
+            return order
+        return _with_calibration(order, stage, calibration, allow_stale, settings)
+
+    flags = {"--clear": clear, "--delete-from-cameras": delete, "--unattended": unattended}
+    again = resume_with(leds, cameras, config, flags)
+    order = dataclasses.replace(order, resume_with=again)
+    take_session(the_rig, order, settings, leds, cameras, as_json, calibrated)
+
+
+def take_session(
+    rig: Rig,
+    order: Order,
+    settings: CaptureConfig,
+    leds: str,
+    cameras: str,
+    as_json: bool,
+    calibrated: Callable[[Order, Stage], Order] | None = None,
+) -> None:
+    """Open the devices, take what is ordered, and end the command with its line of facts.
+
+    Args:
+        rig: the stage.
+        order: what is to be taken.
+        settings: how.
+        leds: the LED device's URL.
+        cameras: path of a cameras file, or ``auto``.
+        as_json: whether the facts are told as JSON.
+        calibrated: the order that is right when the devices have told what they are.
+
+    Raises:
+        LightstageError: as open_stage and capture_session.
+    """
     order = dataclasses.replace(order, findings=consent_findings(order.consent, settings.session))
     worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
-    check_shots(order.shots, the_rig, settings.safety, worst_s)
+    check_shots(order.shots, rig, settings.safety, worst_s)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
     # What is added to a session stays as private as the session is.
-    group = group_of([out]) if resume else settings.session.group
+    group = group_of([order.root]) if order.resume else settings.session.group
+    ask = "--unattended" not in order.resume_with
     with (
         limited_access(group),
-        open_stage(the_rig, leds, file, settings) as stage,
-        open_operator(out, settings.operator, ask=not unattended) as operator,
+        open_stage(rig, leds, file, settings) as stage,
+        open_operator(order.root, settings.operator, ask=ask) as operator,
     ):
-        if calibration is not None:
-            order = _with_calibration(order, stage, calibration, allow_stale, settings)
-        flags = {"--clear": clear, "--delete-from-cameras": delete, "--unattended": unattended}
-        again = _resume_with(leds, cameras, config, flags)
-        order = dataclasses.replace(order, resume_with=again)
+        order = order if calibrated is None else calibrated(order, stage)
         report = capture_session(stage, order, settings, operator)
     finish(
-        f"{out}: {report.frames} frames, {report.taken} taken now in {report.seconds:.1f} s, "
-        f"overhead {report.overhead_s:.2f} s, {report.retakes} taken again, "
-        f"{report.warnings} warnings, largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
+        f"{order.root}: {report.frames} frames, {report.taken} taken now "
+        f"in {report.seconds:.1f} s, overhead {report.overhead_s:.2f} s, "
+        f"{report.retakes} taken again, {report.warnings} warnings, "
+        f"largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
         {
-            "session": str(out),
+            "session": str(order.root),
             "consent": order.consent,
             **dataclasses.asdict(report),
             "safety": dataclasses.asdict(settings.safety),
@@ -193,7 +231,7 @@ def _with_calibration(
     return dataclasses.replace(order, facts=facts, findings=[*order.findings, *used.findings])
 
 
-def _resume_with(
+def resume_with(
     leds: str, cameras: str, config: Path | None, flags: Mapping[str, bool]
 ) -> list[str]:
     """What a later --resume needs; files by their whole paths, so that it works from anywhere."""

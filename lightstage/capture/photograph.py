@@ -16,6 +16,7 @@ from typing import Protocol
 
 from lightstage.cameras.camera import CameraDevice, CardFile, Exposure, Summary
 from lightstage.capture.config import CaptureConfig
+from lightstage.capture.freshness import Freshness
 from lightstage.capture.late_cameras import ExposureTimes
 from lightstage.capture.pattern_light import LateCameraError, PatternLight
 from lightstage.errors import (
@@ -35,7 +36,7 @@ from lightstage.steps import step
 
 
 class OldPictureError(CaptureError):
-    """A camera gave a picture that the session has already."""
+    """A camera gave a picture that is not of its shot: of an earlier one, or of another session."""
 
 
 class Checks(Protocol):
@@ -99,6 +100,8 @@ class Photographer:
         self._told = told
         self._known = {camera_id: set(files) for camera_id, files in cards.items()}
         self.exposure_times = ExposureTimes(each.shutter for each in told.values())
+        believed = config.preflight.believe_camera_clocks
+        self._freshness = Freshness(writer, told, cards, believed)
         # Cameras of which a trigger gave no picture: it may come to the card at any later time.
         self._doubtful: set[str] = set()
 
@@ -125,7 +128,7 @@ class Photographer:
                 kept as recovered.
             DeviceError, FormatError, CutPhotographError: the camera took no photograph, or it did
                 not come whole.
-            OldPictureError: it is one that the session has already.
+            OldPictureError: it is not of this shot; it is kept as recovered.
             CaptureError: this computer's disk failed.
         """
         try:
@@ -149,9 +152,10 @@ class Photographer:
             exposure.files[1:],
             triggered_after_s=round(exposure.triggered_s - at_s, 6),
             exposure_s=round(exposure.exposed_s - exposure.triggered_s, 6),
+            **self._freshness.clock_facts(camera),
         )
         step("exposed", pattern, camera.id)
-        path = self._fetch(pattern, take, camera, file)
+        path = self._fetch(pattern, take, camera, exposure)
         findings = self._look(pattern, camera, path)
         step("checked", pattern, camera.id)
         if self._config.delete_from_cameras:
@@ -238,13 +242,13 @@ class Photographer:
         self._known[camera.id] |= set(new)
         return new
 
-    def _fetch(self, pattern: str, take: int, camera: CameraDevice, file: CardFile) -> Path:
+    def _fetch(self, pattern: str, take: int, camera: CameraDevice, exposure: Exposure) -> Path:
         """Bring a file from the card to its place; asked for again where it does not come whole."""
         left = self._config.downloads
         while True:
             left -= 1
             try:
-                return self._fetch_once(pattern, take, camera, file)
+                return self._fetch_once(pattern, take, camera, exposure)
             except (DeviceError, FormatError, CutPhotographError) as error:
                 self._writer.failed(pattern, take, camera.id, str(error))
                 if left == 0:
@@ -253,17 +257,23 @@ class Photographer:
                     with contextlib.suppress(DeviceError):
                         camera.restart()
 
-    def _fetch_once(self, pattern: str, take: int, camera: CameraDevice, file: CardFile) -> Path:
+    def _fetch_once(
+        self, pattern: str, take: int, camera: CameraDevice, exposure: Exposure
+    ) -> Path:
+        file = exposure.files[0]
         incoming = self._writer.incoming(pattern, camera.id, take)
         got = camera.download(file.name, incoming, pattern)
-        first = self._writer.claim(got.sha256, (pattern, camera.id, take))
-        if first is not None:
-            incoming.unlink(missing_ok=True)
+        twin = self._writer.claim(got.sha256, (pattern, camera.id, take))
+        why = f"the bytes of {twin}" if twin else self._freshness.doubt(camera, exposure, incoming)
+        if why:
+            aside = self._writer.aside(incoming, camera.id, file, pattern, why)
+            self._writer.rejected(pattern, camera.id, why, take)
             raise OldPictureError(
                 f"{pattern} by {camera.id}, take {take}",
-                found=f"the bytes of {first}",
-                expected="a new photograph: a sensor's noise never repeats",
-                hint="The camera gave an old picture; switch it off and on.",
+                found=why,
+                expected="a picture of this shot",
+                hint="The camera gave an old picture, which is kept as "
+                f"{aside.relative_to(self._writer.root).as_posix()}. Switch the camera off and on.",
             )
         return self._writer.keep(
             pattern, camera.id, take, incoming, file, got.sha256, download_s=round(got.seconds, 6)

@@ -6,11 +6,13 @@ import collections
 import dataclasses
 import time
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 
 from lightstage.cameras.camera import CameraDevice
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.photograph import Checks, Photographer
 from lightstage.capture.shot import ShotTaken, stopped, take_shot
+from lightstage.capture.suspects import Suspects
 from lightstage.capture.wishes import Wishes
 from lightstage.errors import CaptureError, LightstageError, one_error
 from lightstage.findings import Finding
@@ -96,6 +98,7 @@ class Run:
             if shot.pattern in wanted
         )
         self._left = dict.fromkeys(self._shots, config.operator.retakes)
+        self._suspects = Suspects(self._all, config.operator.retakes)
         self._cameras = cameras
         self._lights = lights
         self._photographer = photographer
@@ -163,24 +166,29 @@ class Run:
         findings = [*before, *result.findings, *self._look(shot, result)]
         self._count(warnings=sum(each.severity == "warn" for each in findings))
         bad = [each for each in findings if each.severity in ("retake", "refuse")]
-        again = self._again(pattern, bad)
+        again = self._suspects.again(pattern, bad)
         missing = {camera.id for camera in cameras} - kept
         if missing:
             again[pattern] = again.get(pattern, set()) | missing
+        # Where only others are taken again, this pattern is looked at again beside them.
+        waits = any((each.pattern or pattern) == pattern for each in bad)
         if again:
-            left = min(self._left[each] for each in again)
+            left = min(self._suspects.left(pattern, bad), *(self._left[each] for each in again))
             self._lights.dark()  # somebody may think about the answer for long
             decision = self._operator.decide(bad, left)
             if decision == "retake":
+                if waits and pattern not in again:
+                    self._queue_first(pattern, ())
+                self._suspects.count(pattern, bad)
                 self._queue_again(again, bad)
             elif decision == "accept" and not missing:
                 self._writer.note("note", pattern=pattern, said="accepted by the operator")
-                again = {}
+                again, waits = {}, False
             elif self._wishes.aborted():
                 raise stopped()
             else:
-                raise one_error([_unfinished(each) for each in bad])
-        if pattern not in again:
+                raise one_error([_unfinished(each, self._writer.root) for each in bad])
+        if pattern not in again and not waits:
             self._writer.shot(
                 pattern,
                 acknowledged=self._lights.acknowledged,
@@ -224,20 +232,13 @@ class Run:
             self._writer.finding(finding)
         return findings
 
-    def _again(self, pattern: str, bad: Sequence[Finding]) -> dict[str, set[str]]:
-        """Cameras that should take a pattern again, by pattern; it may be an earlier one."""
-        again: dict[str, set[str]] = {}
-        for finding in bad:
-            wanted = self._all if finding.camera is None else {finding.camera}
-            again.setdefault(finding.pattern or pattern, set()).update(wanted)
-        return again
-
     def _queue_again(self, again: Mapping[str, set[str]], bad: Sequence[Finding]) -> None:
         for pattern, ids in again.items():
             for camera in self._cameras:
                 if camera.id not in ids:
                     continue
                 own = [each for each in bad if each.camera in (None, camera.id)]
+                own = [each for each in own if pattern in (each.pattern, *each.suspects)] or own
                 self._reject(pattern, camera.id, "; ".join(str(each) for each in own))
                 if any(each.code == "drift" for each in own):
                     self._photographer.set_back(camera)
@@ -284,11 +285,17 @@ class Run:
         self._count(paused_s=time.monotonic() - begun_s)
 
 
-def _unfinished(finding: Finding) -> LightstageError:
+def _unfinished(finding: Finding, root: Path) -> LightstageError:
+    hint = finding.hint
+    if finding.suspects:
+        names, camera = ", ".join(finding.suspects), finding.camera or ""
+        single = f"lightstage retake {root} {finding.suspects[-1]} {camera}".rstrip()
+        also = f"The wrong photograph may also be that of {names}."
+        hint = f"{hint} {also} Take one again: {single}"
     return CaptureError(
         finding.where,
         field=finding.code,
         found=finding.found,
         expected=finding.expected,
-        hint=finding.hint,
+        hint=hint,
     )

@@ -53,6 +53,8 @@ class Order:
         root: the session's folder; new, or of an unfinished session that is gone on with.
         shots: in order; of a session that is gone on with, its own (`unfinished`).
         resume: whether to go on with what lies in `root`.
+        retake: pattern and camera of photographs of a session that is gone on with, finished or
+            not, that are taken again.
         subject: pseudonym.
         expression: such as ``neutral``.
         consent: id of the record of the subject's consent.
@@ -66,6 +68,7 @@ class Order:
     root: Path
     shots: Sequence[Shot]
     resume: bool = False
+    retake: Sequence[tuple[str, str]] = ()
     subject: str = "subject-1"
     expression: str = "neutral"
     consent: str | None = None
@@ -234,11 +237,16 @@ def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
         levels = {shot.pattern: shot.levels.tolist() for shot in order.shots}
         plan = SessionPlan(tuple(levels), order.subject, order.expression, levels, order.consent)
         calibration = order.colour, order.beside
-        return SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts, *calibration)
-    writer = SessionWriter.resumed(order.root, stage.rig)
+        writer = SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts, *calibration)
+        writer.look_beside()
+        return writer
+    writer = SessionWriter.resumed(order.root, stage.rig, finished=bool(order.retake))
     try:
         require(_changed(writer, stage))
+        writer.look_beside()
         writer.resume(cards, serials, **facts)
+        if order.retake:
+            writer.retake(order.retake, "somebody wants them again")
     except BaseException:
         writer.close()
         raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -79,6 +80,8 @@ class ShotChecks:
         self._fits: dict[Sum, dict[str, SumFit]] = {}
         self._shifts: dict[Sum, dict[str, Shift]] = {}
         self._failed: set[tuple[str, str | None]] = set()
+        # What a look at a pattern's photographs together says, until they are looked at again.
+        self._blamed: dict[str, set[tuple[str, str | None]]] = {}
         self._broken: set[Sum] = set()
         self._lock = threading.RLock()
 
@@ -125,7 +128,8 @@ class ShotChecks:
         with self._lock:
             self._photos.pop(key, None)
             self._figures.pop(key, None)
-            self._failed -= {key, (pattern, None)}
+            for blamed in (self._failed, *self._blamed.values()):
+                blamed -= {key, (pattern, None)}
             self._few.forget(pattern)
             self._shares.get(pattern, {}).pop(camera_id, None)
             self._digests = {d: k for d, k in self._digests.items() if k != key}
@@ -142,6 +146,7 @@ class ShotChecks:
             that may be an earlier pattern than this one.
         """
         with self._lock:
+            self._blamed.pop(pattern, None)
             photos = self._of(pattern)
             whole = self._whole[kind_of(pattern)]
             wholes = self._of(whole)
@@ -150,17 +155,20 @@ class ShotChecks:
                 found += unlike_findings(pattern, photos, self.config)
             elif self._totals[pattern] > 0:
                 self._note_shares(pattern, photos, wholes)
-                found += expected_findings(
+                against = expected_findings(
                     pattern, whole, photos, wholes, self._model, self._lit_names(), self.config
                 )
-                if not any(finding.camera is None for finding in found):
-                    found += self._of_few(pattern, whole, photos, wholes)
-            found += sharpness_findings(pattern, photos, self._references(pattern), self.config)
+                if not any(finding.camera is None for finding in against):
+                    against += self._of_few(pattern, whole, photos, wholes)
+                found += _among((pattern, whole), against)
+            references = self._references(pattern)
+            for finding in sharpness_findings(pattern, photos, references, self.config):
+                found += _among((pattern, references[finding.camera or ""][0]), [finding])
             found += self._summed(pattern, found)
             found += highlight_findings(pattern, self._photos, self._levels, self.config)
             found += baseline_findings(pattern, self._shares, self.baseline, self.config)
             found = _once(found)
-            self._failed |= {
+            self._blamed[pattern] = {
                 (f.pattern, f.camera) for f in found if f.severity == "retake" and f.pattern
             }
             return found
@@ -173,7 +181,8 @@ class ShotChecks:
         wholes: Mapping[str, Photo],
     ) -> list[Finding]:
         """Patterns of few lamps, by photographs without a fault of their own."""
-        sound = {c: photo for c, photo in photos.items() if (pattern, c) not in self._failed}
+        wrong = self._wrong()
+        sound = {c: photo for c, photo in photos.items() if (pattern, c) not in wrong}
         sound = sound if len(sound) > len(photos) / 2 else dict(photos)
         known = {camera: dark for camera in sound if (dark := self._dark(camera)) is not None}
         return self._few.findings(pattern, whole, sound, wholes, known, self._model, self.config)
@@ -222,7 +231,7 @@ class ShotChecks:
 
     def _summed(self, pattern: str, before: list[Finding]) -> list[Finding]:
         """Judge the sums that this pattern completes, then the light that is left over."""
-        named = {(f.pattern, f.camera) for f in before if f.severity == "retake"} | self._failed
+        named = {(f.pattern, f.camera) for f in before if f.severity == "retake"} | self._wrong()
         found: list[Finding] = []
         fresh: list[Sum] = []
         for one in self.sums:
@@ -239,7 +248,7 @@ class ShotChecks:
             self._fit(one, cameras)
             evidence = self._evidence(one)
             if evidence.fits:
-                found += judge_sum(evidence, self.config)
+                found += _among(one.patterns, judge_sum(evidence, self.config))
                 fresh.append(one)
         bad = {f.pattern for f in found if f.severity == "retake"}
         self._broken.difference_update(fresh)
@@ -360,6 +369,10 @@ class ShotChecks:
         known = any(self._dark(camera) is not None for camera in wholes)
         return Left(pattern, dark, known, tuple(sums), light, wholes, shares)
 
+    def _wrong(self) -> set[tuple[str, str | None]]:
+        """Pattern and camera of photographs with a fault; None is all cameras of the pattern."""
+        return self._failed.union(*self._blamed.values())
+
     def _note_shares(
         self, pattern: str, photos: Mapping[str, Photo], wholes: Mapping[str, Photo]
     ) -> None:
@@ -371,8 +384,9 @@ class ShotChecks:
     def _references(self, pattern: str) -> dict[str, tuple[str, Photo]]:
         """For each camera another photograph to compare its focus with: `full` or the last one."""
         out: dict[str, tuple[str, Photo]] = {}
+        wrong = self._wrong()
         for (name, camera), photo in self._photos.items():
-            if name != pattern and self._totals[name] > 0 and (name, camera) not in self._failed:
+            if name != pattern and self._totals[name] > 0 and (name, camera) not in wrong:
                 if camera in out and out[camera][0] == self._whole[kind_of(name)]:
                     continue
                 out[camera] = name, photo
@@ -422,6 +436,14 @@ def _stale(pattern: str, camera_id: str, old: tuple[str, str]) -> Finding:
         pattern,
         camera_id,
     )
+
+
+def _among(patterns: Sequence[str], found: Sequence[Finding]) -> list[Finding]:
+    """Findings of a contradiction between these patterns: any of them may be the wrong one."""
+    return [
+        dataclasses.replace(each, suspects=tuple(p for p in patterns if p != each.pattern))
+        for each in found
+    ]
 
 
 def _once(found: list[Finding]) -> list[Finding]:

@@ -227,6 +227,12 @@ class View:
             self.marks[pattern][camera] = "again"
         self.done.discard(pattern)
 
+    def _retake(self, line: Mapping[str, Any]) -> None:
+        takes = line.get("takes")
+        for each in takes if isinstance(takes, list) else []:
+            if isinstance(each, list) and len(each) == 3:
+                self._rejected({"pattern": each[0], "camera": each[1]})
+
     def _shot(self, line: Mapping[str, Any]) -> None:
         pattern, _ = self._place(line)
         self.done.add(pattern)
@@ -272,6 +278,7 @@ _TAKES_UP = {
     "failed": View._failed,
     "finding": View._finding,
     "rejected": View._rejected,
+    "retake": View._retake,
     "shot": View._shot,
     "note": View._note,
     "aborted": View._over,

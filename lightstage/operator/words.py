@@ -248,6 +248,7 @@ _WORDS: dict[str, Callable[[Line], Said]] = {
     "failed": _failed,
     "finding": _finding,
     "rejected": _quiet,
+    "retake": _always("Photographs of this session are taken again"),
     "recovered": _recovered,
     "deleting": _quiet,
     "deleted": _quiet,

@@ -24,6 +24,10 @@ class PreflightConfig:
             the series of powers of 2, or either (then both must do).
         first_year: the computer's clock shows no earlier one.
         max_trigger_skew_s: between the first and the last camera of one shot; more is told.
+        believe_camera_clocks: whether a photograph whose time in its file is not that of its shot,
+            by the clock that its camera tells, is refused as an old picture. Without it, and where
+            a camera or a file tells no time, old pictures are known by their bytes alone, and by
+            the card's files at the beginning.
         clear: whether owner, artist, copyright and place are cleared on the cameras; otherwise
             cameras that have them are refused.
         ignore_clock: a journal beside the session whose last line is later than this computer's
@@ -37,6 +41,7 @@ class PreflightConfig:
     shutter_series: Series = "either"
     first_year: int = 2025
     max_trigger_skew_s: float = 0.1
+    believe_camera_clocks: bool = True
     clear: bool = False
     ignore_clock: bool = False
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from lightstage.cameras.camera import CameraDevice, CardFile
@@ -29,7 +29,13 @@ class Aside:
     sha256: str
 
 
-def take_aside(root: Path, camera: CameraDevice, file: CardFile, pattern: str | None) -> Aside:
+def take_aside(
+    root: Path,
+    camera: CameraDevice,
+    file: CardFile,
+    pattern: str | None,
+    is_anothers: Callable[[str], bool],
+) -> Aside | None:
     """Bring a file from a camera's card to ``recovered/``; the same bytes are kept only once.
 
     Args:
@@ -37,6 +43,10 @@ def take_aside(root: Path, camera: CameraDevice, file: CardFile, pattern: str | 
         camera: on whose card it lies.
         file: there.
         pattern: what it may be of.
+        is_anothers: whether bytes of this SHA-256 are a photograph of another session.
+
+    Returns:
+        None for a photograph of another session, which stays on the card alone.
 
     Raises:
         DeviceError: it did not come.
@@ -58,6 +68,10 @@ def take_aside(root: Path, camera: CameraDevice, file: CardFile, pattern: str | 
             expected=f"{file.size} bytes, {got.sha256[:12]}.. as the camera gave it",
             hint="The file is still on the camera.",
         )
+    if is_anothers(found):
+        with disk_errors(partial):
+            partial.unlink()
+        return None
     return _name(partial, folder, name, found)
 
 

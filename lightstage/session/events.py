@@ -126,6 +126,16 @@ def _are_cards(value: Any) -> bool:
     return isinstance(value, dict) and all(map(_are_files, value.values()))
 
 
+def _are_keys(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_key, value))
+
+
+def _is_key(value: Any) -> bool:
+    if not isinstance(value, list) or len(value) != 3:
+        return False
+    return _is_text(value[0]) and _is_text(value[1]) and _is_take(value[2])
+
+
 def _are_takes(value: Any) -> bool:
     return isinstance(value, dict) and all(map(_is_take, value.values()))
 
@@ -217,13 +227,14 @@ _EVENTS: Mapping[str, tuple[Rules, Rules]] = {
     "trigger": ({"pattern": "name", "takes": _TAKES}, {}),
     "exposed": (
         {**_OF_PHOTOGRAPH, "file": _FILE, "time_utc": _TIME},
-        {"beside": _FILES},
+        {"beside": _FILES, "exposure_s": _NUMBER, "clock_offset_s": _NUMBER},
     ),
     "frame": (
         {**_OF_PHOTOGRAPH, "path": "path", "sha256": _HASH},
         {"file": _TEXT, "size": _NUMBER, "encoding": _ENCODING},
     ),
     "rejected": (_OF_PHOTOGRAPH, {}),
+    "retake": ({"takes": Rule("a list of pattern, camera and take", _are_keys)}, {}),
     "recovered": ({"camera": "name", "path": "path", "sha256": _HASH}, {"file": _FILE}),
     "deleting": ({"pattern": "name", "camera": "name", "file": _FILE}, {}),
     "deleted": ({"camera": "name", "file": _FILE}, {}),
@@ -232,7 +243,7 @@ _EVENTS: Mapping[str, tuple[Rules, Rules]] = {
         {},
         dict.fromkeys(("colour", "cameras", "lights", "flats"), "path"),
     ),
-    "note": ({}, {"cards": _CARDS}),
+    "note": ({}, {"cards": _CARDS, "file": _FILE}),
     "finding": ({}, {"code": _TEXT}),
 }
 """Of each event that something is done by: fields that it must have, and others that it may."""

@@ -13,6 +13,7 @@ from lightstage.exif import read_exif
 from lightstage.findings import Finding
 from lightstage.formats.files import fsync_path
 from lightstage.photograph import identify_file
+from lightstage.session.camera_clock import Verdict, judge_time
 from lightstage.session.disk import disk_errors
 from lightstage.session.keep import Arrival, is_whole, settle, sha256_on_disk
 from lightstage.session.kept import Kept, Key, told
@@ -135,10 +136,10 @@ class Reconciler(Leftovers):
                     # Downloaded before the crash and on the card still: it is certainly this one.
                     incoming.unlink()
                     incoming = named
-        twin = self.state.whose(sha256)
+        twin = self.writer.twin(sha256)
         why = "" if incoming == named else _other_time(incoming, exposed)
         if twin is not None:
-            why = f"the bytes of {told(twin)}"
+            why = f"the bytes of {twin}"
         elif size != exposed.file.size:
             why = f"{size} bytes came of {exposed.file.size}"
         if why:
@@ -181,7 +182,7 @@ class Reconciler(Leftovers):
         if whole:
             with disk_errors(whole[0]):
                 sha256 = sha256_on_disk(whole[0])
-            if self.state.whose(sha256) is None:
+            if self.writer.twin(sha256) is None:
                 self._adopt_unsure(exposed, whole[0], sha256)
                 return
         for path in (named, partial):
@@ -191,9 +192,7 @@ class Reconciler(Leftovers):
         why = "it was not on this computer yet when the card was emptied or exchanged"
         if exposed.file in now:
             # A file of its name and size; whether it is this photograph nobody can tell.
-            self.recovered.append(
-                self.writer.recover(camera, exposed.file, exposed.pattern, "the card was changed")
-            )
+            self._recover(camera, exposed.file, exposed.pattern, "the card was changed")
         self.reject(exposed.key, why)
 
     def _adopt_unsure(self, exposed: Exposed, path: Path, sha256: str) -> None:
@@ -227,10 +226,15 @@ class Reconciler(Leftovers):
         pattern = None if outstanding is None else outstanding[0]
         for file in unknown:
             why = "found on the card; whether its light lasted is not known"
-            self.recovered.append(self.writer.recover(camera, file, pattern, why))
+            self._recover(camera, file, pattern, why)
         if outstanding is not None:
             why = "its light is not certain" if unknown else "the camera took no photograph of it"
             self.reject((outstanding[0], camera.id, outstanding[1]), why)
+
+    def _recover(self, camera: CameraDevice, file: CardFile, pattern: str | None, why: str) -> None:
+        kept = self.writer.recover(camera, file, pattern, why)
+        if kept is not None:
+            self.recovered.append(kept)
 
     def _tell_changed(
         self, camera: CameraDevice, changed: Collection[CardFile], unknown: Sequence[CardFile]
@@ -323,6 +327,11 @@ def _other_time(path: Path, exposed: Exposed) -> str:
     if taken is None or not exposed.time_utc:
         return ""
     told_utc = datetime.datetime.fromisoformat(exposed.time_utc)
+    if exposed.clock_offset_s is not None:
+        ago_s = exposed.clock_offset_s - exposed.lasted_s
+        begun = told_utc + datetime.timedelta(seconds=ago_s)
+        differs = judge_time(taken, begun, exposed.lasted_s) is Verdict.DIFFERS
+        return f"taken at another time, {taken}" if differs else ""
     if taken.tzinfo is not None:
         off_s = (taken - told_utc).total_seconds()
     else:

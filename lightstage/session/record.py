@@ -3,9 +3,10 @@
 Events: ``begin`` and ``resume`` (what is planned, who the devices are, what lies on the cards),
 ``devices``, ``lit`` (levels acknowledged), ``trigger`` (before cameras are asked), ``exposed`` (a
 file on a card, under light that lasted), ``frame`` (a photograph, hashed as it lies on the disk),
-``failed``, ``finding``, ``rejected`` (a take that does not count), ``recovered`` (a file of
-uncertain light or label), ``deleting`` and ``deleted`` (on a card), ``shot`` (a pattern with all
-its photographs), ``calibration``, ``note``, ``aborted``, ``end``.
+``failed``, ``finding``, ``rejected`` (a take that does not count), ``retake`` (takes that do not
+count because somebody wants them again), ``recovered`` (a file of uncertain light or label),
+``deleting`` and ``deleted`` (on a card), ``shot`` (a pattern with all its photographs),
+``calibration``, ``note``, ``aborted``, ``end``.
 """
 
 from __future__ import annotations
@@ -112,7 +113,8 @@ class Record:
 
     def finding(self, finding: Finding) -> Line:
         """Journal what a look at a device or a photograph found."""
-        facts = {k: v for k, v in dataclasses.asdict(finding).items() if v is not None}
+        said = dataclasses.asdict(finding).items()
+        facts = {name: value for name, value in said if value is not None and value != ()}
         return self.journal.write("finding", **facts)
 
     def rejected(self, pattern: str, camera: str, why: str, take: int | None = None) -> Line:
@@ -135,6 +137,16 @@ class Record:
                 )
             take = kept.take
         return self.journal.write("rejected", pattern=pattern, camera=camera, take=take, why=why)
+
+    def retake(self, photographs: Collection[tuple[str, str]], why: str) -> Line:
+        """Journal, in one line, that photographs are to be taken again: their takes do not count.
+
+        Args:
+            photographs: pattern and camera of each; one without a photograph is wanted anyway.
+            why: for people.
+        """
+        takes = [kept.key for kept in self.state.frames() if kept.key[:2] in set(photographs)]
+        return self.journal.write("retake", takes=[list(key) for key in takes], why=why)
 
     def deleting(self, pattern: str, camera: str, file: CardFile) -> Line:
         """Journal, before it is asked to, that a camera will delete a file that is kept."""

@@ -9,13 +9,15 @@ from __future__ import annotations
 import dataclasses
 import sys
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from lightstage.cameras.camera import CardFile
 from lightstage.session.events import Line
 from lightstage.session.kept import Kept, Key, Recovered, key_of, packed, stem_of, told
 
+NOT_OURS = "not-ours"
+"""What a note is about that names a file on a card as another session's."""
 NOT_HELD = ("levels", "cards")
 """What is long in a journal's first line, and is asked of nobody here."""
 
@@ -32,6 +34,8 @@ class Exposed:
         beside: other files of the same shot, such as a JPEG.
         acknowledged: whether the lights told that they were lit; None where it is not known.
         time_utc: when it was told, by this computer's clock; empty where it is not known.
+        lasted_s: from its trigger until the camera said that the picture was there.
+        clock_offset_s: the camera's clock less this computer's then; None where it is not known.
     """
 
     pattern: str
@@ -41,6 +45,8 @@ class Exposed:
     beside: tuple[CardFile, ...] = ()
     acknowledged: bool | None = None
     time_utc: str = ""
+    lasted_s: float = 0.0
+    clock_offset_s: float | None = None
 
     @property
     def key(self) -> Key:
@@ -222,6 +228,16 @@ class SessionState:
                 self._since[camera], self._gone[camera] = [], set()
                 self._deleting[camera] = {}
 
+    def _on_resume(self, line: Line) -> None:
+        if self.ended:
+            # All that was this session's came home at its end: what its cards have since is not.
+            self._snapshot(line)
+            self.ended = False
+
+    def _on_retake(self, line: Line) -> None:
+        for pattern, camera, take in line["takes"]:
+            self._reject((pattern, camera, take))
+
     def _on_lit(self, line: Line) -> None:
         self._lit[sys.intern(line["pattern"])] = line.get("acknowledged")
 
@@ -237,6 +253,8 @@ class SessionState:
             tuple(CardFile(*each) for each in line.get("beside", ())),
             self._lit.get(line["pattern"]),
             line["time_utc"],
+            line.get("exposure_s", 0.0),
+            line.get("clock_offset_s"),
         )
         self._exposed[exposed.key] = exposed
         self._outstanding.pop(exposed.camera, None)
@@ -256,7 +274,9 @@ class SessionState:
             self._takes.pop(key[:2], None)
 
     def _on_rejected(self, line: Line) -> None:
-        key = key_of(line)
+        self._reject(key_of(line))
+
+    def _reject(self, key: Key) -> None:
         counted = self.accepted(key[0], key[1])
         self._rejected.add(key)
         if counted is not None and counted.key == key:
@@ -288,6 +308,8 @@ class SessionState:
     def _on_note(self, line: Line) -> None:
         if line.get("about") == "card":
             self._snapshot(line)
+        if line.get("about") == NOT_OURS and line.get("camera") in self._since:
+            self._add_files(line["camera"], card_files([line["file"]]))
 
     def _on_end(self, _: Line) -> None:
         self.ended = True
@@ -298,7 +320,7 @@ class SessionState:
     def _kept(self, key: Key) -> Kept | None:
         return self._named.get(key[0], {}).get(stem_of(*key[1:]))
 
-    def _add_files(self, camera: str, files: Sequence[CardFile]) -> None:
+    def _add_files(self, camera: str, files: Collection[CardFile]) -> None:
         self._since[camera] += files
         self._gone[camera] -= set(files)  # a name comes again after a card was emptied
 

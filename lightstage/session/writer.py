@@ -24,10 +24,11 @@ from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
 from lightstage.session.keep import Arrival, settle, sha256_on_disk
 from lightstage.session.kept import Key, stem_of, told
+from lightstage.session.neighbours import Neighbours
 from lightstage.session.opening import JOURNAL, RIG, require_new, rig_hash, save_beside
 from lightstage.session.plan import SessionPlan
 from lightstage.session.record import Record, as_json
-from lightstage.session.state import SessionState
+from lightstage.session.state import NOT_OURS, SessionState
 from lightstage.steps import step
 
 
@@ -38,6 +39,8 @@ class SessionWriter(Record):
 
     Attributes:
         root: the folder.
+        beside: photographs of other sessions, none of which may enter this one; nobody is known
+            until `look_beside`.
     """
 
     def __init__(self, root: Path, journal: Journal, state: SessionState) -> None:
@@ -45,6 +48,7 @@ class SessionWriter(Record):
         self.root = root
         self._claimed: dict[str, Key] = {}  # bytes on their way to a name, by their hash
         self._claiming = threading.Lock()
+        self.beside = Neighbours()
 
     @staticmethod
     def new(
@@ -95,12 +99,13 @@ class SessionWriter(Record):
         return SessionWriter(root, journal, SessionState([begin]))
 
     @staticmethod
-    def resumed(root: Path, rig: Rig | None = None) -> SessionWriter:
+    def resumed(root: Path, rig: Rig | None = None, *, finished: bool = False) -> SessionWriter:
         """Open an unfinished session to go on with it; `resume` must be told first.
 
         Args:
             root: its folder.
             rig: must be the session's own, if given.
+            finished: whether it may be finished, because photographs shall be taken again.
 
         Raises:
             FormatError: no session, a damaged journal, or a changed rig.json.
@@ -128,12 +133,13 @@ class SessionWriter(Record):
                     expected="the rig given",
                     hint="Resume with the session's own rig.json.",
                 )
-            if state.ended:
+            if state.ended and not finished:
                 raise CaptureError(
                     root,
                     found="a session that is finished",
                     expected="one with something left to do",
-                    hint="To take it again, give a new folder.",
+                    hint="To take single photographs again: lightstage retake. To take all of it "
+                    "again, give a new folder.",
                 )
         except BaseException:
             journal.close()
@@ -208,7 +214,21 @@ class SessionWriter(Record):
         """Whose bytes these are already, in words; None: nobody's, and from now on this take's."""
         with self._claiming:
             first = self.state.whose(sha256) or self._claimed.setdefault(sha256, key)
-        return None if first == key else told(first)
+        return self.twin(sha256) if first == key else told(first)
+
+    def twin(self, sha256: str) -> str | None:
+        """Which photograph of this session or of one beside it has these bytes, in words."""
+        first = self.state.whose(sha256)
+        if first is not None:
+            return told(first)
+        for each in self.state.recovered().values():
+            if each.sha256 == sha256:
+                return each.path
+        return self.beside.whose(sha256)
+
+    def look_beside(self) -> None:
+        """Learn the photographs of all sessions in the folders beside this one."""
+        self.beside = Neighbours(self.root)
 
     def frame(
         self,
@@ -242,7 +262,9 @@ class SessionWriter(Record):
         step("journaled", pattern, camera)
         return line
 
-    def recover(self, camera: CameraDevice, file: CardFile, pattern: str | None, why: str) -> Path:
+    def recover(
+        self, camera: CameraDevice, file: CardFile, pattern: str | None, why: str
+    ) -> Path | None:
         """Bring a file whose light or label is not certain from a card, under ``recovered/``.
 
         Args:
@@ -252,13 +274,20 @@ class SessionWriter(Record):
             why: for people.
 
         Returns:
-            Where it lies. Called again for the same file, it finds the one that is there.
+            Where it lies. Called again for the same file, it finds the one that is there. None
+            for a photograph of a session beside this one: it stays on the card alone.
 
         Raises:
             DeviceError: it did not come from the card.
             CaptureError: the disk holds other bytes, or refuses.
         """
-        kept = take_aside(self.root, camera, file, pattern)
+        kept = take_aside(
+            self.root, camera, file, pattern, lambda each: self.beside.whose(each) is not None
+        )
+        if kept is None:
+            whose = [file.name, file.size]
+            self.journal.write("note", about=NOT_OURS, camera=camera.id, file=whose)
+            return None
         self.recovered(camera.id, kept.path, pattern, why, file)
         return kept.path
 

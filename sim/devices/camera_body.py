@@ -20,6 +20,8 @@ from sim.devices.camera_settings import CameraSettings, changed
 from sim.devices.faults import Due, FaultLog, Story
 
 FOR_EVER_S = 1e9
+UNDATED = "    :  :     :  :  "
+"""EXIF's form of a time that is not known."""
 LOST = (-7, "I/O problem: the connection was lost")
 REFUSED = {
     "disconnect": (-7, "I/O problem: the camera is gone from the bus"),
@@ -256,13 +258,16 @@ class CameraBody:
         settings = self.settings()
         gain = settings.gain() / self._nominal.gain()
         exposed = light if gain == 1.0 else expose_again(light, gain, settings.iso)
-        now_s = time.time() + settings.clock_offset_s
+        taken = UNDATED
+        if settings.clock_offset_s is not None:
+            now_s = time.time() + settings.clock_offset_s
+            taken = time.strftime("%Y:%m:%d %H:%M:%S", time.gmtime(now_s))
         return told_by(
             exposed,
             settings.iso,
             settings.shutter,
             settings.aperture,
-            taken=time.strftime("%Y:%m:%d %H:%M:%S", time.gmtime(now_s)),
+            taken=taken,
             shot=shot,
         )
 

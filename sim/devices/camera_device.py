@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,6 +18,9 @@ SEED = "SEED0001.JPG"
 """libgphoto2's virtual camera looks for a file of this kind; its bytes may be any."""
 SHUTTER, APERTURE = "0.0100s", "f/2.8"
 """What libgphoto2's virtual camera tells of itself, whatever its file."""
+UNDATED = "    :  :   %H:%M:%S"
+"""EXIF's form where the date is not known; the time of day tells one session's files from
+another's, of the same person and seed too."""
 UNVERIFIABLE = (
     *("serial", "iso", "aperture", "shutter", "mode", "white_balance", "image_format", "focus"),
     *("owner", "artist", "copyright", "place"),
@@ -83,7 +87,9 @@ class CameraFolders:
             )
         shot = self._files.get(camera_id, -1) + 1
         self._files[camera_id] = shot
-        data = told_by(data, shutter=SHUTTER, aperture=APERTURE, shot=shot)
+        # Without a date, as of a camera that does not know it: the file is older than its shot.
+        taken = time.strftime(UNDATED)
+        data = told_by(data, shutter=SHUTTER, aperture=APERTURE, taken=taken, shot=shot)
         due = {each.name: each for each in self._story.due(camera_id, "shot", shot)}
         for each in due.values():
             self._log.write(camera_id, each, shot)

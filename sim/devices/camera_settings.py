@@ -34,7 +34,8 @@ class CameraSettings:
         battery_percent: charge.
         card_files: how many files the card can hold.
         card_bytes: how much of them.
-        clock_offset_s: the camera's clock less the true time.
+        clock_offset_s: the camera's clock less the true time; None where it does not tell it, and
+            writes no time into its files.
         firmware: version of its own software.
         owner: written into its files.
         artist: the same.
@@ -54,7 +55,7 @@ class CameraSettings:
     battery_percent: int = 100
     card_files: int = 100_000
     card_bytes: int = 64_000_000_000
-    clock_offset_s: float = 0.0
+    clock_offset_s: float | None = 0.0
     firmware: str = "1.00"
     owner: str = ""
     artist: str = ""

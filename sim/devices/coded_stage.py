@@ -38,6 +38,7 @@ class Labels:
         unreadable: whose pixels say nothing.
         doubled: one photograph under two names.
         missing: patterns and cameras without a photograph.
+        of_another: taken before the session began, of whoever sat there then.
     """
 
     right: int = 0
@@ -46,6 +47,7 @@ class Labels:
     unreadable: tuple[str, ...] = ()
     doubled: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+    of_another: tuple[str, ...] = ()
 
 
 class CodedStage:
@@ -110,8 +112,18 @@ class CodedStage:
         if self._shown is not None:
             self._shown(levels)
 
-    def labels(self, root: Path) -> Labels:
-        """Ask every photograph of a finished session what it is."""
+    @property
+    def lights(self) -> int:
+        """How many states the lamps have had."""
+        return len(self._photographer.states)
+
+    def labels(self, root: Path, since: int = 0) -> Labels:
+        """Ask every photograph of a finished session what it is.
+
+        Args:
+            root: the session's folder.
+            since: `lights` when its person sat down.
+        """
         session = load_session(root)
         found: dict[str, list[str]] = collections.defaultdict(list)
         right = 0
@@ -121,7 +133,8 @@ class CodedStage:
             first = seen.setdefault(frame.sha256, own)
             if first != own:
                 found["doubled"].append(f"{own} is {first}")
-            what, said = self._what(session, frame.pattern, frame.camera, root / frame.path)
+            path = root / frame.path
+            what, said = self._what(session, frame.pattern, frame.camera, path, since)
             if what == "right":
                 right += 1
             else:
@@ -133,7 +146,9 @@ class CodedStage:
                     found["missing"].append(f"{pattern} by {camera.id}")
         return Labels(right, **{name: tuple(said) for name, said in found.items()})
 
-    def _what(self, session: Session, pattern: str, camera: str, path: Path) -> tuple[str, str]:
+    def _what(
+        self, session: Session, pattern: str, camera: str, path: Path, since: int
+    ) -> tuple[str, str]:
         """Whether a photograph is what it is called; else which of Labels, and why."""
         code = read_code(path)
         if code is None:
@@ -141,6 +156,8 @@ class CodedStage:
         taken_by = self.rig.cameras[code.camera].id
         if taken_by != camera:
             return "mislabelled", f"taken by {taken_by}"
+        if code.light < since:  # the last state of before is what it still shows now
+            return "of_another", f"taken under light {code.light}, the session began at {since}"
         wanted = _counts(session.levels(pattern))
         shone = _counts(self._photographer.states[code.light - 1])
         if np.array_equal(shone, wanted):

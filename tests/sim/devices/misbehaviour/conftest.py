@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +118,7 @@ class SmallStage:
         self.patterns = patterns
         self.drive: Drive = "on-off"
         self.config = FAST
-        self.captures = 0
+        self.captures = self.desks = 0
         self.watch: Callable[[Path, dict[str, Any]], object] = lambda _root, _line: None
 
     def capture(
@@ -133,46 +134,82 @@ class SmallStage:
 
         With deadlines the cameras are processes of their own, else they are in this one.
         """
-        self.captures += 1
-        desk = self.root / f"desk{self.captures}"
-        root = self.root / f"session{self.captures}"
-        shots = plan_shots(self.patterns, self.rig, self.drive)
-        said, report, labels = "", None, None
-        cameras: list[Any] = []
+        with self.standing(*faults, seed=seed, settings=settings) as standing:
+            return standing.capture(timeout_s=timeout_s, attempts=attempts, deadlines=deadlines)
+
+    @contextlib.contextmanager
+    def standing(
+        self,
+        *faults: Fault,
+        seed: int = 0,
+        settings: dict[str, dict[str, Any]] | None = None,
+    ) -> Iterator[StandingStage]:
+        """Devices that stand ready for one session after the other while this happens."""
+        self.desks += 1
+        desk = self.root / f"desk{self.desks}"
         with CodedStage(desk, self.rig, Story(faults, seed), seed) as coded:
             for camera_id, own in (settings or {}).items():
                 preset(coded.cameras.folder(camera_id), own)
-            try:
-                with open_leds(coded.device.url(timeout_s, attempts), len(self.rig.lights)) as leds:
-                    ports = {c.id: str(coded.cameras.folder(c.id)) for c in self.rig.cameras}
-                    cameras = [
-                        Named(name, port)
-                        if deadlines is None
-                        else CameraProcess(name, port, None, deadlines, DRIVER)
-                        for name, port in ports.items()
-                    ]
-                    with SafeLights(leds, self.config.safety, self.rig) as lights:
-                        lights.dark()
-                        told, failed = open_cameras(cameras)
-                        if failed:
-                            raise one_error(failed)
-                        by_id = dict(zip(ports, told, strict=True))
-                        stage = Stage(self.rig, lights, tuple(cameras), by_id, CamerasFile())
-                        operator = Watching(self.config.operator)
-                        operator.watch = functools.partial(self.watch, root)
-                        report = capture_session(stage, Order(root, shots), self.config, operator)
-                        labels = coded.labels(root)
-            except LightstageError as error:
-                said = str(error)
-            finally:
-                close_cameras(cameras)
-            until = time.monotonic() + 5
-            while coded.device.connected.is_set() and time.monotonic() < until:
-                time.sleep(0.001)
-            dark = coded.device.dark
+            yield StandingStage(self, coded, desk)
+
+
+class StandingStage:
+    """Devices, and the people who sit down before them one after the other."""
+
+    def __init__(self, small: SmallStage, coded: CodedStage, desk: Path) -> None:
+        self.small = small
+        self.coded = coded
+        self.desk = desk
+
+    def capture(
+        self,
+        root: Path | None = None,
+        patterns: tuple[str, ...] | None = None,
+        order: Order | None = None,
+        timeout_s: float = 0.2,
+        attempts: int = 3,
+        deadlines: Deadlines | None = None,
+        untold: tuple[str, ...] = (),
+    ) -> Ending:
+        """A session of whoever sits there now, or what is ordered of one."""
+        small, coded, since = self.small, self.coded, self.coded.lights
+        small.captures += 1
+        root = root or small.root / f"session{small.captures}"
+        order = order or Order(root, plan_shots(patterns or small.patterns, small.rig, small.drive))
+        said, report, labels = "", None, None
+        cameras: list[Any] = []
+        try:
+            with open_leds(coded.device.url(timeout_s, attempts), len(small.rig.lights)) as leds:
+                ports = {c.id: str(coded.cameras.folder(c.id)) for c in small.rig.cameras}
+                cameras = [
+                    Named(name, port)
+                    if deadlines is None
+                    else CameraProcess(name, port, None, deadlines, DRIVER)
+                    for name, port in ports.items()
+                ]
+                with SafeLights(leds, small.config.safety, small.rig) as lights:
+                    lights.dark()
+                    told, failed = open_cameras(cameras)
+                    if failed:
+                        raise one_error(failed)
+                    by_id = dict(zip(ports, told, strict=True))
+                    file = CamerasFile(allow_unverifiable=untold)
+                    stage = Stage(small.rig, lights, tuple(cameras), by_id, file)
+                    operator = Watching(small.config.operator)
+                    operator.watch = functools.partial(small.watch, root)
+                    report = capture_session(stage, order, small.config, operator)
+                    labels = coded.labels(root, 0 if order.resume else since)
+        except LightstageError as error:
+            said = str(error)
+        finally:
+            close_cameras(cameras)
+        until = time.monotonic() + 5
+        while coded.device.connected.is_set() and time.monotonic() < until:
+            time.sleep(0.001)
         assert coded.device.failure is None
-        happened = [told.name for told in read_fault_log(desk / "faults.jsonl")]
-        return Ending(said, root, dark, happened, report, labels, coded.device.states)
+        happened = [told.name for told in read_fault_log(self.desk / "faults.jsonl")]
+        dark, shone = coded.device.dark, coded.device.states
+        return Ending(said, root, dark, happened, report, labels, shone)
 
 
 class Watching(Unattended):
