@@ -25,6 +25,8 @@ class Hello:
         watchdog_s: after so long without a packet it goes dark by itself; None where it is not
             known to do so.
         pulse_hz: how often a second it switches its lights to dim them; None where not told.
+        keep_alive_s: how often its protocol repeats a state that does not change; None where it
+            does not say.
     """
 
     boot_id: int
@@ -32,6 +34,7 @@ class Hello:
     firmware: str
     watchdog_s: float | None = None
     pulse_hz: float | None = None
+    keep_alive_s: float | None = None
 
 
 class LedController(Protocol):

@@ -6,6 +6,8 @@ import struct
 
 SLOTS = 512
 MAX_UNIVERSE = 63999
+KEEP_ALIVE_S = 0.9
+"""A state that does not change is sent again every 0.8 to 1 s; after 2.5 s its source is lost."""
 TERMINATED = 0x40
 """Option bit: this source ends; what it sent is no longer valid."""
 IDENTIFIER = b"ASC-E1.17\0\0\0"

@@ -22,19 +22,26 @@ class UnansweredLeds(Closing):
         light_count: lights of the rig.
         name: of the device, since it does not tell its own.
         options: of its address.
+        keep_alive_s: how often the protocol repeats a state; None where it does not say.
     """
 
     acknowledged = False
 
     def __init__(
-        self, where: str, light_count: int, name: str, options: AdalightOptions | SacnOptions
+        self,
+        where: str,
+        light_count: int,
+        name: str,
+        options: AdalightOptions | SacnOptions,
+        keep_alive_s: float | None = None,
     ) -> None:
         self._where = where
         self._repeats, self._settle_s = options.attempts, options.settle_s
         self._pulse_hz = options.pulse_hz
         self._turn = threading.RLock()
         self._steps = np.zeros(light_count, np.int64)
-        self._hello = Hello(0, light_count, f"{name} (does not answer)")
+        firmware = f"{name} (does not answer)"
+        self._hello = Hello(0, light_count, firmware, keep_alive_s=keep_alive_s)
 
     @property
     def hello(self) -> Hello:
@@ -59,7 +66,8 @@ class UnansweredLeds(Closing):
         with self._turn:
             self._steps = steps
             self._send(self._repeats)
-            time.sleep(self._settle_s)
+        # Others may speak to the device meanwhile: to keep it awake, or to make it dark at once.
+        time.sleep(self._settle_s)
         return self._to_levels(steps)
 
     def confirm(self) -> None:

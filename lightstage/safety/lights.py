@@ -17,7 +17,8 @@ from lightstage.safety.plan import SafetyConfig
 from lightstage.safety.signals import signals_held
 
 AWAKE_S = 0.5
-"""A device is spoken to at least so often, or four times in its watchdog's time."""
+"""A device is spoken to at least so often, or four times in its watchdog's time, or as often as its
+protocol says."""
 SLACK_S = 0.5
 """Beyond what the plan allowed a state, until the lights are put out."""
 MAY_BE_ON = "The lights may still be on: switch their power supply off."
@@ -64,8 +65,10 @@ class SafeLights:
         self._guardian: Guardian | None = None
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
+        self._sending = False  # a light is on its way to the device
         watchdog_s = lights.hello.watchdog_s
-        self._awake_s = min(AWAKE_S, watchdog_s / 4 if watchdog_s else AWAKE_S)
+        asked_s = min(AWAKE_S, watchdog_s / 4 if watchdog_s else AWAKE_S)
+        self._awake_s = lights.hello.keep_alive_s or asked_s
 
     @property
     def hello(self) -> Hello:
@@ -117,8 +120,10 @@ class SafeLights:
                 self._spent.light(time.monotonic(), levels)
                 self._until_s = time.monotonic() + allowed_s + SLACK_S
             try:
+                self._sending = True
                 driven = self._lights.light(levels)
             finally:
+                self._sending = False
                 self._note_change()
             if self._number != number:
                 # Dark was asked for, and done, just before this light was sent.
@@ -269,14 +274,21 @@ class SafeLights:
             self._guardian = None
 
     def _keep_awake(self) -> None:
-        """Speak to the device now and then; one that does not answer gets its state again."""
-        while not self._stop.wait(self._awake_s / 2):
+        """Speak to the device during every wait; one that does not answer gets its state again."""
+        pause_s = self._awake_s / 2
+        while not self._stop.wait(pause_s):
             with self._state:
                 number = self._number
                 asked = bool(self._spent.levels.any()) or not self._lights.acknowledged
-                silent = time.monotonic() - self._heard_s >= self._awake_s
-            if not (asked and silent) or self._failure is not None or self._turn.locked():
-                continue  # nothing to keep awake, or a light is on its way to it
+                left_s = self._heard_s + self._awake_s - time.monotonic()
+            pause_s = self._awake_s / 2
+            if not asked or self._failure is not None:
+                continue  # nothing to keep awake
+            if self._sending and self._lights.acknowledged:
+                continue  # its answer is waited for
+            if left_s > 0:
+                pause_s = min(pause_s, left_s)
+                continue
             try:
                 self._lights.confirm()
                 self._heard_s = time.monotonic()

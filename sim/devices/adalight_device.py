@@ -5,6 +5,7 @@ Its strip is white: an LED shines as bright as its strongest primary.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
@@ -17,6 +18,8 @@ from sim.devices.led_unanswered import UnansweredLeds
 
 BOOT_WORD = b"Ada\n"
 HEADER_BYTES = 6
+SERIAL_TIMEOUT_S = 15.0
+"""After so long without a byte the usual sketch turns all LEDs off [Burgess2011]."""
 
 
 def cut_frames(stream: bytes) -> tuple[list[bytes], bytes]:
@@ -52,6 +55,7 @@ class AdalightDevice(EndDevice):
         log: where that is noted.
         banks: polarisation bank of each light, for a story that swaps them.
         greets: whether it says its word when its port is opened.
+        timeout_s: after so long without a byte its LEDs go off.
 
     Attributes:
         pixels: (n, 3) bytes of the last frame.
@@ -66,6 +70,7 @@ class AdalightDevice(EndDevice):
         log: FaultLog | None = None,
         banks: Sequence[str] = (),
         greets: bool = True,
+        timeout_s: float = SERIAL_TIMEOUT_S,
     ) -> None:
         super().__init__(light_count, PtyEnd(), show, log)
         self._leds = UnansweredLeds(
@@ -73,6 +78,7 @@ class AdalightDevice(EndDevice):
         )
         self._pending = b""
         self._greets = greets
+        self._timeout_s = timeout_s
         self.pixels = np.zeros((light_count, 3), np.uint8)
         self.frames = 0
 
@@ -85,6 +91,7 @@ class AdalightDevice(EndDevice):
         return [BOOT_WORD] if self._greets else []
 
     def _feed(self, data: bytes) -> Iterator[Step]:
+        self.heard_s = time.monotonic()
         frames, self._pending = cut_frames(self._pending + data)
         for frame in frames:
             yield from self._leds.feed(frame)
@@ -99,7 +106,13 @@ class AdalightDevice(EndDevice):
         return self.pixels.max(axis=1).astype("<u2") * 257
 
     def _deadline_s(self) -> float | None:
-        return None
+        if self._leds.dead or not self._leds.counts.any():
+            return None
+        return self.heard_s + self._timeout_s
 
     def _expire(self) -> None:
-        """A board without a clock of its own."""
+        due_s = self._deadline_s()
+        if due_s is not None and time.monotonic() >= due_s:
+            self.silences += 1
+            self.pixels = np.zeros_like(self.pixels)
+            self._leds.light(np.zeros_like(self._leds.counts))

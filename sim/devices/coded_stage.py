@@ -19,7 +19,7 @@ from lightstage.rig import Rig, save_rig
 from sim.devices.body_folder import NEXT, put
 from sim.devices.coded_photographer import CodedPhotographer, read_code
 from sim.devices.faults import FaultLog, Story
-from sim.devices.led_device import LedDevice
+from sim.devices.led_device import WATCHDOG_S, LedDevice
 from sim.devices.simulated_camera import SimulatedCameras
 
 SETTINGS = {"iso": "100", "shutter": "1/60", "aperture": "f/8"}
@@ -59,7 +59,7 @@ class CodedStage:
         story: what goes wrong.
         seed: of the photographs.
         shown: called whenever the lamps changed and all cameras see it.
-        watchdog_s: the LED device goes dark by itself after so long without a packet.
+        watchdog_s: the LED device goes dark by itself after so long without a packet; None: never.
 
     Attributes:
         rig_path: rig.json.
@@ -75,7 +75,7 @@ class CodedStage:
         story: Story | None = None,
         seed: int = 0,
         shown: Callable[[np.ndarray], None] | None = None,
-        watchdog_s: float | None = None,
+        watchdog_s: float | None = WATCHDOG_S,
     ) -> None:
         desk.mkdir(parents=True, exist_ok=True)
         self.rig = rig

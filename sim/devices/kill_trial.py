@@ -42,7 +42,6 @@ max_flashes_per_s = 30.0
 STOP_S = 60.0
 END_S = 120.0
 DARK_S = 10.0
-WATCHDOG_S = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +110,7 @@ class KillTrial:
         """
         self._faults = []
         happened, dark_s = 0, 0.0
-        with CodedStage(self.desk / "stage", self.rig, watchdog_s=WATCHDOG_S) as stage:
+        with CodedStage(self.desk / "stage", self.rig) as stage:
             for number, each in enumerate(kills):
                 with self._capture(stage, stopping=True) as capture:
                     stopped = self._stopped(capture, each)

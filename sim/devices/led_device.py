@@ -18,6 +18,9 @@ from sim.devices.led_ends import End, PtyEnd, TcpEnd
 from sim.devices.led_faults import FaultyLeds, Step, Wait
 from sim.devices.led_protocol import FULL_COUNT
 
+WATCHDOG_S = 2.0
+"""Of a stage's device that behaves as firmware must: dark after so long without a packet."""
+
 
 @dataclasses.dataclass(frozen=True)
 class LitState:
@@ -50,6 +53,8 @@ class EndDevice(abc.ABC):
         log: what went wrong.
         failure: what `show` raised.
         connected: set while a host has the line open, as far as the device has seen.
+        heard_s: monotonic clock, when it last heard something that keeps its lights on.
+        silences: how often it went dark by itself, because nobody spoke for too long.
     """
 
     def __init__(
@@ -65,6 +70,8 @@ class EndDevice(abc.ABC):
         self.states = [LitState(time.monotonic(), np.zeros(light_count, "<u2"))]
         self.failure: BaseException | None = None
         self.connected = threading.Event()
+        self.heard_s = time.monotonic()
+        self.silences = 0
         self.path = end.place
         self._stop_read, self._stop_write = os.pipe()
         self._thread = threading.Thread(target=self._serve, name="led-device", daemon=True)
@@ -177,7 +184,6 @@ class LedDevice(EndDevice):
             light_count, boot_id, self._settle, story or Story(), self.log, banks, watchdog_s
         )
         self._watchdog_s = watchdog_s
-        self._heard_s = time.monotonic()
 
     @property
     def commanded(self) -> np.ndarray:
@@ -195,14 +201,15 @@ class LedDevice(EndDevice):
         before = self._leds.protocol.heard
         yield from self._leds.feed(data)
         if self._leds.protocol.heard != before:
-            self._heard_s = time.monotonic()
+            self.heard_s = time.monotonic()
 
     def _deadline_s(self) -> float | None:
         if self._watchdog_s is None or self._leds.dead or not self._leds.protocol.counts.any():
             return None
-        return self._heard_s + self._watchdog_s
+        return self.heard_s + self._watchdog_s
 
     def _expire(self) -> None:
         due_s = self._deadline_s()
         if due_s is not None and time.monotonic() >= due_s:
+            self.silences += 1
             self._leds.protocol.put_out()

@@ -164,8 +164,9 @@ class SacnDevice(EndDevice):
                 self.dropped += 1
                 return False
             self.lost += max(0, ahead - 1)
+        self.heard_s = time.monotonic()
         self._sources[packet.universe] = Source(
-            packet.cid, packet.priority, packet.sequence, time.monotonic()
+            packet.cid, packet.priority, packet.sequence, self.heard_s
         )
         return True
 
@@ -189,6 +190,7 @@ class SacnDevice(EndDevice):
         for universe, source in list(self._sources.items()):
             if now_s - source.heard_s >= SOURCE_LOSS_S:
                 self.source_losses.append(universe)
+                self.silences += 1
                 del self._sources[universe]
                 if not self._leds.dead:
                     self._leds.light(self._with(universe, b""))

@@ -16,7 +16,7 @@ from sim.camera.flaws import CaptureFlaws
 from sim.camera.shooting import LitSubject
 from sim.devices.camera_device import CameraFolders
 from sim.devices.faults import FaultLog, Story
-from sim.devices.led_device import LedDevice
+from sim.devices.led_device import WATCHDOG_S, LedDevice
 from sim.devices.photographer import Photographer
 from sim.devices.story_cameras import ATTEMPTS, TIMEOUT_S, StoryCameras
 from sim.light.polarised import seen_through
@@ -101,6 +101,6 @@ def standing_stage(
     write_text(desk / "cameras.toml", folders.cameras_file())
     banks = [light.bank for light in world.rig.lights]
     subject = (world.subject.name, world.subject.expression)
-    with LedDevice(len(banks), show, 1, story, log, banks) as device:
+    with LedDevice(len(banks), show, 1, story, log, banks, WATCHDOG_S) as device:
         url = device.url(timeout_s, attempts)
         yield StandingStage(desk, device, url, photographer, subject)

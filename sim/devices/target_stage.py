@@ -15,7 +15,7 @@ from lightstage.formats.files import write_text
 from lightstage.rig import Rig, save_rig
 from sim.camera.flaws import CaptureFlaws
 from sim.devices.body_folder import NEXT, put
-from sim.devices.led_device import LedDevice
+from sim.devices.led_device import WATCHDOG_S, LedDevice
 from sim.devices.simulated_camera import SimulatedCameras
 from sim.devices.target_photographer import TargetPhotographer
 
@@ -60,7 +60,7 @@ class TargetStage:
         self._lock = threading.Lock()
         self._levels = np.zeros(len(rig.lights))
         self._show(self._levels)
-        self.device = LedDevice(len(rig.lights), self._show)
+        self.device = LedDevice(len(rig.lights), self._show, watchdog_s=WATCHDOG_S)
 
     def __enter__(self) -> TargetStage:
         self.device.__enter__()

@@ -148,3 +148,25 @@ def test_a_source_that_falls_silent_is_lost_and_its_lights_go_out():
         assert device.dark
         leds.confirm()  # sends the state again: the source is back
         until(lambda: not device.dark)
+
+
+def test_the_stream_of_every_universe_ends_with_three_packets_that_say_so():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(20)
+        port = receiver.getsockname()[1]
+        with open_leds(f"sacn://127.0.0.1:{port}?universe=7&settle_s=0", 600) as leds:
+            leds.light(np.ones(600))
+            leds.dark()
+        packets = []
+        while len(packets) < 18:  # two states three times and three ends, of two universes
+            packets.append(read_packet(receiver.recv(1000)))
+        receiver.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            receiver.recv(1000)
+    assert [packet.terminated for packet in packets] == 12 * [False] + 6 * [True]
+    for universe in (7, 8):
+        own = [packet for packet in packets if packet.universe == universe]
+        numbers = [packet.sequence for packet in own]
+        assert numbers == list(range(numbers[0], numbers[0] + 9))
+        assert not any(own[-1].slots)

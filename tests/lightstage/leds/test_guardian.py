@@ -14,8 +14,8 @@ import pytest
 from lightstage.leds.guard import Guardian, LastWill
 from lightstage.leds.opening import open_leds
 from sim.devices.adalight_device import AdalightDevice
-from sim.devices.led_device import LedDevice
-from sim.devices.sacn_device import SacnDevice
+from sim.devices.led_device import WATCHDOG_S, LedDevice
+from sim.devices.sacn_device import SOURCE_LOSS_S, SacnDevice
 
 KINDS = ("pty", "socket", "adalight", "sacn")
 
@@ -126,6 +126,31 @@ def test_a_killed_capture_leaves_no_light_on_and_the_device_free(kind, whole_gro
         url = device.url(5.0) if isinstance(device, LedDevice) else device.url("")
         with open_leds(url, 8) as leds:
             leds.light(np.ones(8))
+
+
+def with_watchdog(kind):
+    """A far end that goes dark by itself, and the seconds of silence after which it does."""
+    if kind == "adalight":
+        return AdalightDevice(8, unwatched, timeout_s=1.0), 1.0
+    if kind == "sacn":
+        return SacnDevice(8, unwatched), SOURCE_LOSS_S
+    return LedDevice(8, unwatched, over=kind, watchdog_s=WATCHDOG_S), WATCHDOG_S
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_capture_killed_with_its_guardian_leaves_the_device_to_go_dark_by_itself(kind, rig_path):
+    far, silence_s = with_watchdog(kind)
+    with far as device, Running(device, rig_path) as capture:
+        both = (capture.process.pid, capture.guardian)
+        for number in (signal.SIGSTOP, signal.SIGKILL):  # neither may act on the other's death
+            for pid in both:
+                os.kill(pid, number)
+        capture.process.wait()
+        assert device.silences == 0
+        until(lambda: device.dark)
+        assert device.silences == 1
+        assert device.states[-1].at_s - device.heard_s >= silence_s
+        assert len(device.states) == 3  # dark, lit, dark
 
 
 @pytest.mark.parametrize("kind", KINDS)

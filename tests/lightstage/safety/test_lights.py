@@ -18,6 +18,7 @@ from lightstage.safety import SafeLights, SafetyConfig
 from lightstage.safety import lights as safe_lights
 from sim.devices.faults import Fault, Story
 from sim.devices.led_device import LedDevice
+from sim.devices.sacn_device import SacnDevice
 
 QUICK = SafetyConfig(light_interval_s=0.0, max_flashes_per_s=30.0)
 FULL = np.ones(8)
@@ -305,6 +306,57 @@ def test_a_device_with_a_watchdog_stays_lit_for_as_long_as_somebody_watches(smal
         time.sleep(1.2)
         lights.confirm()
         assert len(device.states) == 2
+
+
+def test_a_host_that_waits_to_change_the_light_keeps_the_lit_one_awake(small_rig):
+    config = SafetyConfig(light_interval_s=1.6)
+    with (
+        LedDevice(8, lambda _: None, watchdog_s=0.8) as device,
+        open_leds(device.url(20.0), 8) as leds,
+        SafeLights(leds, config, small_rig) as lights,
+    ):
+        lights.light(FULL)
+        lights.light(FULL / 2)
+        assert [state.counts.max() for state in device.states] == [0, 65535, 32768]
+        assert device.silences == 0
+
+
+@pytest.mark.parametrize(
+    ("settle_s", "interval_s"), [(2.8, 0.0), (0.0, 2.8)], ids=["settling", "waiting to change"]
+)
+def test_an_e131_receiver_never_loses_its_source_while_the_host_waits(
+    small_rig, settle_s, interval_s
+):
+    config = SafetyConfig(light_interval_s=interval_s)
+    with SacnDevice(8, lambda _: None) as device:
+        with (
+            open_leds(device.url(f"settle_s={settle_s}"), 8) as leds,
+            SafeLights(leds, config, small_rig) as lights,
+        ):
+            lights.light(FULL)
+            if interval_s:
+                lights.light(FULL / 2)
+        until(lambda: device.terminated == [1])
+        assert device.source_losses == []
+        assert [bool(state.counts.any()) for state in device.states] == (
+            [False, True, True, False] if interval_s else [False, True, False]
+        )
+
+
+def test_dark_does_not_wait_for_a_light_that_settles(small_rig):
+    with (
+        SacnDevice(8, lambda _: None) as device,
+        open_leds(device.url("settle_s=1.5"), 8) as leds,
+        SafeLights(leds, QUICK, small_rig) as lights,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        settling = pool.submit(lights.light, FULL)
+        until(lambda: not device.dark)
+        lights.dark()
+        until(lambda: device.dark)
+        assert not settling.done()
+        with pytest.raises(LightLostError, match="put out by another thread"):
+            settling.result(30)
 
 
 def test_a_board_that_resets_in_a_shot_is_recovered_and_lit_again(small_rig):

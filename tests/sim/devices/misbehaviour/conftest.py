@@ -28,7 +28,7 @@ from lightstage.sequence import plan_shots
 from lightstage.session import read_journal
 from sim.devices.coded_stage import CodedStage, Labels
 from sim.devices.faults import Fault, Story, read_fault_log
-from sim.devices.led_device import LitState
+from sim.devices.led_device import WATCHDOG_S, LitState
 from sim.devices.simulated_camera import DRIVER, SimulatedCamera
 
 WIDTH, HEIGHT = 48, 64
@@ -118,6 +118,7 @@ class SmallStage:
         self.patterns = patterns
         self.drive: Drive = "on-off"
         self.config = FAST
+        self.watchdog_s: float | None = WATCHDOG_S
         self.captures = self.desks = 0
         self.watch: Callable[[Path, dict[str, Any]], object] = lambda _root, _line: None
 
@@ -147,7 +148,8 @@ class SmallStage:
         """Devices that stand ready for one session after the other while this happens."""
         self.desks += 1
         desk = self.root / f"desk{self.desks}"
-        with CodedStage(desk, self.rig, Story(faults, seed), seed) as coded:
+        story = Story(faults, seed)
+        with CodedStage(desk, self.rig, story, seed, None, self.watchdog_s) as coded:
             for camera_id, own in (settings or {}).items():
                 preset(coded.cameras.folder(camera_id), own)
             yield StandingStage(self, coded, desk)

@@ -147,7 +147,9 @@ def test_a_setting_that_drifts_is_set_back_and_its_photograph_taken_again(stage,
     assert ending.happened == [name]
     assert ending.fine, ending.said
     assert "x+/cam1.take2" in ending.kept()
-    assert next(line["code"] for line in ending.lines("finding")) == "drift"
+    # The first line is of this stage's fast lights, under which nobody sits.
+    codes = [line["code"] for line in ending.lines("finding")]
+    assert codes[:2] == ["photosensitivity", "drift"]
     assert any("set back" in line["said"] for line in ending.lines("note"))
 
 
