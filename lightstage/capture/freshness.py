@@ -10,6 +10,7 @@ from lightstage.exif import read_exif
 from lightstage.session import SessionWriter
 from lightstage.session.camera_clock import CameraClock, Verdict, judge_time
 from lightstage.session.disk import disk_errors
+from lightstage.session.state import CLOCK_SET
 
 
 class Freshness:
@@ -58,7 +59,7 @@ class Freshness:
         if clock is not None:
             begun = clock.at(exposure.triggered_s)
             verdict = judge_time(taken, begun, exposure.exposed_s - exposure.triggered_s)
-            if verdict is Verdict.DIFFERS and not self._was_set(camera, clock):
+            if verdict is Verdict.DIFFERS and not self._was_set(camera, clock, exposure):
                 shown = begun.isoformat(" ", "seconds")
                 return f"the time {taken} in the file, the camera's clock showed {shown}"
         # A clock that was set says nothing: before or after this shot, nobody knows.
@@ -66,12 +67,13 @@ class Freshness:
             return f"the file {exposure.files[0].name}, which was on its card before this capture"
         return ""
 
-    def _was_set(self, camera: CameraDevice, clock: CameraClock) -> bool:
+    def _was_set(self, camera: CameraDevice, clock: CameraClock, exposure: Exposure) -> bool:
         """Whether a camera's clock was set since it was read; it is known anew then."""
         offset_s = camera.summary().clock_offset_s
         if offset_s is not None and not clock.was_set_since(offset_s):
             return False
         self._clocks[camera.id] = CameraClock.read_now(offset_s)
         said = "its clock was set during the capture, or is no longer told"
-        self._writer.note("note", camera=camera.id, said=said)
+        file = [exposure.files[0].name, exposure.files[0].size]
+        self._writer.note("note", about=CLOCK_SET, camera=camera.id, file=file, said=said)
         return True

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.checks.config import ChecksConfig
+from lightstage.checks.origin import strangers, too_old
 from lightstage.checks.photo import Photo, measure_image, measure_photo
 from lightstage.checks.shot import ShotChecks
 from lightstage.checks.sums import find_sums
@@ -64,7 +65,7 @@ class CheckReport:
 def check_session(
     root: Path, progress: ProgressCallback = quiet, config: ChecksConfig | None = None
 ) -> CheckReport:
-    """Check every photograph of a session: there, unchanged, readable, sized, lit as recorded.
+    """Check every photograph of a session: there, unchanged, its own, readable, lit as recorded.
 
     Args:
         root: of the session.
@@ -81,6 +82,8 @@ def check_session(
             read_points_px(root / "landmarks.json")
         except FormatError as error:
             problems.append(error)
+    of_others, findings = strangers(session)
+    problems += [*of_others, *too_old(session)]
     broken = {problem.where for problem in problems}
     whole = {f.path: f.sha256 for f in session.file.frames if str(root / f.path) not in broken}
     problems += [each for each in check_manifest(root, whole) if each.where not in broken]
@@ -88,7 +91,6 @@ def check_session(
     clipped: dict[tuple[str, str], float] = {}
     shots = [Shot(name, session.levels(name)) for name in session.file.sequence]
     checks = ShotChecks(session.rig, shots, config)
-    findings: list[Finding] = []
     done = 0
     for pattern in session.file.sequence:
         for frame in session.file.frames:

@@ -18,6 +18,8 @@ from lightstage.session.kept import Kept, Key, Recovered, key_of, packed, stem_o
 
 NOT_OURS = "not-ours"
 """What a note is about that names a file on a card as another session's."""
+CLOCK_SET = "clock-set"
+"""What a note is about that names a photograph which was taken while its camera's clock was set."""
 NOT_HELD = ("levels", "cards")
 """What is long in a journal's first line, and is asked of nobody here."""
 

@@ -7,8 +7,12 @@ import datetime
 
 import pytest
 
+from lightstage.capture.freshness import Freshness
+from lightstage.checks import check_session
+from lightstage.errors import FormatError
 from lightstage.exif import read_exif
 from lightstage.preflight import PreflightConfig
+from lightstage.session import SessionWriter
 from sim.camera.exposure import told_by
 from sim.devices.faults import Fault
 
@@ -115,3 +119,30 @@ def test_an_old_full_that_nothing_tells_is_found_where_it_contradicts_and_taken_
     assert ("full", "cam0") in again
     assert {camera for _, camera in again} == {"cam0"}
     assert len(again) <= 2 * doubting.config.operator.retakes
+
+
+def test_check_finds_a_photograph_of_the_session_beside_and_one_older_than_its_session(
+    stage, monkeypatch
+):
+    """What a capture would have let pass: without the two looks that refuse an old picture."""
+    with monkeypatch.context() as blind, stage.standing(stale()) as standing:
+        blind.setattr(SessionWriter, "look_beside", lambda _: None)
+        blind.setattr(Freshness, "doubt", lambda *_: "")
+        standing.capture(patterns=("full",))
+        pretend_older(standing)
+        ending = standing.capture(patterns=("full",))
+        assert ending.said == ""
+        assert ending.labels.of_another
+    with pytest.raises(FormatError, match=r"cam0\.dng, time in the file: .* when the session") as e:
+        check_session(ending.root)
+    assert "cam1" not in str(e.value)
+    (ending.root.parent / "session1" / "journal.jsonl").write_text(
+        (ending.root / "journal.jsonl").read_text().replace(session_of(ending), "another")
+    )
+    with pytest.raises(FormatError, match="the bytes of full by cam0 in the session session1"):
+        check_session(ending.root)
+
+
+def session_of(ending):
+    """A session's id."""
+    return str(ending.lines("begin")[0]["session"])
