@@ -6,7 +6,7 @@ Names of cameras_file and identity can be had from here too.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -20,6 +20,26 @@ from lightstage.cameras.identity import summary_problems as summary_problems
 from lightstage.cameras.process import CameraProcess, Deadlines
 from lightstage.errors import LightstageError, one_error
 from lightstage.rig import Camera, Rig
+
+
+@dataclasses.dataclass(frozen=True)
+class Moved:
+    """A camera that was found at another port than it was looked for at.
+
+    Attributes:
+        camera: its id.
+        serial: its serial number, by which it was found.
+        port: where it was looked for.
+        there: serial number of the body that is there instead; None where nothing answered.
+        found: the port at which it is.
+    """
+
+    camera: str
+    serial: str
+    port: str
+    there: str | None
+    found: str
+
 
 Make = Callable[[str, str, Path | None, Deadlines | float, str | None], CameraProcess]
 """Builds a camera from id, port, virtual folder, deadlines, driver."""
@@ -74,7 +94,10 @@ def find_cameras(
 
 
 def connect_problems(
-    wanted: Sequence[Camera], cameras: Sequence[CameraDevice], allow_unverifiable: Sequence[str]
+    wanted: Sequence[Camera],
+    cameras: Sequence[CameraDevice],
+    allow_unverifiable: Sequence[str],
+    moved: list[Moved] | None = None,
 ) -> tuple[dict[str, Summary], list[LightstageError]]:
     """Open cameras, all at once, and check all that opened, also where others did not.
 
@@ -82,11 +105,16 @@ def connect_problems(
         wanted: the rig's, in the order of `cameras`.
         cameras: not yet open.
         allow_unverifiable: names that a camera may be unable to tell.
+        moved: is given the cameras that were found at another port than their own; without it
+            no other port is tried.
 
     Returns:
         What each camera tells, by its id, and every problem.
     """
-    told, problems = try_cameras(cameras)
+    results = _attempts(cameras)
+    if moved is not None:
+        moved += _find_moved(wanted, cameras, results)
+    told, problems = _parted(results)
     opened = [camera for camera in wanted if camera.id in told]
     problems += summary_problems(opened, [told[camera.id] for camera in opened], allow_unverifiable)
     return told, problems
@@ -102,6 +130,11 @@ def try_cameras(
     cameras: Sequence[CameraDevice],
 ) -> tuple[dict[str, Summary], list[LightstageError]]:
     """Open cameras, all at once; the summaries by id, and the errors of those that failed."""
+    return _parted(_attempts(cameras))
+
+
+def _attempts(cameras: Sequence[CameraDevice]) -> dict[str, Summary | LightstageError]:
+    """What each camera told when it was opened, or why it was not, by its id."""
 
     def attempt(camera: CameraDevice) -> Summary | LightstageError:
         try:
@@ -110,11 +143,52 @@ def try_cameras(
             return error
 
     if not cameras:
-        return {}, []
+        return {}
     with ThreadPoolExecutor(len(cameras)) as pool:
-        results = list(zip(cameras, pool.map(attempt, cameras), strict=True))
-    problems = [result for _, result in results if isinstance(result, LightstageError)]
-    return {c.id: told for c, told in results if isinstance(told, Summary)}, problems
+        results = pool.map(attempt, cameras)
+        return {camera.id: told for camera, told in zip(cameras, results, strict=True)}
+
+
+def _parted(
+    results: Mapping[str, Summary | LightstageError],
+) -> tuple[dict[str, Summary], list[LightstageError]]:
+    """The summaries by id, and the errors."""
+    told = {name: result for name, result in results.items() if isinstance(result, Summary)}
+    return told, [each for each in results.values() if isinstance(each, LightstageError)]
+
+
+def _find_moved(
+    wanted: Sequence[Camera],
+    cameras: Sequence[CameraDevice],
+    results: dict[str, Summary | LightstageError],
+) -> list[Moved]:
+    """Look at the other ports for cameras that are not at their own; `results` is set right.
+
+    One in whose place another camera of the rig stands is not looked for: `summary_problems` tells
+    of it, since the bodies themselves may have been exchanged on the stage. One that is nowhere
+    keeps its result.
+    """
+    own = {camera.serial for camera in wanted}
+    lost = []
+    for camera, device in zip(wanted, cameras, strict=True):
+        result = results[camera.id]
+        there = result.serial if isinstance(result, Summary) else None
+        right = isinstance(result, Summary) and (there is None or there in own)
+        # A virtual camera tells no serial number.
+        if right or not isinstance(device, CameraProcess) or device.virtual_folder is not None:
+            continue
+        device.close()
+        lost.append((camera, device, there))
+    moved = []
+    for camera, device, there in lost:
+        port = device.port
+        try:
+            results[camera.id] = device.find(camera.serial)
+        except LightstageError:
+            continue
+        if device.port != port:
+            moved.append(Moved(camera.id, camera.serial, port, there, device.port))
+    return moved
 
 
 def open_cameras(

@@ -124,7 +124,11 @@ class CameraProcess:
         child = self._child
         if child is not None:
             child.kill()
-        absent_until = time.monotonic() + self.deadlines.absent_s
+        return self._search(self.deadlines.absent_s)
+
+    def _search(self, absent_s: float) -> Summary:
+        """Connect to the body with `_serial`, which may be away for some seconds."""
+        absent_until = time.monotonic() + absent_s
         until = absent_until + self.deadlines.open_s
         said: dict[str, str] = {}
         while not self._closed:
@@ -153,6 +157,19 @@ class CameraProcess:
             expected=known,
             hint="Check its cable, power and battery.",
         )
+
+    def find(self, serial: str) -> Summary:
+        """Connect to the body of a serial number at whatever port it is now, its own port first.
+
+        Nobody waits for one that is away.
+
+        Raises:
+            DeviceError: it is not there, with what is at each port instead.
+        """
+        self.close()
+        self._closed = False
+        self._serial = serial
+        return self._search(0.0)
 
     def summary(self) -> Summary:
         """What the camera tells about itself, read anew."""

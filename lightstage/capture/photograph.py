@@ -28,8 +28,8 @@ from lightstage.errors import (
 )
 from lightstage.findings import Finding
 from lightstage.leds.controller import LightLostError
-from lightstage.preflight import drift, photograph_findings
-from lightstage.preflight.privacy import EMPTY, FIELDS
+from lightstage.preflight import drift, photograph_findings, set_back
+from lightstage.preflight.privacy import FIELDS
 from lightstage.rig import Rig
 from lightstage.session import SessionWriter, arrived, why_not_delete
 from lightstage.steps import step
@@ -175,16 +175,15 @@ class Photographer:
 
     def set_back(self, camera: CameraDevice) -> None:
         """Give a camera the settings that it began with, where they drifted."""
-        before = self._told[camera.id]
         try:
-            for finding in drift(before, camera.summary(), camera.id):
-                name = finding.where.rpartition(", ")[2]
-                if finding.code == "drift":
-                    # A field that names somebody was empty, or not told, before.
-                    camera.change(name, getattr(before, name) or EMPTY.get(name, ""))
-                    self._writer.note("note", camera=camera.id, said=f"{name} set back")
+            done, failed = set_back(camera, self._told[camera.id])
         except LightstageError as error:
-            self._writer.note("note", camera=camera.id, said=f"not set back: {error}")
+            done, failed = [], [str(error)]
+        for finding in done:
+            name = finding.where.rpartition(", ")[2]
+            self._writer.note("note", camera=camera.id, said=f"{name} set back")
+        for said in failed:
+            self._writer.note("note", camera=camera.id, said=f"not set back: {said}")
 
     def _trigger(self, pattern: str, camera: CameraDevice, at_s: float) -> Exposure | DeviceError:
         """Trigger; the exposure, or why there is none."""

@@ -25,7 +25,7 @@ from lightstage.operator import Operator, serve_events
 from lightstage.operator.plain import plain
 from lightstage.patterns import on_plane
 from lightstage.patterns.names import BINARY
-from lightstage.preflight import Plan, clear_privacy, drift, preflight, require
+from lightstage.preflight import Plan, clear_privacy, drift, preflight, require, set_back
 from lightstage.resume_line import RESUME_WITH, resume_line
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import photosensitivity_findings
@@ -102,6 +102,7 @@ def capture_session(
     """
     if config.preflight.clear:
         stage.told.update(clear_privacy(stage.cameras))
+    reset = _set_back(stage, order.root) if order.resume else []
     count = len(order.shots)
     lit = [level for shot in order.shots for level in shot.levels if level > 0]
     plan = Plan(
@@ -115,6 +116,8 @@ def capture_session(
     findings = [
         *photosensitivity_findings(order.shots, config.safety),
         *order.findings,
+        *stage.moved,
+        *reset,
         *looked,
         *_split_lights(stage.rig, order.shots),
     ]
@@ -251,6 +254,22 @@ def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
         writer.close()
         raise
     return writer
+
+
+def _set_back(stage: Stage, root: Path) -> list[Finding]:
+    """Give all cameras the settings with which an unfinished session began.
+
+    What cannot be set is told by `_changed`, which refuses to go on.
+    """
+    began = read_journal(root / "journal.jsonl")[0]["told"]
+    findings: list[Finding] = []
+    for camera in stage.cameras:
+        if camera.id in began:
+            done, _ = set_back(camera, Summary(**began[camera.id]))
+            if done:
+                stage.told[camera.id] = camera.summary()
+            findings += done
+    return findings
 
 
 def _changed(writer: SessionWriter, stage: Stage) -> list[Finding]:

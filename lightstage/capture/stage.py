@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 from lightstage.cameras.binding import (
     CamerasFile,
+    Moved,
     close_cameras,
     connect_problems,
     find_cameras,
@@ -16,6 +17,7 @@ from lightstage.cameras.camera import CameraDevice, Summary
 from lightstage.cameras.process import detect_ports
 from lightstage.capture.config import CaptureConfig
 from lightstage.errors import one_error
+from lightstage.findings import Finding
 from lightstage.leds.address import parse_url
 from lightstage.leds.opening import open_leds
 from lightstage.preflight import PreflightConfig, device_findings, refusals
@@ -33,6 +35,7 @@ class Stage:
         cameras: opened, in the rig's order.
         told: what each camera told about itself, by its id, and must go on telling.
         file: what the cameras file says of them.
+        moved: warnings of cameras that are at other ports than the cameras file says.
     """
 
     rig: Rig
@@ -40,6 +43,7 @@ class Stage:
     cameras: tuple[CameraDevice, ...]
     told: dict[str, Summary]
     file: CamerasFile
+    moved: Sequence[Finding] = ()
 
 
 @contextlib.contextmanager
@@ -63,8 +67,8 @@ def open_stage(rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig) ->
         try:
             with SafeLights(device, config.safety, rig, worst_s) as lights:
                 lights.dark()
-                told = _connect(rig, lights, cameras, file, config.preflight)
-                yield Stage(rig, lights, tuple(cameras), told, file)
+                told, moved = _connect(rig, lights, cameras, file, config.preflight)
+                yield Stage(rig, lights, tuple(cameras), told, file, moved)
         finally:
             close_cameras(cameras)
 
@@ -75,11 +79,25 @@ def _connect(
     cameras: Sequence[CameraDevice],
     file: CamerasFile,
     config: PreflightConfig,
-) -> dict[str, Summary]:
-    """Open all cameras; each must be the rig's own."""
+) -> tuple[dict[str, Summary], list[Finding]]:
+    """Open all cameras, each of which must be the rig's own; warnings of those that moved."""
     wanted = [rig.camera(camera.id) for camera in cameras]
-    told, problems = connect_problems(wanted, cameras, file.allow_unverifiable)
+    moved: list[Moved] = []
+    told, problems = connect_problems(wanted, cameras, file.allow_unverifiable, moved)
     if problems:
         # The others' settings in the same message: the operator goes to the stage once.
         raise one_error(problems + refusals(device_findings(rig, told, file, lights, config)))
-    return told
+    return told, [_told_moved(each) for each in moved]
+
+
+def _told_moved(moved: Moved) -> Finding:
+    there = "nothing that answers" if moved.there is None else f"serial {moved.there}"
+    return Finding(
+        "warn",
+        "moved",
+        f"camera {moved.camera}, port",
+        f"serial {moved.serial} at {moved.found}, and {there} at {moved.port}",
+        f"it at {moved.port} (the cameras file)",
+        f"It is used where it is. Give port {moved.found} in the cameras file, or no port.",
+        camera=moved.camera,
+    )

@@ -3,7 +3,7 @@
 from lightstage.preflight.check import device_findings, preflight, refusals, require
 from lightstage.preflight.config import Plan, PreflightConfig
 from lightstage.preflight.consent import consent_findings
-from lightstage.preflight.drift import drift
+from lightstage.preflight.drift import drift, set_back
 from lightstage.preflight.photograph import photograph_findings
 from lightstage.preflight.privacy import clear_privacy
 from lightstage.preflight.skew import SkewReport, skew_findings
@@ -20,5 +20,6 @@ __all__ = [
     "preflight",
     "refusals",
     "require",
+    "set_back",
     "skew_findings",
 ]

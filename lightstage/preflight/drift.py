@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from lightstage.cameras.camera import Summary
+import dataclasses
+
+from lightstage.cameras.camera import CameraDevice, Summary
+from lightstage.errors import LightstageError
 from lightstage.findings import Finding
-from lightstage.preflight.privacy import FIELDS, is_empty
+from lightstage.preflight.privacy import EMPTY, FIELDS, is_empty
 from lightstage.preflight.values import same_value
 
 FIXED = (
@@ -59,6 +62,45 @@ def drift(before: Summary, now: Summary, camera_id: str = "") -> list[Finding]:
                 )
             )
     return findings
+
+
+OF_THE_BODY = ("serial", "model", "firmware")
+"""What no command can set: where it changed, another body or other firmware is there."""
+
+
+def set_back(camera: CameraDevice, before: Summary) -> tuple[list[Finding], list[str]]:
+    """Give a camera the settings that it had, where they drifted.
+
+    Nothing is changed on another body than the one that told `before`.
+
+    Args:
+        camera: opened.
+        before: what it told.
+
+    Returns:
+        One finding ``set-back`` for each setting that was set, and what could not be set, in words.
+
+    Raises:
+        DeviceError: the camera cannot tell its settings now.
+    """
+    drifted = {
+        finding.where.rpartition(", ")[2]: finding
+        for finding in drift(before, camera.summary(), camera.id)
+        if finding.code == "drift"
+    }
+    done, failed = [], []
+    for name, finding in drifted.items():
+        if drifted.keys() & set(OF_THE_BODY):
+            break
+        # A field that names somebody was empty, or not told, before.
+        try:
+            camera.change(name, getattr(before, name) or EMPTY.get(name, ""))
+        except LightstageError as error:
+            failed.append(str(error))
+            continue
+        said = "Somebody or something changed it; it was set back."
+        done.append(dataclasses.replace(finding, severity="warn", code="set-back", hint=said))
+    return done, failed
 
 
 def _hint(name: str, old: str) -> str:

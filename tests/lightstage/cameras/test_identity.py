@@ -169,6 +169,41 @@ def test_missing_unknown_and_wrongly_placed_cameras_make_one_message(fake, small
     assert "camera cam0, serial: found 602, expected 600" in said
 
 
+def test_a_camera_at_another_port_than_the_files_is_found_by_its_serial_number(
+    fake, small_rig, processes
+):
+    """cam0's port has a stranger's body, nothing is at cam1's, cam2 is where it should be."""
+    fake.make_body("999")
+    ports = {"usb:001,007": "999", "usb:001,009": "602", "usb:001,010": "601", "usb:001,011": "600"}
+    three(fake, ports)
+    given = ["usb:001,007", "usb:001,008", "usb:001,009"]
+    for camera, port in zip(small_rig.cameras, given, strict=True):
+        processes.append(CameraProcess(camera.id, port, None, 20.0))
+    allowed = ("place", "owner", "clock_offset_s")
+    moved = []
+    told, problems = connect_problems(small_rig.cameras, processes, allowed, moved)
+    assert problems == []
+    assert [told[camera.id].serial for camera in small_rig.cameras] == ["600", "601", "602"]
+    assert [(m.camera, m.port, m.there, m.found) for m in moved] == [
+        ("cam0", "usb:001,007", "999", "usb:001,011"),
+        ("cam1", "usb:001,008", None, "usb:001,010"),
+    ]
+
+
+def test_a_camera_that_is_at_no_port_keeps_its_own_message(fake, small_rig, processes):
+    fake.make_body("999")
+    three(fake, {"usb:001,007": "999", "usb:001,008": "601", "usb:001,009": "602"})
+    ports = ["usb:001,007", "usb:001,008", "usb:001,009"]
+    for camera, port in zip(small_rig.cameras, ports, strict=True):
+        processes.append(CameraProcess(camera.id, port, None, 20.0))
+    moved = []
+    allowed = ("place", "owner", "clock_offset_s")
+    _, problems = connect_problems(small_rig.cameras, processes, allowed, moved)
+    assert moved == []
+    assert len(problems) == 1
+    assert "camera cam0, serial: found 999, expected 600 (rig.json)" in str(problems[0])
+
+
 def test_a_camera_that_does_not_open_hides_nothing_about_the_others(fake, small_rig, processes):
     three(fake, {"usb:001,007": "601", "usb:001,008": "600"})
     ports = ["usb:001,007", "usb:001,008", "usb:001,009"]
