@@ -175,7 +175,9 @@ class Run:
         if again:
             left = min(self._suspects.left(pattern, bad), *(self._left[each] for each in again))
             self._lights.dark()  # somebody may think about the answer for long
+            self._writer.note("asked", pattern=pattern)
             decision = self._operator.decide(bad, left)
+            self._writer.note("answered", pattern=pattern, do=decision)
             if decision == "retake":
                 if waits and pattern not in again:
                     self._queue_first(pattern, ())

@@ -66,7 +66,7 @@ def watch_command(
         write_text(picture, drawn(Screen(view, Ask(keys=keys)), columns))
     else:
         _watch(session, view)
-    running = view.phase in ("running", "paused")
+    running = view.phase in ("running", "asked", "paused")
     finish(
         f"{session}: {view.kept} of {view.wanted} photographs kept, "
         f"{len(view.done)} of {len(view.patterns)} patterns done, "

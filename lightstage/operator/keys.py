@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 
 ESCAPES = re.compile(rb"\x1b(?:\[[0-?]*[ -/]*[@-~]|O.|.)?", re.DOTALL)
 """What arrow keys and the like send; its letters are not keys."""
+ARROWS = {b"\x1b[A": "up", b"\x1bOA": "up", b"\x1b[B": "down", b"\x1bOB": "down"}
+"""They scroll, and do nothing else."""
 
 
 def pressed(piece: bytes) -> str | None:
@@ -24,6 +26,9 @@ def pressed(piece: bytes) -> str | None:
     Args:
         piece: bytes as they were read.
     """
+    arrows = {ARROWS.get(found) for found in ESCAPES.findall(piece)}
+    if len(arrows) == 1 and not ESCAPES.sub(b"", piece):
+        return arrows.pop()
     text = ESCAPES.sub(b"", piece).decode(errors="replace").lower()
     if "q" in text or "\x03" in text:
         return "q"
@@ -78,7 +83,7 @@ def heard(handle: int, press: Callable[[str], None]) -> Iterator[None]:
 
     Args:
         handle: file descriptor, such as of a terminal; read only here.
-        press: called with a letter in lower case.
+        press: called with a letter in lower case, ``up`` or ``down``.
     """
     woken, waker = os.pipe()
 

@@ -16,6 +16,7 @@ from rich.text import Text
 
 from lightstage.operator.cells import battery, card, sayable, short
 from lightstage.operator.view import CameraView, View
+from lightstage.operator.window import Scroll, fitting
 from lightstage.operator.words import (
     ANSWERS,
     KEYS,
@@ -47,6 +48,8 @@ MARKS: dict[Mark, tuple[str, str, str]] = {
 }
 """For a terminal with Unicode, for one without, and the style."""
 
+NEEDY = ("failed", "late", "restarting")
+"""States of cameras that somebody should look at."""
 ROOMY = 100
 """Columns from which serial numbers are shown."""
 LEGIBLE = 70
@@ -62,11 +65,13 @@ class Ask:
         question: findings to decide on, in words; empty where nothing is asked.
         keys: requests that have a key now.
         heard: answer to the last key.
+        scroll: by how many lines findings or news are scrolled.
     """
 
     question: Sequence[Said] = ()
     keys: Sequence[str] = ()
     heard: str = ""
+    scroll: Scroll = dataclasses.field(default_factory=Scroll)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,14 +86,20 @@ class Screen:
         width = options.max_width
         height = options.height or console.size.height
         with self.view.lock:
-            said = self._said(console, options, height // (2 if self.ask.question else 3))
-            below = [*said, *self._keys()]
+            keys = self._keys()
+            below = [Text(QUESTION, "bold reverse"), *keys] if self.ask.question else keys
+            # The head, the cameras that need somebody, and the keys are always in view.
+            fixed = 4 + sum(_lines(console, options, part) for part in below)
+            room = height - 1 - fixed - self._least_rows()
+            share = height // (2 if self.ask.question else 3)
+            said = self._said(console, options, max(2, min(share, room)))
+            below = [*said, *below]
             used = 4 + sum(_lines(console, options, part) for part in below)
             # What need not be there goes first where the terminal is low.
             spare = height - 1 - used - len(self.view.cameras)
             legend = [self._legend(unicode)] if spare >= 1 and width >= LEGIBLE else []
             gap = [Text()] if spare >= 2 else []
-            rows = max(2, height - 1 - used - len(legend) - len(gap))
+            rows = max(1, height - 1 - used - len(legend) - len(gap))
             middle = [
                 self._progress(width, unicode),
                 *gap,
@@ -118,15 +129,38 @@ class Screen:
             return line
         if view.phase == "running" and view.pattern:
             line.append(f"TAKING {view.pattern}", "bold")
+            self._countdown(line)
         else:
             line.append("DARK", "bold")
-            line.append({"paused": " (paused)", "aborted": " (stopped)"}.get(view.phase, ""))
+            why = {"asked": ", waiting for you", "paused": " (paused)", "aborted": " (stopped)"}
+            line.append(why.get(view.phase, ""), "bold")
         if view.acknowledged is not None:
             sure = "acknowledged" if view.acknowledged else "! NOT acknowledged"
             line.append(f", {sure}", "" if view.acknowledged else "bold yellow")
         if view.lights:
             line.append(f"   {view.lights}", "dim")
         return line
+
+    def _countdown(self, line: Text) -> None:
+        """Cameras that the others wait for, and the seconds until something is done about it."""
+        late = self.view.late
+        if late is None:
+            return
+        left_s = late.left_s()
+        soon = "soon" if left_s is None else f"in {left_s:.0f} s"
+        who = short(", ".join(late.cameras), 24)
+        does = f"dark {soon}" if late.lit else f"DARK, started again {soon}"
+        line.append(f", {who} late: {does}", "bold yellow")
+
+    def _least_rows(self) -> int:
+        """Lines of the table that must be in view: what needs somebody, and how many more."""
+        needy = sum(map(self._is_needy, self.view.cameras))
+        return min(len(self.view.cameras), 1 + min(3, max(1, needy)))
+
+    def _is_needy(self, name: str) -> bool:
+        """Whether a camera failed, or the question is about it."""
+        asked = any(item.camera == name for item in self.ask.question)
+        return asked or self.view.cameras[name].state in NEEDY
 
     def _progress(self, width: int, unicode: bool) -> RenderableType:
         view = self.view
@@ -179,8 +213,12 @@ class Screen:
         names = list(self.view.cameras)
         if len(names) <= rows:
             return names
-        busy = ("failed", "restarting", "triggering", "downloading", "kept", "idle")
-        by_need = sorted(names, key=lambda name: busy.index(self.view.cameras[name].state))
+        busy = (*NEEDY, "triggering", "downloading", "kept", "idle")
+
+        def need(name: str) -> tuple[bool, int]:
+            return not self._is_needy(name), busy.index(self.view.cameras[name].state)
+
+        by_need = sorted(names, key=need)
         chosen = set(by_need[: max(1, rows - 1)])
         return [name for name in names if name in chosen]
 
@@ -223,7 +261,7 @@ class Screen:
         over = self.view.phase in ("complete", "aborted") and camera.state != "failed"
         if over:
             return Text("-", "dim")
-        style = {"failed": "bold red", "restarting": "bold yellow", "kept": "green"}
+        style = dict.fromkeys(NEEDY, "bold yellow") | {"failed": "bold red", "kept": "green"}
         return Text(STATES[camera.state], style.get(camera.state, ""))
 
     def _legend(self, unicode: bool) -> Text:
@@ -237,19 +275,10 @@ class Screen:
     def _said(self, console: Console, options: ConsoleOptions, room: int) -> list[RenderableType]:
         """The question, or the latest news, as far as there is room for it."""
         asked = self.ask.question
-        items = merged(asked) if asked else merged(self.view.news)[::-1]
-        shown: list[RenderableType] = []
-        for item in items:
-            line = _said(item)
-            room -= _lines(console, options, line)
-            if shown and room < 0:
-                break
-            shown.append(line)
-        if not asked:
-            return [Text(), *reversed(shown)]
-        more = len(items) - len(shown)
-        others = [Text(f"  and {more} more", "dim")] if more else []
-        return [Text(), *shown, *others, Text(QUESTION, "bold reverse")]
+        items = [_said(item) for item in merged(asked if asked else self.view.news)]
+        gap: list[RenderableType] = [Text()] if room > 4 else []
+        shown = fitting(items, room - len(gap), self.ask.scroll, console, options, not asked)
+        return [*gap, *shown]
 
     def _keys(self) -> list[RenderableType]:
         lines: list[RenderableType] = []

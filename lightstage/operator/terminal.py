@@ -28,6 +28,7 @@ from lightstage.operator.cells import sayable
 from lightstage.operator.keys import has_keys, heard, key_by_key
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.view import View
+from lightstage.operator.window import Scroll
 from lightstage.operator.words import HEARD, KEYS, Said, said, text_of
 
 PICTURES_PER_S = 5
@@ -62,6 +63,7 @@ class TerminalOperator:
         self._requests = Requests()
         self._question: list[Said] = []
         self._heard = ""
+        self._scroll = Scroll()
         self._show = Shown(console, self.view, self._ask_now)
         self._open = contextlib.ExitStack()
 
@@ -87,6 +89,7 @@ class TerminalOperator:
         self._requests.told(line)
         if text_of(line, "event") in ("lit", "note") and not self._requests.aborted:
             self._heard = ""
+        self._scroll = Scroll()
         self._show.told(line)
 
     def command(self) -> Wish | None:
@@ -100,6 +103,7 @@ class TerminalOperator:
         """
         if self._keys is None:
             return "abort" if self._requests.aborted else self._by_rule(findings, retakes_left)
+        self._scroll = Scroll()
         self._question = [
             said({"event": "finding", **dataclasses.asdict(finding)}) for finding in findings
         ]
@@ -107,7 +111,7 @@ class TerminalOperator:
             choices: tuple[Decision, ...] = ("retake", "accept", "abort")
             return self._requests.ask(choices if may_accept(findings) else ("retake", "abort"))
         finally:
-            self._question = []
+            self._question, self._scroll = [], Scroll()
 
     def request(self, do: str) -> str | None:
         """Asked from elsewhere; why not, or None where it is accepted."""
@@ -126,6 +130,7 @@ class TerminalOperator:
         return by_rule(findings, retakes_left, self._config)
 
     def _press(self, key: str) -> None:
+        self._scroll.at += {"up": -1, "down": 1}.get(key, 0)
         for do in get_args(Request):
             if KEYS[do][0] == key:
                 why = self.request(do)
@@ -134,7 +139,7 @@ class TerminalOperator:
 
     def _ask_now(self) -> Ask:
         keys = () if self._keys is None else self._requests.possible
-        return Ask(tuple(self._question), keys, self._heard)
+        return Ask(tuple(self._question), keys, self._heard, self._scroll)
 
 
 class Shown:

@@ -10,6 +10,7 @@ import dataclasses
 import statistics
 import sys
 import threading
+import time
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -24,8 +25,8 @@ from lightstage.operator.words import (
 )
 from lightstage.printable import printable
 
-State = Literal["idle", "triggering", "downloading", "kept", "failed", "restarting"]
-Phase = Literal["before", "running", "paused", "aborted", "complete"]
+State = Literal["idle", "triggering", "downloading", "kept", "failed", "late", "restarting"]
+Phase = Literal["before", "running", "asked", "paused", "aborted", "complete"]
 
 SHOTS_MEASURED = 9
 """Time left is told from the median of so many shots, so that one slow one does not change it."""
@@ -43,6 +44,25 @@ class CameraView:
     state: State = "idle"
 
 
+@dataclasses.dataclass(frozen=True)
+class Late:
+    """Cameras that did not answer yet while the others have exposed.
+
+    Attributes:
+        cameras: their names.
+        lit: whether the light is still on for them.
+        until_s: time.monotonic() at which it goes out or, in the dark, they are started again.
+    """
+
+    cameras: tuple[str, ...]
+    lit: bool
+    until_s: float | None
+
+    def left_s(self) -> float | None:
+        """Seconds until then; None where it is not known."""
+        return None if self.until_s is None else max(0.0, self.until_s - time.monotonic())
+
+
 class View:
     """Told every line; several threads may tell and read.
 
@@ -57,7 +77,8 @@ class View:
         pattern: what is lit; None in the dark.
         lights: what the LED device told, as one line.
         acknowledged: whether it tells what is lit; None where it is not known.
-        phase: what the capture does.
+        phase: what the capture does; ``asked`` waits, dark, for the operator's answer.
+        late: what is known of cameras that the others wait for; None where there are none.
     """
 
     def __init__(self, session: str = "SESSION") -> None:
@@ -77,6 +98,8 @@ class View:
         self.last_id = 0
         self._shot_s: collections.deque[float] = collections.deque(maxlen=SHOTS_MEASURED)
         self._since_s: float | None = None
+        self._asked_s: float | None = None
+        self.late: Late | None = None
 
     @property
     def news(self) -> list[Said]:
@@ -120,7 +143,8 @@ class View:
             take = _TAKES_UP.get(text_of(line, "event"))
             if take is not None:
                 take(self, line)
-            if words.tone != "quiet" and text_of(line, "event") != "shot":
+            # Late cameras have a line of their own, on which the seconds run.
+            if words.tone != "quiet" and text_of(line, "event") not in ("shot", "waiting"):
                 self._news.append((words, _mended_by(line)))
         return words
 
@@ -133,6 +157,9 @@ class View:
 
     def _mark(self, line: Mapping[str, Any], mark: Mark, state: State) -> None:
         pattern, camera = self._place(line)
+        if self.late is not None and camera in self.late.cameras:
+            left = tuple(name for name in self.late.cameras if name != camera)
+            self.late = dataclasses.replace(self.late, cameras=left) if left else None
         if camera in self.cameras:
             self.cameras[camera].state = state
             if pattern in self.patterns:
@@ -179,8 +206,28 @@ class View:
         parts += [f"firmware {firmware}" if firmware else "", f"boot {boot}" if boot else ""]
         self.lights = ", ".join(filter(None, parts)) or self.lights
 
-    def _lit(self, line: Mapping[str, Any]) -> None:
+    def _asked(self, line: Mapping[str, Any]) -> None:
+        self.phase, self.pattern, self.late = "asked", None, None
+        self._asked_s = number_of(line, "elapsed_s")
+
+    def _answered(self, line: Mapping[str, Any]) -> None:
         self.phase = "running"
+        now_s, asked_s = number_of(line, "elapsed_s"), self._asked_s
+        if now_s is not None and asked_s is not None and self._since_s is not None:
+            self._since_s += now_s - asked_s  # thinking is no measure of what is left
+
+    def _waiting(self, line: Mapping[str, Any]) -> None:
+        names = names_of(line, "cameras")
+        lit = line.get("lit") is not False
+        left_s = number_of(line, "dark_in_s" if lit else "ended_in_s")
+        until_s = None if left_s is None else time.monotonic() + left_s
+        self.late = Late(tuple(names), lit, until_s)
+        for name in names:
+            if name in self.cameras:
+                self.cameras[name].state = "late"
+
+    def _lit(self, line: Mapping[str, Any]) -> None:
+        self.phase, self.late = "running", None
         self.pattern = text_of(line, "pattern") or None
         if isinstance(line.get("acknowledged"), bool):
             self.acknowledged = line["acknowledged"]
@@ -234,6 +281,7 @@ class View:
                 self._rejected({"pattern": each[0], "camera": each[1]})
 
     def _shot(self, line: Mapping[str, Any]) -> None:
+        self.late = None
         pattern, _ = self._place(line)
         self.done.add(pattern)
         left = [item for item in self._news if not pattern or item[1] != pattern]
@@ -256,7 +304,7 @@ class View:
 
     def _over(self, line: Mapping[str, Any]) -> None:
         self.phase = "complete" if text_of(line, "event") == "end" else "aborted"
-        self.pattern = None
+        self.pattern = self.late = None
 
 
 def _mended_by(line: Mapping[str, Any]) -> str:
@@ -271,6 +319,9 @@ _TAKES_UP = {
     "begin": View._begin,
     "resume": View._resume,
     "devices": View._devices,
+    "asked": View._asked,
+    "answered": View._answered,
+    "waiting": View._waiting,
     "lit": View._lit,
     "trigger": View._trigger,
     "exposed": View._exposed,

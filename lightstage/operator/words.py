@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -77,7 +78,10 @@ def text_of(line: Line, name: str) -> str:
 
 def _told(line: Line, name: str) -> str:
     """A field that may have a driver's words, in plain ones."""
-    return plain(text_of(line, name))
+    text = plain(text_of(line, name))
+    # Its camera and what it was asked are told beside it: no need to say them twice.
+    same = rf"camera {re.escape(text_of(line, 'camera'))}(?:, [^:]*)?: found "
+    return re.sub(f"^{same}", "", text)
 
 
 def number_of(line: Line, name: str) -> float | None:
@@ -256,6 +260,8 @@ _WORDS: dict[str, Callable[[Line], Said]] = {
     "calibration": _always("A calibration is kept with the session"),
     "note": _note,
     "waiting": _waiting,
+    "asked": _quiet,
+    "answered": _quiet,
     "aborted": _aborted,
     "end": _end,
 }
@@ -266,6 +272,7 @@ STATES = {
     "downloading": "downloading",
     "kept": "kept",
     "failed": "FAILED",
+    "late": "LATE",
     "restarting": "starting again",
 }
 """What a camera does now."""

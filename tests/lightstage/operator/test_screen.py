@@ -2,6 +2,7 @@
 
 import io
 import re
+import time
 from xml.etree import ElementTree
 
 import pytest
@@ -84,6 +85,51 @@ def test_very_many_findings_leave_room_for_cameras_and_keys(busy):
     assert "more" in text
     assert "cam8" in text  # the one that failed
     assert " q " in text
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(60, 15), (80, 24), (120, 40)])
+def test_the_failing_camera_the_question_and_its_keys_are_always_in_view(busy, columns, rows):
+    long = "another program has the camera, and says so at great length, " * 12
+    lines = [busy.not_taken("y+", "cam8", long), busy.not_taken("y+", "cam3", "no answer")]
+    busy.add("asked", pattern="y+")
+    ask = Ask([said(line) for line in lines], ("retake", "abort"))
+    shown_lines = picture(shown(busy.lines), ask, columns, rows)
+    text = "\n".join(shown_lines)
+    assert len(shown_lines) < rows
+    for part in (r"^cam8 +FAILED", r"^cam3 +", "DARK, waiting for you", "What now?"):
+        assert re.search(part, text, re.M), text
+    assert " r  take it again   q  stop, dark at once" in text
+
+
+def test_findings_that_do_not_fit_are_scrolled_by_keys_to_their_end(busy):
+    findings = [Said("problem", f"photograph {i} is blurred", "Do it.") for i in range(9)]
+    view, ask = shown(busy.lines), Ask(findings, RUNNING)
+    assert "more lines below: arrow keys" in "\n".join(picture(view, ask, 60, 15))
+    seen = set()
+    for _ in range(40):
+        seen.update(re.findall(r"photograph \d", "\n".join(picture(view, ask, 60, 15))))
+        ask.scroll.at += 1
+    assert len(seen) == 9
+    end = "\n".join(picture(view, ask, 60, 15))
+    assert "below" not in end
+    ask.scroll.at -= 1  # what was pressed beyond the end does not count
+    assert "below" in "\n".join(picture(view, ask, 60, 15))
+
+
+def test_the_seconds_until_the_lights_go_dark_are_counted_down(busy, monkeypatch):
+    told = {"pattern": "y+", "cameras": ["cam7"], "ended_in_s": 28.0}
+    busy.add("waiting", **told, lit=True, dark_in_s=3.0)
+    view = shown(busy.lines)
+    assert "TAKING y+, cam7 late: dark in 3 s" in "\n".join(picture(view, None, 80))
+    now_s = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now_s + 2.0)
+    assert "dark in 1 s" in "\n".join(picture(view, None, 80))
+    assert re.search(r"^cam7 +LATE", "\n".join(picture(view, None, 80)), re.M)
+    view.told(busy.add("waiting", **told, lit=False))
+    assert "cam7 late: DARK, started again in 28 s" in "\n".join(picture(view, None, 80))
+    busy.expose("y+", "cam7")
+    view.told(busy.lines[-1])
+    assert "late" not in "\n".join(picture(view, None, 80))
 
 
 def test_more_cameras_than_rows_show_those_that_need_somebody(story):

@@ -2,6 +2,8 @@
 
 import itertools
 
+import pytest
+
 from lightstage.operator.view import View
 
 
@@ -155,3 +157,34 @@ def test_lights_that_do_not_acknowledge_are_known(story):
     told.begin()
     told.add("lit", pattern="full", acknowledged=False)
     assert shown(told.lines).acknowledged is False
+
+
+def test_the_time_that_somebody_thinks_is_no_measure_of_what_is_left(story):
+    told, quick = story(2), story(2)
+    for each, thinks_s in ((told, 900.0), (quick, 0.0)):
+        each.begin()
+        each.shoot("full")
+        each.light("x+")
+        each.add("asked", pattern="x+")
+        each.add("answered", thinks_s, pattern="x+", do="retake")
+        each.shoot("x+")
+    left = []
+    for each in (told, quick):
+        view = View()
+        for line in each.lines:
+            view.told(line)
+        left.append(view.left_s())
+    assert left[0] == pytest.approx(left[1])
+
+
+def test_while_a_question_waits_it_is_dark_and_waits_for_the_operator(story):
+    told = story(2)
+    told.begin()
+    told.light("x+")
+    told.add("asked", pattern="x+")
+    view = View()
+    for line in told.lines:
+        view.told(line)
+    assert (view.phase, view.pattern) == ("asked", None)
+    view.told(told.add("answered", pattern="x+", do="retake"))
+    assert view.phase == "running"
