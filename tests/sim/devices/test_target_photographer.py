@@ -64,3 +64,9 @@ def test_settings_are_those_of_the_photographs(rig, tmp_path):
 def test_an_unknown_target_is_refused(rig):
     with pytest.raises(SimError, match="target: found 'cube', expected one of charuco"):
         TargetPhotographer(rig, "cube", 1)
+
+
+def test_chart_and_dark_are_exposed_alike_as_sessions_need_them(rig):
+    chart, dark = (TargetPhotographer(rig, kind, 3) for kind in ("chart", "dark"))
+    assert chart.settings() == dark.settings()
+    assert chart.settings() != TargetPhotographer(rig, "mirror", 3).settings()
