@@ -103,7 +103,7 @@ def main(
     config = DemoConfig(chosen)
     if quick:
         config = dataclasses.replace(
-            config, scale=config.scale / 2, atlas_rows=768, patch_px=256, train_seconds=30
+            config, scale=config.scale / 2, atlas_rows=768, train_seconds=30
         )
     code = run(config, out)
     if code == 0:

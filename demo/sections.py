@@ -246,11 +246,12 @@ def dataset_section(demo: Demo) -> Section:
         for folder in sorted(p.parent.name for p in demo.at.people.glob("*/report.json"))
     ]
     names = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "shape")
-    arrays = {n: zarr.open_array(demo.at.published / "patches" / n, mode="r") for n in names}
-    count = min(6, arrays["shape"].shape[0])
+    published = zarr.open_group(demo.at.published, mode="r")
+    arrays = {name: np.asarray(published[name][:6], np.float32) for name in names}
+    count = len(arrays["shape"])
     rows = []
     for name in names:
-        patches = [np.asarray(arrays[name][i], np.float32) for i in range(count)]
+        patches = list(arrays[name])
         if name == "shape":
             reach = max(float(abs(patch).max()) for patch in patches) or 1.0
             shown = [display_normals(patch / reach) for patch in patches]
@@ -262,8 +263,8 @@ def dataset_section(demo: Demo) -> Section:
         "Dataset",
         [
             "The network learns from other people than the one captured: simulated ones, whose "
-            "maps are known. The lab keeps whole maps; what could be published are patches that do "
-            "not overlap, shuffled, without name or place.",
+            "maps are known. The lab keeps whole maps; what could be published are small patches "
+            "apart from each other, shuffled, some left out, without name or place.",
             Picture(
                 side_by_side(people, ROW_PX),
                 "Diffuse albedo of the simulated people: different skins, the same layout.",
@@ -273,7 +274,8 @@ def dataset_section(demo: Demo) -> Section:
                 _stack(rows),
                 f"{count} of {facts['counts']['patches']} published patches, from top to bottom: "
                 "diffuse albedo, specular albedo, diffuse normals, and the shape as colour (the "
-                "patch's mean place removed). Neighbours in a row come from anywhere.",
+                "patch's mean place removed). Each patch is turned at random, its directions with "
+                "it, and neighbours in a row come from anywhere.",
                 "patches",
             ),
             f"What publishing cannot protect: {facts['cannot_protect']}",

@@ -21,7 +21,6 @@ class DemoConfig:
         scale: of the rig's pixels a side; 0.1795 makes 720 x 1080 of the default rig's.
         atlas_rows: height of the atlas in texels; its width is two thirds of it.
         people: parametric people that the network learns from.
-        patch_px: side of a published patch.
         train_seconds: how long the network learns.
     """
 
@@ -31,7 +30,6 @@ class DemoConfig:
     scale: float = 1080 / 6016
     atlas_rows: int = 1536
     people: int = 4
-    patch_px: int = 512
     train_seconds: int = 70
 
 
@@ -125,9 +123,9 @@ class Layout:
         """Pictures and errors of every stage."""
         return self.root / "report.html"
 
-    def folders_of_people(self) -> list[str]:
-        """Processed folders of the parametric people, by name."""
-        return sorted(str(path.parent) for path in self.people.glob("*/report.json"))
+    def all_of_people(self) -> list[str]:
+        """What a shell's `people/*` names: the parametric people's folders and their list."""
+        return sorted(str(path) for path in self.people.glob("*") if path.name[0] != ".")
 
     def light_sets(self) -> list[Path]:
         """The truth's light sets, by name."""
@@ -174,12 +172,12 @@ def steps(config: DemoConfig, at: Layout) -> Iterator[Step]:
     yield Step(
         "dataset build",
         "gather them into the lab's store",
-        ("processing", "dataset", "build", *at.folders_of_people(), "--out", str(at.store)),
+        ("processing", "dataset", "build", *at.all_of_people(), "--out", str(at.store)),
     )
     yield step(
         "dataset publish",
         "patches that may leave the lab",
-        "processing dataset publish {at.store} --out {at.published} --patch {config.patch_px}",
+        "processing dataset publish {at.store} --out {at.published}",
     )
     yield step(
         "train",

@@ -218,23 +218,53 @@ def publish(
     store: Path = typer.Argument(..., help="The lab's store.", show_default=False),
     out: Path = output_folder("--out", help="Published folder to make."),
     overwrite: bool = Overwrite,
-    patch: int = typer.Option(512, "--patch", min=8, help="Side of a patch in texels."),
+    patch: int | None = typer.Option(
+        None,
+        "--patch",
+        min=8,
+        help="Side of a patch in texels; by default 512 for each 6144 rows of the atlas. A patch "
+        "shows at most 1/40 of the face.",
+    ),
+    gap: float | None = typer.Option(
+        None, "--gap", help="Least distance of patches, as a share of their side [0.5]."
+    ),
+    drop: float | None = typer.Option(
+        None, "--drop", help="Share of everybody's patches that is left out [0.25]."
+    ),
+    without_consent: bool = typer.Option(
+        False,
+        "--without-consent",
+        help="Publish people without a consent record, too; the published set says so.",
+    ),
     seed: int | None = typer.Option(
-        None, "--seed", help="Of the shuffle, kept out of the result; by default a secret one."
+        None,
+        "--seed",
+        help="Of what is left out and of the order, kept out of the result; by default a secret.",
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """The anonymous form: shuffled patches that do not overlap."""
+    """The anonymous form: small patches apart from each other, turned, shuffled, some left out."""
     from lightstage.formats.files import read_json
     from processing.dataset import PublishConfig, open_store
     from processing.dataset import publish as publish_store
 
     _require_new(out, overwrite)
+    asked: dict[str, Any] = {
+        "patch_px": patch,
+        "gap": gap,
+        "drop": drop,
+        "without_consent": without_consent,
+    }
+    config = PublishConfig(**{k: v for k, v in asked.items() if v is not None})
     with progress_bar("dataset publish") as progress:
-        publish_store(open_store(store), out, seed, PublishConfig(patch_px=patch), progress)
-    counts = read_json(out / "dataset.json")["counts"]
+        publish_store(open_store(store), out, seed, config, progress)
+    written = read_json(out / "dataset.json")
+    counts, unasked = written["counts"], written["consent"]["subjects_without"]
     said = f"{counts['patches']} patches of {counts['subjects']} subjects"
-    finish(f"{out}: {said}", {"out": str(out), **counts}, as_json)
+    if unasked:
+        said += f", {unasked} of them without a consent record"
+    facts = {"out": str(out), **counts, "patch": written["patch"], "gap": written["gap"]}
+    finish(f"{out}: {said}", {**facts, "subjects_without_consent": unasked}, as_json)
 
 
 def _require_new(out: Path, overwrite: bool) -> None:

@@ -22,8 +22,12 @@ from lightstage.formats.files import read_json
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.rig import default_rig, save_rig
+from tests.documents import PACKAGES, ROOT, commands, options, run_as_written
 
 CAMERAS = ("cam0", "cam1", "cam2", "cam5", "cam6")
+DONE_BY_THE_DEMO = ("lightstage-sim session", "lightstage-sim dataset", "lightstage-processing run")
+DONE_BY_THE_DEMO += ("lightstage-processing evaluate", "lightstage-learning train")
+"""Commands that take long: the demo has run them with the same options, and sizes besides."""
 PATTERNS = ("full", "x+", "x-", "y+", "y-", "z+", "z-")
 
 
@@ -43,7 +47,6 @@ def test_the_demo_runs_end_to_end_on_a_tiny_rig(tmp_path: Path) -> None:
         scale=1.0,
         atlas_rows=384,
         people=2,
-        patch_px=128,
         train_seconds=5,
     )
     assert run(config, at.root) == 0
@@ -54,6 +57,7 @@ def test_the_demo_runs_end_to_end_on_a_tiny_rig(tmp_path: Path) -> None:
     nothing_is_half_written(at.root)
     a_second_run_skips_what_is_done(at)
     an_interrupt_leaves_whole_files(at, tmp_path / "interrupted")
+    the_readmes_commands_run_as_written(at, tmp_path / "readme")
 
 
 def session_is_whole(at: Layout) -> None:
@@ -142,3 +146,33 @@ def an_interrupt_leaves_whole_files(at: Layout, out: Path) -> None:
     for path in out.rglob("*.exr"):
         read_exr(path, finite=True)
     assert "atlas" not in read_json(out / "stages.json")["stages"]
+
+
+def the_readmes_commands_run_as_written(at: Layout, folder: Path) -> None:
+    """Those of the steps, on what the demo made; the slow ones are the demo's own steps."""
+    text = (ROOT / "README.md").read_text().split("## What the demo does")[1].split("\nA lab")[0]
+    folder.mkdir()
+    named = {
+        "S": at.session,
+        "S.truth": at.truth,
+        "OUT": at.processed,
+        "P": at.people,
+        "RUN": at.training,
+        "T.exr": at.baked,
+        "M.obj": at.mesh,
+        "E.json": at.light_sets()[0],
+    }
+    for name, path in named.items():
+        (folder / name).symlink_to(path)
+    steps = [step["command"] for step in read_json(at.steps)["steps"]]
+    written = commands(text)
+    assert len(written) >= 9
+    for command in written:
+        if command.startswith(DONE_BY_THE_DEMO):
+            program, name = command.split(" ")[:2]
+            start = f"python -m {PACKAGES[program]} {name} "
+            same = [s for s in steps if s.startswith(start) and options(command) <= options(s)]
+            assert same, command
+        else:
+            done = run_as_written(command, folder)
+            assert done.returncode == 0, f"{command}\n{done.stderr}"

@@ -1,19 +1,21 @@
-"""What may leave the lab: patches without person, place or order.
+"""What may leave the lab: patches without person, place or order, in one zarr group.
 
     PUBLISHED/
       dataset.json      lightstage.realfacedb/1: channels, counts, statistics over all patches
-      patches/NAME/     one zarr array a map, (patches, size, size, channels)
+      zarr.json         a zarr group (format 3)
+      NAME/             one array a map, (patches, size, size, channels)
 
-A patch holds diffuse albedo, specular albedo, both normals and the shape (mm, head frame, the
-patch's mean removed) of one place. Patches of a scan do not overlap, so no two share a texel;
-nothing says which patches are of one person, session or place in the texture, and their order is
-drawn with a seed that is written nowhere.
+A patch holds diffuse albedo, specular albedo, both normals and the shape (mm, the patch's mean
+removed) of one place, in axes of its own. Nothing says which patches are of one person, session or
+place in the texture. Which patches a release leaves out, and the order of the others, are drawn
+anew for each release, with a seed that is written nowhere.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import secrets
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +23,18 @@ import numpy as np
 import zarr
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import ConfigError
 from lightstage.formats.files import atomic_folder, write_json
+from processing.dataset.places import Layout, Place, places_of, size_that_shows, turned
+from processing.dataset.protection import CANNOT_PROTECT
 from processing.dataset.scan import DatasetError
 from processing.dataset.statistics import Statistics
-from processing.dataset.store import SCHEMA, Store
+from processing.dataset.store import PATCH, SCHEMA, Scan, Store
 
-CANNOT_PROTECT = (
-    "A patch is a person's real skin: whoever has another photograph of the person as sharp as "
-    "this can recognise moles, scars, wrinkles and eyes. Neighbouring patches meet at their "
-    "edges, and skin tone and pore pattern stay the same over a face, so somebody who tries can "
-    "guess which patches belong together and join some of them again. What a patch shows (an eye, "
-    "a lip) tells roughly where it lay, and normals and shape hold the form of that place. "
-    "Publish only with the consent of those shown, for this use."
-)
+PATCH_OF_ROWS = 6144
+"""Atlas rows at which a patch has `PATCH` texels; other atlases have patches of the same share."""
+LEAST_KEPT = 0.5
+"""Share of the places that a patch's size must leave, or the size is refused."""
 AVERAGED = ("diffuse_albedo", "specular_albedo", "shape")
 CHANNELS: dict[str, int] = {
     "diffuse_albedo": 3,
@@ -42,6 +43,8 @@ CHANNELS: dict[str, int] = {
     "specular_normal": 3,
     "shape": 3,
 }
+DIRECTIONS = ("diffuse_normal", "specular_normal")
+AXES = ("patch", "row", "column", "channel")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,16 +52,46 @@ class PublishConfig:
     """Settings of publishing.
 
     Attributes:
-        patch_px: side of a patch in texels.
-        min_coverage: smallest share of a patch's texels that show the face.
+        patch_px: side of a patch in texels; None for 512 of 6144 atlas rows, and as much of the
+            face at other sizes.
+        gap: fewest texels between two patches, as a share of a patch's side.
+        wander: most texels by which a patch is off its cell's corner, as a share of its side.
+        turned: patches are turned and mirrored at random, directions and shape with them.
+        drop: share of everybody's patches that a release leaves out.
+        most_face: largest share of a scan's measured skin that a patch may show, by area in mm2.
+        min_coverage: smallest share of a patch's texels that show skin.
         fewest_subjects: statistics are left out where fewer people than this would hide in them.
         shard_patches: patches that share a file.
+        without_consent: publish scans of people of whom no consent is on record, and say so.
     """
 
-    patch_px: int = 512
+    patch_px: int | None = None
+    gap: float = 0.5
+    wander: float = 0.5
+    turned: bool = True
+    drop: float = 0.25
+    most_face: float = 1 / 40
     min_coverage: float = 0.5
     fewest_subjects: int = 3
     shard_patches: int = 16
+    without_consent: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse shares that are none."""
+        for name, most in (("gap", 8.0), ("wander", 8.0), ("drop", 0.95)):
+            if not 0 <= getattr(self, name) <= most:
+                raise ConfigError(
+                    "publish",
+                    field=name,
+                    found=f"{getattr(self, name)}",
+                    expected=f"a share from 0 to {most:g}",
+                )
+
+    def layout(self, store: Store) -> Layout:
+        """Distances in texels of this store's atlases."""
+        size = self.patch_px or max(1, round(PATCH * store.scans[0].rows / PATCH_OF_ROWS))
+        gap, wander = round(self.gap * size), round(self.wander * size)
+        return Layout(size, gap, wander, self.min_coverage, self.turned)
 
 
 def publish(
@@ -73,8 +106,9 @@ def publish(
     Args:
         store: the lab's store.
         out: the published folder; an older one there is replaced.
-        seed: of the shuffle. Whoever knows it can undo the shuffle, so it is written nowhere; None
-            takes 128 bits from the system's randomness and forgets them.
+        seed: of what this release leaves out and of the order. Whoever knows it can undo both, so
+            it is written nowhere; None takes 128 bits from the system's randomness and forgets
+            them. The same seed draws otherwise for another store.
         config: settings.
         progress: called after each patch.
 
@@ -82,32 +116,26 @@ def publish(
         `out`.
 
     Raises:
-        DatasetError: no patch covers enough of a face, or `out` lies in the store.
+        DatasetError: a scan without a consent record, a patch that shows too much of a face, no
+            patch with enough skin, or `out` lies in the store.
     """
     config = config or PublishConfig()
     if out.resolve().is_relative_to(store.path.resolve()):
         raise DatasetError(out, found="a folder in the lab's store", expected="one outside it")
-    size = config.patch_px
-    # At least one texel must be measured, or a patch would have no mean to remove.
-    coverage = max(config.min_coverage, 0.5 / size**2)
-    places = [
-        (scan.index, row, column)
-        for scan in store.scans
-        # A step of a whole patch: no two patches share a texel.
-        for row, column in store.patch_origins(scan.index, size, size, coverage)
-    ]
-    if not places:
-        raise DatasetError(
-            store.path,
-            found=f"no {size} x {size} patch with {config.min_coverage:.0%} of face",
-            expected="at least one",
-            hint="Are the maps smaller than a patch? Choose a smaller one.",
-        )
-    rng = np.random.default_rng(secrets.randbits(128) if seed is None else seed)
-    order = rng.permutation(len(places))
+    unasked = [scan for scan in store.scans if not (scan.consent or scan.synthetic)]
+    if unasked and not config.without_consent:
+        _refuse_unasked(store, unasked)
+    layout = config.layout(store)
+    places = published_places(store, layout, config.most_face)
+    entropy = secrets.randbits(128) if seed is None else seed
+    rng = np.random.default_rng([entropy, int(store.fingerprint, 16)])
+    kept = np.flatnonzero(rng.random(len(places)) >= config.drop)
+    # Dropping all of a few patches would leave nothing to publish.
+    order = rng.permutation(kept if len(kept) else len(places))
     with atomic_folder(out, "dataset.json") as beside:
+        group = zarr.create_group(beside, zarr_format=3, attributes={"about": "dataset.json"})
         arrays = {
-            name: _create(beside / "patches" / name, len(places), size, channels, config)
+            name: _create(group, name, len(order), layout.size, channels, config)
             for name, channels in CHANNELS.items()
         }
         statistics = Statistics({name: CHANNELS[name] for name in AVERAGED})
@@ -115,7 +143,7 @@ def publish(
             chosen = [places[i] for i in order[first : first + config.shard_patches]]
             patches = []
             for place in chosen:
-                patch, measured = _patch(store, place, size)
+                patch, measured = read_patch(store, place, layout.size)
                 patches.append(patch)
                 statistics.add(patch, measured)
                 progress(first + len(patches), len(order))
@@ -129,42 +157,124 @@ def publish(
             {
                 "schema": SCHEMA,
                 "kind": "published",
-                "patch": size,
-                "stride": size,
+                "patch": layout.size,
+                "stride": layout.size + layout.gap,
+                "gap": layout.gap,
                 "channels": CHANNELS,
-                "frame": "head, each patch's mean position removed",
-                "counts": {"subjects": subjects, "patches": len(places)},
+                "frame": "of each patch its own: the head frame, mirrored where the patch is and "
+                "turned at random, about the patch's mean position"
+                if layout.turned
+                else "head, each patch's mean position removed",
+                "counts": {"subjects": subjects, "patches": len(order)},
+                "left_out_share": config.drop,
+                "most_of_a_face": config.most_face,
+                "consent": _consent(store),
                 "statistics": shown,
                 "cannot_protect": CANNOT_PROTECT,
             },
         )
+        _consolidate(beside)
     return out
 
 
-def _create(path: Path, count: int, size: int, channels: int, config: PublishConfig) -> Any:
-    return zarr.create_array(
-        path,
+def published_places(store: Store, layout: Layout, most_face: float) -> list[Place]:
+    """Places of all scans at which a patch shows enough skin and not too much of the face.
+
+    Skin is measured in mm2 on the surface, not in texels: the texture stretches, so that as many
+    texels are a pore of the nose or half of the neck.
+
+    Raises:
+        DatasetError: no place has enough skin, or at most of them a patch shows too much.
+    """
+    found = [place for scan in store.scans for place in places_of(store, scan.index, layout)]
+    places = [place for place in found if place.face_share <= most_face]
+    if len(places) >= LEAST_KEPT * max(1, len(found)):
+        return places
+    size = layout.size
+    if found:
+        shares = [place.face_share for place in found]
+        said = f"{size} texels, which show up to {max(shares):.1%} of a face"
+    else:
+        said = f"{size} texels; no place has that much skin"
+    raise DatasetError(
+        store.path,
+        field="patch",
+        found=said,
+        expected=f"patches that show skin, each at most {most_face:.1%} of a face",
+        hint=f"Try --patch {size_that_shows(store, most_face)}.",
+    )
+
+
+def read_patch(store: Store, place: Place, size: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Maps of one place as they are published.
+
+    Returns:
+        By name (size, size, c) float32, zero where not measured; (size, size) bool, where measured.
+    """
+    rows = slice(place.row, place.row + size)
+    columns = slice(place.column, place.column + size)
+    seen = store.read(place.scan, "confidence", rows, columns) > 0
+    patch = {
+        name: store.read(place.scan, name, rows, columns) * seen
+        for name in CHANNELS
+        if name != "shape"
+    }
+    position = store.read(place.scan, "position", rows, columns).astype(float)
+    mean = position[seen[:, :, 0]].mean(axis=0)
+    patch["shape"] = (position - mean) * seen
+    for name in (*DIRECTIONS, "shape"):
+        patch[name] = patch[name] @ place.axes.T
+    maps = {name: turned(image, place).astype(np.float32) for name, image in patch.items()}
+    return maps, turned(seen, place)[:, :, 0]
+
+
+def _create(
+    group: zarr.Group, name: str, count: int, size: int, channels: int, config: PublishConfig
+) -> Any:
+    return group.create_array(
+        name,
         shape=(count, size, size, channels),
-        dtype="float32" if path.name == "shape" else "float16",
+        dtype="float32" if name == "shape" else "float16",
         chunks=(1, size, size, channels),
         shards=(min(config.shard_patches, count), size, size, channels),
         compressors=zarr.codecs.ZstdCodec(level=3),
         fill_value=0,
+        dimension_names=AXES,
     )
 
 
-def _patch(
-    store: Store, place: tuple[int, int, int], size: int
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Maps of one place, (size, size, c) float32, zero where not measured; (size, size) where."""
-    scan, row, column = place
-    rows, columns = slice(row, row + size), slice(column, column + size)
-    seen = store.read(scan, "confidence", rows, columns) > 0
-    measured = seen[:, :, 0]
-    patch = {
-        name: store.read(scan, name, rows, columns) * seen for name in CHANNELS if name != "shape"
+def _consolidate(folder: Path) -> None:
+    """Put the arrays' metadata into the group's, so that readers need not list the folder.
+
+    Listing it, zarr warns of dataset.json, which is no part of the group.
+    """
+    with warnings.catch_warnings():
+        # It says that the format's text does not define this yet; readers without it list.
+        warnings.simplefilter("ignore")
+        zarr.consolidate_metadata(folder)
+
+
+def _refuse_unasked(store: Store, unasked: list[Scan]) -> None:
+    names = sorted({scan.subject for scan in unasked})
+    shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    raise DatasetError(
+        store.path,
+        field="consent",
+        found=f"{len(unasked)} scans without a consent record, of {shown}",
+        expected="a consent record of everybody who is shown",
+        hint="`lightstage capture --consent ID` records one. Leave these scans out of "
+        "`dataset build`, or publish them --without-consent; the published set then says so.",
+    )
+
+
+def _consent(store: Store) -> dict[str, int | bool]:
+    """How many people are shown with a consent record, without, and how many are simulated."""
+    unasked = {s.subject for s in store.scans if not (s.consent or s.synthetic)}
+    simulated = {s.subject for s in store.scans if s.synthetic} - unasked
+    everybody = {s.subject for s in store.scans}
+    return {
+        "subjects_on_record": len(everybody - unasked - simulated),
+        "subjects_simulated": len(simulated),
+        "subjects_without": len(unasked),
+        "published_without_consent": bool(unasked),
     }
-    position = store.read(scan, "position", rows, columns).astype(float)
-    mean = position[measured].mean(axis=0)
-    patch["shape"] = ((position - mean) * seen).astype(np.float32)
-    return patch, measured

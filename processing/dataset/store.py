@@ -163,7 +163,9 @@ def open_store(path: Path) -> Store:
             field="kind",
             found=repr(value.get("kind")),
             expected="'store'",
-            hint="Name the store that `dataset build` made; published patches hold no maps.",
+            hint="Name the store that `dataset build` made. Published patches lack what training "
+            "takes besides them: the whole texture (the network's second input), the place in it "
+            "(cast shadows) and the person (to hold some people out). docs/dataset.md opens them.",
         )
     try:
         scans = tuple(
@@ -180,6 +182,8 @@ def open_store(path: Path) -> Store:
             for i, s in enumerate(value["scans"])
         )
         fingerprint = str(value["fingerprint"])
+        for digest in (fingerprint, *(scan.sha256 for scan in scans)):
+            int(digest, 16)
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(file, found=str(error), expected="scans and fingerprint") from None
     _open_array.cache_clear()

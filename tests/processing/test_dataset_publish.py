@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,68 +11,247 @@ import numpy as np
 import pytest
 import zarr
 
-from lightstage.errors import LightstageError
+from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.processed import ProcessedFolder
 from processing.dataset import PublishConfig, Store, build_store, open_store, publish
+from processing.dataset.places import places_of
+from processing.dataset.publish import published_places
 
 Make = Callable[..., Path]
-SMALL = PublishConfig(patch_px=16, min_coverage=0.3, shard_patches=4)
+SIZE, GAP = 16, 4
+SMALL = PublishConfig(
+    patch_px=SIZE,
+    gap=GAP / SIZE,
+    wander=0.25,
+    drop=0.0,
+    most_face=0.2,
+    min_coverage=0.3,
+    shard_patches=4,
+)
 SEED = 8675309886753098867
 PEOPLE = ("anna-kowalska-77", "bo-larsson-12", "chidi-okoro-31")
+Found = tuple[int, int, int]
 
 
 @pytest.fixture
 def store(tmp_path: Path, make_processed: Make) -> Store:
     roots = [
-        make_processed(tmp_path / "in" / name, subject=name, expression="grin-wide", seed=index)
+        make_processed(
+            tmp_path / "in" / name, 192, 128, name, "grin-wide", index, None, f"C-{index}"
+        )
         for index, name in enumerate(PEOPLE)
     ]
     return open_store(build_store(roots, tmp_path / "store"))
 
 
 def read(out: Path, name: str) -> np.ndarray:
-    return np.asarray(zarr.open_array(out / "patches" / name, mode="r")[:])
+    return np.asarray(zarr.open_group(out, mode="r")[name][:])
 
 
-def texel_places(store: Store, out: Path) -> list[tuple[int, int, int]]:
+def unturned(picture: np.ndarray) -> list[np.ndarray]:
+    """A patch in all eight ways that it may have lain."""
+    return [np.rot90(p, k) for p in (picture, picture[:, ::-1]) for k in range(4)]
+
+
+def texel_places(store: Store, out: Path) -> list[Found]:
     """Where each published patch lay, found by comparing it with every place of every scan."""
-    places = []
-    for patch in read(out, "diffuse_albedo").astype(np.float32):
-        found = []
-        for scan in store.scans:
-            whole = store.read(scan.index, "diffuse_albedo", slice(None), slice(None))
-            windows = np.lib.stride_tricks.sliding_window_view(whole, (16, 16), axis=(0, 1))
-            same = (windows == patch.transpose(2, 0, 1)).all(axis=(2, 3, 4))
-            found += [(scan.index, int(r), int(c)) for r, c in np.argwhere(same)]
-        assert len(found) == 1
-        places += found
-    return places
+    whole = [
+        store.read(scan.index, "diffuse_albedo", slice(None), slice(None))
+        * (store.read(scan.index, "confidence", slice(None), slice(None)) > 0)
+        for scan in store.scans
+    ]
+    return [find(patch, whole) for patch in read(out, "diffuse_albedo").astype(np.float32)]
 
 
-def test_no_two_patches_share_a_texel_and_all_hold_enough_face(
+def find(patch: np.ndarray, whole: list[np.ndarray]) -> Found:
+    found = set()
+    for way in unturned(patch):
+        brightest = np.unravel_index(int(way.sum(axis=2).argmax()), way.shape[:2])
+        for scan, image in enumerate(whole):
+            for row, column in np.argwhere((image == way[brightest]).all(axis=2)) - brightest:
+                part = image[max(0, row) : row + SIZE, max(0, column) : column + SIZE]
+                if part.shape == way.shape and (part == way).all():
+                    found.add((scan, int(row), int(column)))
+    assert len(found) == 1
+    return found.pop()
+
+
+def test_patches_lie_apart_by_the_gap_and_hold_enough_face(tmp_path: Path, store: Store) -> None:
+    out = publish(store, tmp_path / "out", SEED, SMALL)
+    places = texel_places(store, out)
+    facts = json.loads((out / "dataset.json").read_text())
+    assert len(places) == len(set(places)) == facts["counts"]["patches"] > 30
+    assert (facts["patch"], facts["gap"]) == (SIZE, GAP)
+    for scan, row, column in places:
+        rows, columns = slice(row, row + SIZE), slice(column, column + SIZE)
+        assert (store.read(scan, "confidence", rows, columns) > 0).mean() >= 0.3
+        for other, its_row, its_column in places:
+            if other == scan and (row, column) != (its_row, its_column):
+                assert max(abs(row - its_row), abs(column - its_column)) >= SIZE + GAP
+
+
+def test_patches_lie_on_no_common_grid(store: Store) -> None:
+    places = published_places(store, SMALL.layout(store), 1.0)
+    assert len({place.row % (SIZE + GAP) for place in places}) > 5
+    assert len({place.column % (SIZE + GAP) for place in places}) > 5
+
+
+def test_patches_lie_where_they_lay_in_every_release(tmp_path: Path, make_processed: Make) -> None:
+    """Patches of two releases that overlapped would stitch together what the gap keeps apart."""
+    roots = [make_processed(tmp_path / f"{i}", 192, 128, subject=f"p{i}", seed=i) for i in range(3)]
+    first = open_store(build_store(roots, tmp_path / "one"))
+    second = open_store(build_store(roots[1:], tmp_path / "two"))
+    layout = SMALL.layout(first)
+    for scan in second.scans:
+        before, after = (
+            places_of(first, scan.index + 1, layout),
+            places_of(second, scan.index, layout),
+        )
+        assert [(p.row, p.column, p.quarter_turns, p.mirrored) for p in before] == [
+            (p.row, p.column, p.quarter_turns, p.mirrored) for p in after
+        ]
+        assert all((p.axes == q.axes).all() for p, q in zip(before, after, strict=True))
+
+
+def test_all_expressions_of_a_person_have_the_same_places(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    """Two expressions show the same skin: patches of both that overlapped would join up, too."""
+    names = ("brow_raise", "neutral", "smile")
+    roots = [
+        make_processed(tmp_path / name, 192, 128, expression=name, seed=index)
+        for index, name in enumerate(names)
+    ]
+    roots.append(make_processed(tmp_path / "other", 192, 128, subject="other", seed=3))
+    store = open_store(build_store(roots, tmp_path / "all"))
+    fewer = open_store(build_store(roots[1:], tmp_path / "fewer"))
+    layout = SMALL.layout(store)
+    corners = [[(p.row, p.column) for p in places_of(store, i, layout)] for i in range(4)]
+    assert corners[0] == corners[1] == corners[2] != corners[3]
+    assert [(p.row, p.column) for p in places_of(fewer, 0, layout)] == corners[0]
+
+
+def test_a_release_leaves_out_a_share_of_everybody_drawn_anew(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    roots = [make_processed(tmp_path / f"{i}", 192, 128, subject=f"p{i}", seed=i) for i in range(3)]
+    everyone = open_store(build_store(roots, tmp_path / "one"))
+    fewer = open_store(build_store(roots[:2], tmp_path / "two"))
+
+    def patches(store: Store, name: str, seed: int | None, drop: float) -> set[bytes]:
+        out = publish(store, tmp_path / name, seed, dataclasses.replace(SMALL, drop=drop))
+        return {patch.tobytes() for patch in read(out, "diffuse_albedo")}
+
+    whole, whole_fewer = patches(everyone, "w", SEED, 0.0), patches(fewer, "f", SEED, 0.0)
+    assert whole_fewer < whole
+    before = patches(everyone, "a", SEED, 0.4)
+    again = patches(everyone, "b", None, 0.4)
+    # The same seed, but another store: what is left out is not what was left out before.
+    after = patches(fewer, "c", SEED, 0.4)
+    assert 0.4 * len(whole) < len(before) < 0.8 * len(whole)
+    assert before < whole
+    assert before - again
+    assert again - before
+    gone = before - after
+    assert 0.2 * len(gone) < len(gone & whole_fewer)
+    assert after - before
+
+
+def test_directions_and_shape_are_turned_and_mirrored_with_the_picture(
     tmp_path: Path, store: Store
 ) -> None:
     out = publish(store, tmp_path / "out", SEED, SMALL)
-    places = texel_places(store, out)
-    assert len(places) == json.loads((out / "dataset.json").read_text())["counts"]["patches"] > 20
-    for scan in store.scans:
-        used = np.zeros((scan.rows, scan.columns), int)
-        for index, row, column in places:
-            if index == scan.index:
-                used[row : row + 16, column : column + 16] += 1
-                seen = store.read(index, "confidence", slice(row, row + 16), slice(None))
-                assert (seen[:, column : column + 16] > 0).mean() >= 0.3
-        assert used.max() == 1
+    shape, normal = read(out, "shape").astype(float), read(out, "specular_normal").astype(float)
+    along = [shape[:, 1:-1, 2:] - shape[:, 1:-1, :-2], shape[:, 2:, 1:-1] - shape[:, :-2, 1:-1]]
+    own = np.cross(along[1], along[0])
+    seen = normal.any(axis=3)
+    inner = seen[:, 1:-1, 1:-1] & seen[:, :-2, 1:-1] & seen[:, 2:, 1:-1]
+    inner &= seen[:, 1:-1, :-2] & seen[:, 1:-1, 2:]
+    own /= np.maximum(np.linalg.norm(own, axis=3, keepdims=True), 1e-9)
+    cosine = (own * normal[:, 1:-1, 1:-1]).sum(axis=3)[inner]
+    # Outward on every patch: the frame's handedness is mirrored where the picture is.
+    assert cosine.min() > 0.999
+    means = np.stack([n[s].mean(axis=0) for n, s in zip(normal, seen, strict=True)])
+    means /= np.linalg.norm(means, axis=1, keepdims=True)
+    # In the head frame all normals of the half cylinder have z > 0 and y = 0.
+    assert (means[:, 2] < 0).any()
+    assert abs(means[:, 1]).max() > 0.5
+
+
+def test_a_patch_that_shows_too_much_of_a_face_is_refused_with_the_size_that_would_do(
+    tmp_path: Path, store: Store
+) -> None:
+    config = PublishConfig(patch_px=64)
+    with pytest.raises(LightstageError, match=r"64 texels.*2\.5%.*Try --patch 16\.") as caught:
+        publish(store, tmp_path / "out", SEED, config)
+    assert str(store.path) in str(caught.value)
+    assert not (tmp_path / "out").exists()
+    named = dataclasses.replace(config, patch_px=16)
+    out = publish(store, tmp_path / "out", SEED, named)
+    assert json.loads((out / "dataset.json").read_text())["most_of_a_face"] == 1 / 40
+    for scan, row, column in texel_places(store, out):
+        seen = store.read(scan, "confidence", slice(None), slice(None)) > 0
+        # The half cylinder's texels have one size: shares of texels are shares of its area.
+        assert seen[row : row + 16, column : column + 16].sum() / seen.sum() <= 1 / 40 * 1.05
+
+
+def test_the_default_patch_is_as_large_a_part_of_every_atlas(store: Store) -> None:
+    assert PublishConfig().layout(store).size == 192 * 512 // 6144
+
+
+def test_people_without_a_consent_record_are_refused_by_name(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    roots = [
+        make_processed(tmp_path / "a", 192, 128, subject="asked"),
+        make_processed(tmp_path / "b", 192, 128, subject="unasked", consent=None),
+        make_processed(tmp_path / "c", 192, 128, subject="simulated", consent=None),
+    ]
+    report = roots[2] / "report.json"
+    report.write_text(json.dumps({**json.loads(report.read_text()), "synthetic": True}))
+    store = open_store(build_store(roots, tmp_path / "store"))
+    with pytest.raises(LightstageError, match=r"unasked.*--consent.*--without-consent") as caught:
+        publish(store, tmp_path / "out", SEED, SMALL)
+    assert "simulated" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+    config = dataclasses.replace(SMALL, without_consent=True)
+    out = publish(store, tmp_path / "out", SEED, config)
+    assert json.loads((out / "dataset.json").read_text())["consent"] == {
+        "subjects_on_record": 1,
+        "subjects_simulated": 1,
+        "subjects_without": 1,
+        "published_without_consent": True,
+    }
+
+
+def test_the_whole_set_opens_as_one_zarr_group(tmp_path: Path, store: Store) -> None:
+    out = publish(store, tmp_path / "out", SEED, SMALL)
+    group = zarr.open_group(out, mode="r")
+    facts = json.loads((out / "dataset.json").read_text())
+    assert dict(group.arrays()).keys() == facts["channels"].keys()
+    for name, channels in facts["channels"].items():
+        assert group[name].shape == (facts["counts"]["patches"], SIZE, SIZE, channels)
+    assert sorted(p.name for p in out.iterdir()) == sorted(
+        ["dataset.json", "zarr.json", *facts["channels"]]
+    )
+
+
+@pytest.mark.parametrize("wrong", [{"gap": -0.1}, {"wander": float("nan")}, {"drop": 1.0}])
+def test_shares_that_are_none_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match="expected a share"):
+        PublishConfig(**wrong)
 
 
 def test_the_order_is_shuffled_by_the_seed(tmp_path: Path, store: Store) -> None:
-    first = texel_places(store, publish(store, tmp_path / "one", SEED, SMALL))
-    again = texel_places(store, publish(store, tmp_path / "two", SEED, SMALL))
-    other = texel_places(store, publish(store, tmp_path / "three", SEED + 1, SMALL))
-    unknown = texel_places(store, publish(store, tmp_path / "four", None, SMALL))
+    def order(name: str, seed: int | None) -> tuple[bytes, ...]:
+        out = publish(store, tmp_path / name, seed, SMALL)
+        return tuple(patch.tobytes() for patch in read(out, "diffuse_albedo"))
+
+    first, again = order("one", SEED), order("two", SEED)
+    other, unknown = order("three", SEED + 1), order("four", None)
     assert first == again
     assert sorted(first) == sorted(other) == sorted(unknown)
-    assert len({tuple(order) for order in (first, other, unknown, sorted(first))}) == 4
+    assert len({first, other, unknown, tuple(sorted(first))}) == 4
 
 
 def test_nothing_in_the_folder_names_a_person_a_place_or_the_seed(
@@ -79,7 +259,7 @@ def test_nothing_in_the_folder_names_a_person_a_place_or_the_seed(
 ) -> None:
     out = publish(store, tmp_path / "out", SEED, SMALL)
     words = [*PEOPLE, "grin-wide", str(SEED), f"{SEED:x}", store.fingerprint, str(tmp_path)]
-    words += ['subject"', "expression", "seed", "scan", "session"]
+    words += ['subject"', "expression", "seed", "scan", "session", "C-0", "C-1"]
     binary = [SEED.to_bytes(8, "little"), SEED.to_bytes(8, "big")]
     files = [path for path in out.rglob("*") if path.is_file()]
     assert len(files) > 5
@@ -92,20 +272,23 @@ def test_nothing_in_the_folder_names_a_person_a_place_or_the_seed(
         assert not any(secret in data for secret in (*binary, *(p.encode() for p in PEOPLE)))
 
 
-def test_shape_is_the_positions_with_the_patch_mean_removed(tmp_path: Path, store: Store) -> None:
+def test_shape_is_the_positions_about_the_patch_mean_to_scale(tmp_path: Path, store: Store) -> None:
     out = publish(store, tmp_path / "out", SEED, SMALL)
-    shapes = read(out, "shape")
+    shapes = read(out, "shape").astype(float)
     for (scan, row, column), shape in zip(texel_places(store, out), shapes, strict=True):
-        rows, columns = slice(row, row + 16), slice(column, column + 16)
+        rows, columns = slice(row, row + SIZE), slice(column, column + SIZE)
         seen = store.read(scan, "confidence", rows, columns)[:, :, 0] > 0
         position = store.read(scan, "position", rows, columns)[seen].astype(float)
-        np.testing.assert_allclose(shape[seen], position - position.mean(axis=0), atol=1e-4)
-        assert not shape[~seen].any()
-        assert abs(shape[seen].mean(axis=0)).max() < 1e-4
+        ours = shape[shape.any(axis=2)]
+        assert abs(ours.mean(axis=0)).max() < 1e-4
+        from_middle = np.linalg.norm(position - position.mean(axis=0), axis=1)
+        np.testing.assert_allclose(
+            np.sort(np.linalg.norm(ours, axis=1)), np.sort(from_middle), atol=1e-4
+        )
 
 
 def test_statistics_need_enough_people(tmp_path: Path, make_processed: Make) -> None:
-    roots = [make_processed(tmp_path / str(i), subject=f"p{i}", seed=i) for i in range(3)]
+    roots = [make_processed(tmp_path / str(i), 192, 128, subject=f"p{i}", seed=i) for i in range(3)]
 
     def statistics(count: int) -> dict:
         store = open_store(build_store(roots[:count], tmp_path / "store"))
@@ -128,8 +311,8 @@ def test_what_it_cannot_protect_is_said_in_the_folder(tmp_path: Path, store: Sto
 
 
 def test_maps_smaller_than_a_patch_are_refused(tmp_path: Path, store: Store) -> None:
-    with pytest.raises(LightstageError, match="smaller one"):
-        publish(store, tmp_path / "out" / "published", SEED)
+    with pytest.raises(LightstageError, match=r"no place has that much skin.*Try --patch 16"):
+        publish(store, tmp_path / "out" / "published", SEED, PublishConfig(patch_px=512))
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
 
 
@@ -149,14 +332,14 @@ def test_an_interrupt_leaves_nothing(tmp_path: Path, store: Store) -> None:
 
 
 def test_a_published_set_is_not_opened_as_a_store(tmp_path: Path, store: Store) -> None:
-    with pytest.raises(LightstageError, match="published"):
+    with pytest.raises(LightstageError, match=r"published.*whole texture.*place.*person"):
         open_store(publish(store, tmp_path / "out", SEED, SMALL))
 
 
 def test_unmeasured_texels_publish_nothing(tmp_path: Path, make_processed: Make) -> None:
-    root = make_processed(tmp_path / "a")
+    root = make_processed(tmp_path / "a", 192, 128)
     folder = ProcessedFolder(root)
-    folder.write_atlas("diffuse_albedo", np.full((96, 64, 3), 0.75))
+    folder.write_atlas("diffuse_albedo", np.full((192, 128, 3), 0.75))
     out = publish(open_store(build_store([root], tmp_path / "s")), tmp_path / "out", SEED, SMALL)
     seen = read(out, "diffuse_normal").any(axis=3)
     albedo = read(out, "diffuse_albedo")

@@ -1,0 +1,58 @@
+"""Commands and examples as the documents print them, and how a test runs them."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = {
+    "lightstage": "lightstage",
+    "lightstage-sim": "sim",
+    "lightstage-processing": "processing",
+    "lightstage-learning": "learning",
+}
+"""Program name to the package that `python -m` runs."""
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """Code blocks of a language ("" for plain ones), without their fences."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+def table_code(text: str) -> list[str]:
+    """Inline code in the tables' second column, where commands stand."""
+    rows = [line.split("|") for line in text.splitlines() if line.startswith("|")]
+    return [code for row in rows if len(row) > 3 for code in re.findall(r"`([^`]+)`", row[2])]
+
+
+def commands(text: str) -> list[str]:
+    """Commands of this project in plain code blocks and tables, joined where they go over lines."""
+    lines = []
+    for block in blocks(text, ""):
+        lines += [line.split(" #")[0].strip() for line in block.replace("\\\n", " ").splitlines()]
+    return [line for line in (*table_code(text), *lines) if line.split(" ")[0] in PACKAGES]
+
+
+def options(command: str) -> set[str]:
+    """Names of a command's options."""
+    return {word.split("=")[0] for word in shlex.split(command) if word.startswith("--")}
+
+
+def run_as_written(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command by the shell in a folder; only its program's name is replaced."""
+    program, _, rest = command.partition(" ")
+    line = f"{shlex.quote(sys.executable)} -m {PACKAGES[program]} {rest}"
+    return subprocess.run(
+        line,
+        shell=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
