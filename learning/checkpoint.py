@@ -26,6 +26,7 @@ from learning.limits import require_within
 from learning.networks.generator import Generator, GeneratorConfig
 from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_path, read_json, sha256_file, write_json
+from lightstage.formats.paths import check_name, path_inside
 
 SCHEMA = "lightstage.checkpoint/1"
 INDEX = "checkpoint.json"
@@ -126,11 +127,14 @@ def read_checkpoint(path: Path) -> Checkpoint:
             str(value["code_version"]),
             {str(name): float(number) for name, number in value["metrics"].items()},
             {
-                role: {"name": f["name"], "sha256": f["sha256"]}
+                role: {
+                    "name": check_name(f["name"], index, f"files.{role}.name", CheckpointError),
+                    "sha256": str(f["sha256"]),
+                }
                 for role, f in value["files"].items()
             },
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise CheckpointError(
             index, found=f"no usable {error}", expected="the fields of a checkpoint"
         ) from None
@@ -141,7 +145,8 @@ def load_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
     entry = checkpoint.files.get(role)
     if entry is None:
         raise CheckpointError(checkpoint.folder / INDEX, found=f"no {role}", expected=role)
-    path = checkpoint.folder / entry["name"]
+    index = checkpoint.folder / INDEX
+    path = path_inside(checkpoint.folder, entry["name"], index, role, CheckpointError)
     if not path.is_file():
         raise CheckpointError(path, found="no such file", expected=f"the weights of the {role}")
     if sha256_file(path) != entry["sha256"]:

@@ -15,6 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from lightstage.errors import FormatError
 from lightstage.formats.files import read_json, sha256_file, write_json
 from processing.errors import ProcessingError
 
@@ -62,8 +63,16 @@ def read_records(out: Path) -> dict[str, Record]:
     path = out / "stages.json"
     if not path.exists():
         return {}
-    stages = read_json(path, SCHEMA)["stages"]
-    return {name: Record(**value) for name, value in stages.items()}
+    try:
+        stages = read_json(path, SCHEMA)["stages"]
+        return {name: Record(**value) for name, value in stages.items()}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise FormatError(
+            path,
+            found=f"no usable {error}",
+            expected="key, outputs and facts of each stage",
+            hint="Remove it, and every stage runs again.",
+        ) from None
 
 
 def write_records(out: Path, records: dict[str, Record]) -> Path:

@@ -18,7 +18,7 @@ from lightstage.capture.run import CaptureReport, Run
 from lightstage.capture.shot import stopped
 from lightstage.capture.stage import Stage
 from lightstage.checks import ShotChecks
-from lightstage.errors import CaptureError, LightstageError
+from lightstage.errors import CaptureError, FormatError, LightstageError
 from lightstage.findings import Finding
 from lightstage.formats.config import as_dict, make_config
 from lightstage.operator import Operator, serve_events
@@ -181,16 +181,26 @@ def unfinished(root: Path) -> tuple[Rig, Order]:
     Raises:
         FormatError: no session, or a damaged one.
     """
-    begin = read_journal(root / "journal.jsonl")[0]
-    shots = [Shot(name, np.array(begin["levels"][name])) for name in begin["sequence"]]
+    path = root / "journal.jsonl"
+    begin = read_journal(path)[0]
+    levels = begin.get("levels") or {}
+    untold = [name for name in begin["sequence"] if name not in levels]
+    if untold:
+        raise FormatError(
+            path,
+            field="levels",
+            found=f"none of {', '.join(untold)}",
+            expected="those it began with",
+        )
+    shots = [Shot(name, np.array(levels[name])) for name in begin["sequence"]]
     return load_rig(root / "rig.json"), Order(
         root,
         shots,
         resume=True,
         subject=begin["subject"],
         expression=begin["expression"],
-        consent=begin["consent"],
-        facts=begin["facts"],
+        consent=begin.get("consent"),
+        facts=begin.get("facts") or {},
     )
 
 
@@ -201,7 +211,7 @@ def config_of(root: Path) -> CaptureConfig:
         FormatError, ConfigError: no session, or one of another version.
     """
     path = root / "journal.jsonl"
-    return make_config(CaptureConfig, read_journal(path)[0]["config"], path)
+    return make_config(CaptureConfig, read_journal(path)[0].get("config") or {}, path)
 
 
 @contextlib.contextmanager

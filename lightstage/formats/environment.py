@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.formats.fields import MOST
 from lightstage.formats.files import read_json, write_json
 from lightstage.rig import Rig
 
@@ -107,13 +108,15 @@ def read_lights(path: Path) -> LightSet:
             np.array([e["rgb"] for e in entries], float).reshape(-1, 3),
             np.array(value.get("ambient_rgb", [0, 0, 0]), float).reshape(3),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise FormatError(
             path, found=str(error), expected="lights of position_mm and rgb"
         ) from None
     values = np.concatenate([lights.rgb.ravel(), lights.ambient_rgb])
-    if not np.isfinite(lights.position_mm).all() or not (values >= 0).all():
-        raise FormatError(path, field="lights", found="NaN or negative", expected="finite, >= 0")
+    within = (np.abs(lights.position_mm) <= MOST).all() and (values <= MOST).all()
+    if not within or not (values >= 0).all():
+        expected = f"places within {MOST:g} mm, light of 0 to {MOST:g}"
+        raise FormatError(path, field="lights", found="NaN, negative or huge", expected=expected)
     if (np.linalg.norm(lights.position_mm, axis=1) < 1.0).any():
         raise FormatError(path, field="lights", found="a light at the origin", expected="mm away")
     return lights

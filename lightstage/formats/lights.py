@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.errors import FormatError, LightstageError, one_error
+from lightstage.formats.fields import MOST
 from lightstage.formats.files import read_json, write_json
 from lightstage.rig import Rig
 
@@ -102,7 +103,8 @@ def read_measured_lights(path: Path, rig: Rig) -> MeasuredLights:
         problems.append(FormatError(path, field=field, found=found, expected=expected))
 
     entries = value.get("lights")
-    by_id = {e.get("id"): e for e in entries or () if isinstance(e, dict)}
+    listed = entries if isinstance(entries, list) else []
+    by_id = {e["id"]: e for e in listed if isinstance(e, dict) and type(e.get("id")) is int}
     rows = []
     for light in rig.lights:
         entry = by_id.get(light.id)
@@ -149,9 +151,10 @@ def _numbers(value: Any, shape: tuple[int, ...]) -> np.ndarray:
     """`value` as numbers of a shape; NaN where it is something else."""
     try:
         array = np.array(value, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return np.full(shape, np.nan)
-    return array if array.shape == shape else np.full(shape, np.nan)
+    fits = array.shape == shape and not (np.abs(array) > MOST).any()
+    return array if fits else np.full(shape, np.nan)
 
 
 def _optional(entry: Mapping[str, Any], name: str) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.fields import Fields
 from lightstage.formats.files import atomic_path, read_json, write_json
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 
@@ -88,8 +89,9 @@ def load_template(path: Path) -> Template:
             path / "template.json", field="units", found=repr(value.get("units")), expected="'mm'"
         )
     count = len(mesh.vertices)
-    marks = value.get("landmarks", {}).get("ibug68")
-    if not _is_indices(marks, count) or len(marks) != 68:
+    told = Fields(value.get("landmarks", {}), path / "template.json", "landmarks").rest()
+    marks = told.get("ibug68")
+    if not isinstance(marks, list) or not _is_indices(marks, count) or len(marks) != 68:
         raise FormatError(
             path / "template.json",
             field="landmarks.ibug68",
@@ -97,7 +99,8 @@ def load_template(path: Path) -> Template:
             expected=f"68 vertex indices below {count}",
         )
     regions = {}
-    for name, indices in value.get("regions", {}).items():
+    named = Fields(value.get("regions", {}), path / "template.json", "regions").rest()
+    for name, indices in named.items():
         if not _is_indices(indices, count):
             raise FormatError(
                 path / "template.json",
@@ -152,7 +155,7 @@ def save_template(template: Template, path: Path) -> Path:
 
 
 def _is_indices(value: object, count: int) -> bool:
-    return isinstance(value, list) and all(isinstance(i, int) and 0 <= i < count for i in value)
+    return isinstance(value, list) and all(type(i) is int and 0 <= i < count for i in value)
 
 
 def _load_modes(path: Path, count: int) -> Modes | None:

@@ -12,15 +12,18 @@ import hashlib
 import itertools
 import json
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import read_json, sha256_file, write_json
+from lightstage.formats.paths import path_inside
+from lightstage.formats.values import open_regular
 from lightstage.rig import Rig, load_rig, rig_to_json
 from lightstage.session.events import Line
 from lightstage.session.reading import read_journal
@@ -120,7 +123,7 @@ def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[L
         the photographs were imported.
     """
     path = root / MANIFEST
-    if not path.is_file():
+    if not os.path.lexists(path):
         return [] if _needs_none(root) else [_wrong(path, "no such file", "the manifest", "")]
     try:
         manifest = read_json(path, SCHEMA)
@@ -140,9 +143,10 @@ def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[L
                 _wrong(root / name, "a file", "none that the manifest does not list", "")
             )
     try:
-        with (root / JOURNAL).open("rb") as file:
-            found = hashlib.sha256(file.read(limit)).hexdigest()
-    except OSError:
+        with open(open_regular(root / JOURNAL), "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            found = hashlib.sha256(file.read(min(limit, size))).hexdigest()
+    except (OSError, FormatError):
         found = "none"
     if found != whole:
         problems.append(
@@ -215,9 +219,10 @@ def _photographs_on_disk(root: Path) -> Iterator[str]:
 def _file_problems(
     root: Path, name: str, sha256: str, known: Mapping[str, str]
 ) -> list[LightstageError]:
-    path = PurePosixPath(name)
-    if path.is_absolute() or ".." in path.parts:
-        return [_wrong(root / MANIFEST, repr(name), "paths in the session", "")]
+    try:
+        path_inside(root, name, root / MANIFEST, "files")
+    except FormatError as problem:
+        return [problem]
     found = known.get(name) or _hash_of(root / name)
     if found == sha256:
         return []

@@ -252,7 +252,7 @@ class SessionState:
         exposed = Exposed(
             *key_of(line),
             CardFile(*line["file"]),
-            tuple(CardFile(*each) for each in line.get("beside", ())),
+            tuple(CardFile(*each) for each in line.get("beside") or ()),
             self._lit.get(line["pattern"]),
             line["time_utc"],
             line.get("exposure_s", 0.0),

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.formats.fields import MOST
 from lightstage.formats.files import read_json, sha256_file
 from lightstage.formats.people import is_people_file
 from lightstage.formats.processed import ProcessedFolder
@@ -169,9 +170,10 @@ def read_head_pose(path: Path) -> np.ndarray:
     found = value.get("head_from_world") if isinstance(value, dict) else None
     try:
         pose = np.array(found, float).reshape(3, 4)
-        rigid = np.allclose(pose[:, :3] @ pose[:, :3].T, np.eye(3), atol=1e-4)
-        rigid = bool(rigid and np.linalg.det(pose[:, :3]) > 0 and np.isfinite(pose).all())
-    except (TypeError, ValueError):
+        turn = np.where(np.abs(pose[:, :3]) <= 1.001, pose[:, :3], 0.0)  # else no rotation
+        rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
+        rigid = bool(rigid and np.linalg.det(turn) > 0 and (np.abs(pose) <= MOST).all())
+    except (TypeError, ValueError, OverflowError):
         rigid = False
     if not rigid:
         raise FormatError(
