@@ -116,7 +116,7 @@ def read_lights(path: Path) -> LightSet:
     within = (np.abs(lights.position_mm) <= MOST).all() and (values <= MOST).all()
     if not within or not (values >= 0).all():
         expected = f"places within {MOST:g} mm, light of 0 to {MOST:g}"
-        raise FormatError(path, field="lights", found="NaN, negative or huge", expected=expected)
+        raise FormatError(path, field="lights", found="NaN or negative, or huge", expected=expected)
     if (np.linalg.norm(lights.position_mm, axis=1) < 1.0).any():
         raise FormatError(path, field="lights", found="a light at the origin", expected="mm away")
     return lights

@@ -148,7 +148,7 @@ def test_a_path_out_of_the_session_is_not_followed(session, name):
     found["files"][name] = "0" * 64
     (session / "manifest.json").write_text(json.dumps(found))
     (problem,) = check_manifest(session)
-    assert "expected paths in the session" in str(problem)
+    assert "a relative path that stays inside the folder" in str(problem)
 
 
 def damaged():
