@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import threading
+import time
 from pathlib import Path
+from typing import get_args
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
 from lightstage.commands import JsonFlag, finish, output_file
-from lightstage.errors import CaptureError, ConfigError
+from lightstage.errors import CaptureError, ConfigError, FormatError
 from lightstage.formats.files import write_text
-from lightstage.operator.client import ask, follow
+from lightstage.operator.attendance import Request
+from lightstage.operator.client import LOOK_S, ask, follow
 from lightstage.operator.keys import has_keys, heard, key_by_key
 from lightstage.operator.lines import JournalTail
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.terminal import Shown
 from lightstage.operator.view import View
+from lightstage.printable import printable
 
 KEYBOARD = 0
 
@@ -41,9 +47,22 @@ def watch_command(
     ),
     until: int | None = typer.Option(None, help="With --picture: as it was after this line's id."),
     columns: int = typer.Option(100, help="With --picture: width in characters."),
+    wait: float = typer.Option(
+        math.inf,
+        help="Wait so many seconds for a session that is not there yet; without it, until Ctrl-C.",
+        show_default=False,
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Follow a capture from another terminal; it does not notice."""
+    if not wait >= 0.0:
+        raise ConfigError("--wait", found=str(wait), expected="seconds, 0 or more")
+    if session.exists() and not session.is_dir():
+        raise ConfigError(
+            session, found="a file", expected="a session's folder", hint="Give the folder it is in."
+        )
+    if do is not None and do not in get_args(Request):
+        raise ConfigError("--do", found=repr(do), expected=f"one of {', '.join(get_args(Request))}")
     if do is not None:
         why = ask(session, do)
         if why is not None:
@@ -65,6 +84,7 @@ def watch_command(
         keys = ("retake", "pause", "abort") if view.phase == "running" else ()
         write_text(picture, drawn(Screen(view, Ask(keys=keys)), columns))
     else:
+        _wait_for(session / "journal.jsonl", wait)
         _watch(session, view)
     running = view.phase in ("running", "asked", "paused")
     finish(
@@ -102,6 +122,27 @@ def drawn(screen: Screen, columns: int, rows: int = 30) -> str:
     )
     console.print(screen)
     return console.export_svg(title=f"lightstage capture --out {screen.view.session}")
+
+
+def _wait_for(journal: Path, wait_s: float) -> None:
+    """Wait until a capture has begun; FormatError when that takes too long, Ctrl-C ends."""
+    if journal.exists() or not wait_s:
+        return  # who opens it tells what is wrong with it
+    console = Console(stderr=True, highlight=False)
+    console.print(
+        Text(f"No capture in {printable(journal.parent)} yet: waiting for it. Ctrl-C ends."),
+        soft_wrap=True,
+    )
+    until_s = time.monotonic() + wait_s
+    while not journal.exists():
+        if time.monotonic() >= until_s:
+            raise FormatError(
+                journal,
+                found=f"no such file within {wait_s:g} s",
+                expected="the journal of a capture",
+                hint="Is this the folder that the capture was given with --out?",
+            )
+        time.sleep(LOOK_S)
 
 
 def _watch(session: Path, view: View) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -194,7 +195,7 @@ def test_another_terminal_can_stop_a_capture(tmp_path, replay, capturing):
 
 
 def test_nobody_there_is_said(tmp_path, replay, written):
-    nothing = watch(tmp_path / "S")
+    nothing = watch(tmp_path / "S", "--wait", 0)
     assert nothing.returncode == 2
     assert "no such file, expected the journal of a capture" in nothing.stderr
     with pytest.raises(FormatError):
@@ -203,6 +204,51 @@ def test_nobody_there_is_said(tmp_path, replay, written):
     over = watch(tmp_path, "--do", "abort")
     assert over.returncode == 2
     assert "no capture that answers" in over.stderr
+
+
+def test_a_session_that_is_not_there_yet_is_waited_for(tmp_path, replay, written):
+    child = subprocess.Popen(
+        [sys.executable, "-c", WATCH, "watch", str(tmp_path / "S")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert "waiting for it. Ctrl-C ends." in child.stderr.readline()
+    written(tmp_path / "whole.jsonl", replay)
+    (tmp_path / "S").mkdir()
+    (tmp_path / "whole.jsonl").rename(tmp_path / "S" / "journal.jsonl")
+    assert "63 of 63 photographs kept" in child.communicate(timeout=60)[0]
+    assert child.returncode == 0
+
+
+def test_waiting_ends_by_ctrl_c_and_by_its_option(tmp_path):
+    child = subprocess.Popen(
+        [sys.executable, "-c", WATCH, "watch", str(tmp_path / "S")],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    child.stderr.readline()
+    child.send_signal(signal.SIGINT)
+    assert child.communicate(timeout=60)[1] == "Interrupted.\n"
+    assert child.returncode == 130
+    done = watch(tmp_path / "S", "--wait", 0.1)
+    assert done.returncode == 2
+    assert "no such file within 0.1 s, expected the journal of a capture" in done.stderr
+
+
+def test_what_cannot_be_watched_or_asked_is_one_message(tmp_path, replay, written):
+    journal = written(tmp_path / "journal.jsonl", replay)
+    for more, said in (
+        ((tmp_path, "--do", "dance"), "found 'dance', expected one of retake, accept, abort"),
+        ((tmp_path / "no", "--do", "dance"), "found 'dance', expected one of retake"),
+        ((journal,), f"{journal}: found a file, expected a session's folder"),
+        ((journal, "--do", "abort"), f"{journal}: found a file, expected a session's folder"),
+        ((tmp_path, "--wait", "-1"), "--wait: found -1.0, expected seconds"),
+    ):
+        done = watch(*more)
+        assert done.returncode == 2
+        assert said in done.stderr
+        assert done.stderr.count("\n") == 1
 
 
 def test_a_picture_of_any_moment_can_be_written(tmp_path, replay, written):
