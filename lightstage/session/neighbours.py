@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import stat
 from collections.abc import Iterator
 from pathlib import Path
 
+from lightstage.errors import FormatError
+from lightstage.formats.values import LINE, parse_json
 from lightstage.session.kept import packed
 from lightstage.session.opening import JOURNAL
 
@@ -92,8 +93,8 @@ def _session_of(journal: bytes) -> bytes:
 
 
 def _told(line: bytes) -> str:
-    with contextlib.suppress(ValueError, KeyError, TypeError):
-        said = json.loads(line)
+    with contextlib.suppress(FormatError, KeyError, TypeError):
+        said = parse_json(line, "journal", LINE)
         if said["event"] == "frame":
             return f"{said['pattern']} by {said['camera']}"
     return "a photograph"
