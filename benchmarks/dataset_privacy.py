@@ -20,14 +20,11 @@ LAYOUTS = (
     # gap and wander as shares of a patch, turned
     (0.0, 0.0, False),
     (0.0, 0.0, True),
-    (0.125, 0.0, False),
     (0.25, 0.0, False),
     (0.5, 0.0, False),
     (0.25, 0.25, False),
     (0.25, 0.25, True),
-    (0.5, 0.25, True),
     (0.5, 0.5, True),
-    (1.0, 0.5, True),
 )
 DROPS = (0.0, 0.25, 0.5)
 RELEASES = 40

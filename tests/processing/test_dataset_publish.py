@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import zarr
@@ -15,7 +16,7 @@ from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.processed import ProcessedFolder
 from processing.dataset import PublishConfig, Store, build_store, open_store, publish
 from processing.dataset.places import places_of
-from processing.dataset.publish import published_places
+from processing.dataset.publish import published_places, read_patch
 
 Make = Callable[..., Path]
 SIZE, GAP = 16, 4
@@ -176,6 +177,43 @@ def test_directions_and_shape_are_turned_and_mirrored_with_the_picture(
     # In the head frame all normals of the half cylinder have z > 0 and y = 0.
     assert (means[:, 2] < 0).any()
     assert abs(means[:, 1]).max() > 0.5
+
+
+def right_neighbours_found(store: Store, config: PublishConfig) -> float:
+    """Share of the right neighbours that have the border most like a patch's own."""
+    layout = config.layout(store)
+    places = published_places(store, layout, 1.0)
+    patches = np.stack([read_patch(store, p, SIZE)[0]["diffuse_albedo"] for p in places])
+    found = []
+    for index, place in enumerate(places):
+        beside = [
+            other
+            for other, its in enumerate(places)
+            if its.scan == place.scan
+            and abs(its.row - place.row) <= layout.wander
+            and SIZE <= its.column - place.column <= SIZE + layout.gap + 2 * layout.wander
+        ]
+        if beside:
+            differences = abs(patches[:, :, 0] - patches[index, :, -1]).sum(axis=(1, 2))
+            found.append(int(differences.argmin()) in beside)
+    assert len(found) > 8
+    return float(np.mean(found))
+
+
+def test_neighbours_are_not_found_by_their_borders(tmp_path: Path, make_processed: Make) -> None:
+    """The whole attack is benchmarks/dataset_privacy.py; this is its plainest part."""
+    rng = np.random.default_rng(2)
+    roots = []
+    for name in PEOPLE:
+        roots.append(make_processed(tmp_path / name, 384, 256, subject=name))
+        blotches = cv2.GaussianBlur(rng.normal(0.4, 1.0, (384, 256, 3)), (0, 0), 2.0)
+        ProcessedFolder(roots[-1]).write_atlas("diffuse_albedo", blotches)
+    store = open_store(build_store(roots, tmp_path / "store"))
+    touching = dataclasses.replace(SMALL, gap=0.0, wander=0.0, turned=False, min_coverage=0.9)
+    assert right_neighbours_found(store, touching) > 0.9
+    defaults = PublishConfig(patch_px=SIZE)
+    apart = dataclasses.replace(touching, gap=defaults.gap, wander=defaults.wander, turned=True)
+    assert right_neighbours_found(store, apart) < 0.2
 
 
 def test_a_patch_that_shows_too_much_of_a_face_is_refused_with_the_size_that_would_do(
