@@ -28,6 +28,7 @@ from benchmarks.acquisition_faults import CONFIG, trial_rig
 from benchmarks.fault_story import operator_mends, told, trial_story
 from benchmarks.record import record
 from lightstage.formats.files import write_json, write_text
+from lightstage.session import read_journal
 from sim.devices.coded_stage import CodedStage
 from sim.devices.processes import descendants, kill, wait_until
 
@@ -107,7 +108,8 @@ class CaptureTrials:
             going_on = (root / "journal.jsonl").exists()
             share = KILLED if tried == 0 else KILLED / 2
             after_s = self._random.uniform(0.5, LATEST_KILL_S) if self._chance(share) else None
-            if self._capture(stage, root, going_on, after_s) == 0:
+            ended = self._capture(stage, root, going_on, after_s) == 0
+            if ended or _is_finished(root):  # it may be killed after its last line
                 break
             self.sum.resumes += 1
             said = [each for each in self._said().splitlines() if "Error: " in each]
@@ -176,6 +178,12 @@ class CaptureTrials:
                 kill(each.pid)
         child.wait()
         time.sleep(0.1)  # the guardian's turn, which is not of the capture's family any more
+
+
+def _is_finished(root: Path) -> bool:
+    """Whether a session's journal has its last line."""
+    path = root / "journal.jsonl"
+    return path.exists() and read_journal(path)[-1]["event"] == "end"
 
 
 def _put_cards_in(stage: CodedStage) -> None:
