@@ -239,6 +239,7 @@ def publish(
     seed: int | None = typer.Option(
         None,
         "--seed",
+        min=0,
         help="Of what is left out and of the order, kept out of the result; by default a secret.",
     ),
     as_json: bool = JsonFlag,

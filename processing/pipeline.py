@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import one_error
+from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.files import sha256_file, write_json
 from lightstage.formats.landmarks import read_points_px
@@ -129,6 +129,11 @@ def run(
     if problems:
         raise one_error(problems)
     require_own(out)
+    if not (template_path / "template.json").is_file():
+        # A stage that reads no template would not notice that another one was meant.
+        raise FormatError(
+            template_path, found="no template.json in it", expected="a template's folder"
+        )
     template, template_hash = None, ""
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
         template, template_hash = load_template(template_path), hash_folder(template_path)

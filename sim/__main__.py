@@ -30,6 +30,8 @@ SUBJECT_HELP = (
     "lps (the scanned head), ict (a head of ICT Face Model Light), a subject folder, or any other "
     "name: a parametric person."
 )
+MOST_STOPS = 64
+"""Of exposure: more would leave every picture black or white."""
 app = make_app("A light stage without the hardware: people, light, sessions, targets, data sets.")
 add_import_commands(app)
 add_stage_commands(app)
@@ -40,7 +42,7 @@ add_stage_commands(app)
 def session(
     subject: str = typer.Option(..., help=SUBJECT_HELP),
     out: Path = output_folder("--out", help="Session folder; truth goes to OUT.truth."),
-    seed: int = typer.Option(0, help="Of the person, the noise and the landmark clicks."),
+    seed: int = typer.Option(0, min=0, help="Of the person, the noise and the landmark clicks."),
     expression: str | None = typer.Option(None, help="Neutral, or what a folder's face does."),
     sequence: str = typer.Option("binary", help="Named sequence or comma-separated patterns."),
     scale: float = typer.Option(
@@ -141,7 +143,7 @@ def dataset(
         None, min=1, help="How many people; as many as the table says where absent."
     ),
     expressions: int = typer.Option(7, min=1, max=7, help="Of each; the first one is neutral."),
-    seed: int = typer.Option(0, help="The same seed gives the same files to the byte."),
+    seed: int = typer.Option(0, min=0, help="The same seed gives the same files to the byte."),
     people: str = typer.Option(
         "balanced", help="Shares by sex, age, tone and look: a table's name or a TOML file."
     ),
@@ -189,7 +191,7 @@ def render(
     out: Path = output_file(
         "--out", help="Picture, .png (exposed) or .exr (linear).", suffixes=[".png", ".exr"]
     ),
-    seed: int = typer.Option(0, help="Of the person, and of the street's houses."),
+    seed: int = typer.Option(0, min=0, help="Of the person, and of the street's houses."),
     expression: str | None = typer.Option(None, help="Neutral, or what a folder's face does."),
     camera: str = typer.Option("cam0", help="View: a camera of the rig."),
     width: int = typer.Option(480, min=16, max=6016, help="Pixels across."),
@@ -211,6 +213,9 @@ def render(
     begun = time.monotonic()
     check_subject(subject)
     require_picture(out)
+    if exposure is not None and not abs(exposure) <= MOST_STOPS:
+        expected = f"stops between -{MOST_STOPS} and {MOST_STOPS}"
+        raise SimError("--exposure", found=str(exposure), expected=expected)
     config = RelightConfig(lights=lights, rotate_deg=rotate)
     stage = default_rig() if rig is None else load_rig(rig)
     stage = stage.scaled(width / stage.camera(camera).width_px)
@@ -236,7 +241,7 @@ def render(
 def targets(
     out: Path = output_folder("--out", help="Session folder; truth goes to OUT.truth."),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
-    seed: int = typer.Option(0, help="Of the board's poses, lenses, sensors and noise."),
+    seed: int = typer.Option(0, min=0, help="Of the board's poses, lenses, sensors and noise."),
     scale: float = typer.Option(
         0.1795, min=0.005, max=1.0, help="Share of the rig's pixels a side."
     ),
@@ -280,7 +285,7 @@ def gallery(
     expressions: str = typer.Option("neutral,smile,brow_raise", help="Columns of each light."),
     lights: str = typer.Option("full,x+,street", help="Patterns or environments, as in `render`."),
     people: str = typer.Option("balanced", help="Shares: a table's name or a TOML file."),
-    seed: int = typer.Option(0, help="Of the people."),
+    seed: int = typer.Option(0, min=0, help="Of the people."),
     width: int = typer.Option(240, min=16, max=2048, help="Pixels across one picture."),
     rows: int = typer.Option(1536, min=96, max=6144, help="Rows of the textures."),
     as_json: bool = JsonFlag,

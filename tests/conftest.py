@@ -60,7 +60,7 @@ def small_disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_processed() -> Callable[..., Path]:
     """A function that writes a small processed folder with known atlas maps.
 

@@ -8,6 +8,7 @@ import sys
 from typing import Any, cast
 
 import typer
+from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from lightstage.errors import LightstageError, StoppedError
@@ -23,9 +24,15 @@ BAD_INPUT, DEFECT, INTERRUPTED = 2, 1, 130
 or a key."""
 
 
-def make_app(help_text: str) -> typer.Typer:
-    """A Typer application with this project's settings and the option --version."""
+def make_app(help_text: str, group: type[TyperGroup] = TyperGroup) -> typer.Typer:
+    """A Typer application with this project's settings and the option --version.
+
+    Args:
+        help_text: what `--help` says of it.
+        group: how it finds its commands (`lazy_group`).
+    """
     app = typer.Typer(
+        cls=group,
         help=help_text,
         no_args_is_help=True,
         add_completion=False,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 from pathlib import Path
 
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.failures import free_bytes
 from lightstage.formats.files import atomic_path, write_text
+from lightstage.formats.values import open_regular
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +125,7 @@ def read_obj(path: Path) -> Mesh:
     faces: list[list[int]] = []
     face_uvs: list[list[int]] = []
     try:
-        with path.open() as handle:
+        with open(open_regular(path, "an OBJ mesh"), encoding="utf-8") as handle:
             for number, line in enumerate(handle, 1):
                 words = line.split()
                 if not words:
@@ -144,8 +147,6 @@ def read_obj(path: Path) -> Mesh:
                     faces.append([_index(c[0], len(vertices)) for c in corners] + pad)
                     if all(len(c) > 1 and c[1] for c in corners):
                         face_uvs.append([_index(c[1], len(uvs)) for c in corners] + pad)
-    except FileNotFoundError:
-        raise FormatError(path, found="no such file", expected="an OBJ mesh") from None
     except (OSError, UnicodeDecodeError, ValueError, IndexError) as error:
         raise FormatError(path, found=str(error), expected="a readable OBJ mesh") from None
     mesh = Mesh(
@@ -240,8 +241,12 @@ def write_ply(mesh: Mesh, path: Path) -> Path:
         open3d.utility.Vector3dVector(mesh.vertices),
         open3d.utility.Vector3iVector(mesh.triangles()),
     )
-    with atomic_path(path) as beside:
-        open3d.io.write_triangle_mesh(str(beside), shape)
+    size = 24 * len(mesh.vertices) + 13 * len(mesh.triangles())  # doubles; a count, three ints
+    with atomic_path(path, size) as beside:
+        written = open3d.io.write_triangle_mesh(str(beside), shape)
+        # Open3D does not always notice a full disk; its file is short then.
+        if not written or beside.stat().st_size < size:
+            raise OSError(errno.ENOSPC if free_bytes(path) < size else errno.EIO, "", str(path))
     return path
 
 

@@ -46,7 +46,7 @@ def watch_command(
         default=None,
     ),
     until: int | None = typer.Option(None, help="With --picture: as it was after this line's id."),
-    columns: int = typer.Option(100, help="With --picture: width in characters."),
+    columns: int = typer.Option(100, min=40, help="With --picture: width in characters."),
     wait: float = typer.Option(
         math.inf,
         help="Wait so many seconds for a session that is not there yet; without it, until Ctrl-C.",
@@ -73,8 +73,6 @@ def watch_command(
         raise ConfigError("--until", found=str(until), expected="--picture beside it")
     view = View(str(session))
     if picture is not None:
-        if columns < 40:
-            raise ConfigError("--columns", found=str(columns), expected="at least 40")
         with JournalTail(session / "journal.jsonl") as tail:
             for line in tail.read():
                 if until is None or line["id"] <= until:

@@ -29,7 +29,7 @@ def add_stage_commands(app: typer.Typer) -> None:
 def stage(
     subject: str = typer.Option("P1", help="As in `session`."),
     sequence: str = typer.Option("binary", help="What will be shot; others may be shot too."),
-    seed: int = typer.Option(0, help="Of the person and the noise."),
+    seed: int = typer.Option(0, min=0, help="Of the person and the noise."),
     scale: float = ScaleOption,
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     faults: Path | None = typer.Option(None, help="What goes wrong (TOML, docs/faults.md)."),
@@ -75,7 +75,7 @@ def stage(
 def calibrate(
     kind: str = typer.Argument(help="charuco, mirror, grey, chart, dark or flat."),
     out: Path = output_folder("--out", help="The lab's folder of calibration shots."),
-    seed: int = typer.Option(0, help="Of poses, lenses and noise."),
+    seed: int = typer.Option(0, min=0, help="Of poses, lenses and noise."),
     scale: float = ScaleOption,
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
 ) -> None:

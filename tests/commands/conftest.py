@@ -14,6 +14,8 @@ import typer
 
 from lightstage.commands import run_app
 
+LONGEST_S = 30.0
+"""A command that takes longer hangs: it is interrupted, so that its test fails and tells which."""
 PROGRAMS = ("lightstage", "processing", "learning", "sim")
 
 
@@ -61,7 +63,8 @@ def found_commands() -> list[Command]:
 
 
 def _add(found: list[Command], program: str, words: tuple[str, ...], parser: Any) -> None:
-    for name, below in getattr(parser, "commands", {}).items():
+    for name in parser.list_commands(None):
+        below = parser.get_command(None, name)
         if hasattr(below, "commands"):
             _add(found, program, (*words, name), below)
         else:
@@ -93,14 +96,24 @@ class Ended:
 @pytest.fixture
 def run_command(monkeypatch, capsys):
     """A function that runs a program in this process: `run_command("sim", "render", ...)`."""
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    signals: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.getsignal(number) for number in signals]
+
+    def too_long(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before.append(signal.signal(signal.SIGALRM, too_long))
+    signals += (signal.SIGALRM,)
 
     def run(program: str, *words: Any) -> Ended:
         monkeypatch.setattr(sys, "argv", [f"lightstage-{program}", *map(str, words)])
         capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            run_app(importlib.import_module(f"{program}.__main__").app)
+        signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+        try:
+            with pytest.raises(SystemExit) as ended:
+                run_app(importlib.import_module(f"{program}.__main__").app)
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
         said = capsys.readouterr()
         code = ended.value.code
         return Ended(code if isinstance(code, int) else 0, said.out, said.err)

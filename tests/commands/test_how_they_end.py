@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+import typer
 
 import lightstage
 
@@ -93,3 +94,29 @@ def test_ctrl_c_while_a_command_imports_what_it_needs_ends_it_in_order(tmp_path)
             "error": {"type": "Interrupted", "message": "Interrupted."}
         }
         assert list(tmp_path.iterdir()) == []
+
+
+def test_a_programs_list_says_of_each_command_what_the_command_says():
+    from lightstage.__main__ import COMMANDS, app
+
+    group = typer.main.get_command(app)
+    assert group.list_commands(None) == list(COMMANDS)
+    for name, (_, summary) in COMMANDS.items():
+        assert group.get_command(None, name).help.split("\n")[0] == summary
+
+
+def test_listing_the_commands_imports_none_of_what_they_need():
+    script = """
+import sys
+sys.argv = ["lightstage", "--help"]
+import lightstage.__main__
+try:
+    lightstage.__main__.main()
+except SystemExit:
+    pass
+heavy = {"numpy", "cv2", "pydantic", "rich.console", "scipy", "numba", "lightstage.capture"}
+print(sorted(heavy & set(sys.modules)), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert "capture" in done.stdout
+    assert done.stderr == "[]\n"

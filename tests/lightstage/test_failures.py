@@ -12,6 +12,7 @@ from lightstage.errors import DiskError, DiskFullError, FormatError, MemoryLimit
 from lightstage.failures import explain
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import atomic_folder, atomic_path, write_bytes
+from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.png import write_png
 
 
@@ -31,7 +32,13 @@ def save_arrays(path):
         np.savez(file, a=noise(256))
 
 
+def save_mesh(path):
+    corners = np.random.default_rng(0).random((3000, 3))
+    write_ply(Mesh(corners, np.arange(3000).reshape(-1, 3)), path)
+
+
 WRITERS = {
+    "ply": save_mesh,
     "exr": lambda path: write_exr(path, noise(256)),
     "png": lambda path: write_png(path, (255 * noise(256)).astype(np.uint8)),
     "safetensors": save_tensors,

@@ -121,7 +121,7 @@ def test_a_template_without_uv_makes_a_command_exit_2_and_leave_nothing(tmp_path
         "        load_template(folder)\n"
         "run_app(app)\n"
     )
-    command = [sys.executable, "-c", script, str(path), str(tmp_path / "out")]
+    command = [sys.executable, "-c", script, "use", str(path), str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2
     assert "FormatError" in done.stderr

@@ -71,10 +71,9 @@ def test_a_folder_that_may_not_be_written_to_is_refused_before_a_light_goes_on(b
         done = bench.run(out=shelf / "S", before=tools.obey_permissions)
     finally:
         shelf.chmod(0o755)
-    said = tools.message(done, "DeviceError")
-    assert f"folder {shelf}: found Permission denied" in said
-    assert "expected a folder in which files can be written, flushed, named and locked" in said
-    assert "Give an --out on a local disk that you may write to." in said
+    said = tools.message(done, "DiskError")
+    assert f"{shelf / 'S'}, --out: found no permission" in said
+    assert "expected a place that you may read and write. Name another place" in said
     assert os.listdir(shelf) == []
     assert all(not state.counts.any() for state in bench.stage.device.states)
 
@@ -102,8 +101,8 @@ def test_a_session_that_becomes_read_only_ends_dark_and_goes_on_later(bench, too
 
 def test_a_file_where_the_session_should_lie_is_refused(bench, tools):
     bench.out.write_text("mine")
-    said = tools.message(bench.run(), "CaptureError")
-    assert f"{bench.out}: found something there already, expected a new folder" in said
+    said = tools.message(bench.run(), "DiskError")
+    assert f"{bench.out}, --out: found a file, expected a folder to write into" in said
     assert bench.out.read_text() == "mine"
 
 

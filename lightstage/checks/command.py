@@ -1,0 +1,35 @@
+"""The command `check`: a session's files, patterns and records."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import typer
+
+from lightstage.checks import check_session
+from lightstage.commands import JsonFlag, finish, progress_bar
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to an application."""
+    app.command("check")(check_command)
+
+
+def check_command(
+    session: Path = typer.Argument(help="Session folder."), as_json: bool = JsonFlag
+) -> None:
+    """Verify every hash, size, exposure and pattern of a session."""
+    with progress_bar("check") as progress:
+        report = check_session(session, progress)
+    told = [finding for finding in report.findings if finding.severity != "note"]
+    for finding in told:
+        print(f"warning: {finding}", file=sys.stderr)
+    finish(
+        f"{session}: {report.frames} frames whole and unchanged, {report.sums} pattern sums "
+        f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % clipped, "
+        f"{len(told)} warnings",
+        {"session": str(session), **dataclasses.asdict(report)},
+        as_json,
+    )

@@ -1,0 +1,46 @@
+"""A program whose commands are imported when they are called, not when their names are listed.
+
+`lightstage --help` names seven commands; the code behind them takes ten times as long to import.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, ClassVar
+
+import typer
+from typer.core import TyperGroup
+
+
+def lazy_group(table: dict[str, tuple[str, str]]) -> type[TyperGroup]:
+    """A group class for `make_app`.
+
+    Args:
+        table: a command's name to the module whose `register(app)` adds it, and the first
+            sentence of its help.
+    """
+
+    class Group(TyperGroup):
+        lazy: ClassVar = table
+
+        def list_commands(self, ctx: Any) -> list[str]:
+            return [*self.lazy, *super().list_commands(ctx)]
+
+        def get_command(self, ctx: Any, cmd_name: str) -> Any:
+            if cmd_name in self.lazy and cmd_name not in self.commands:
+                app = typer.Typer(rich_markup_mode=None)
+                app.callback()(_nothing)  # or an application of one command would be that command
+                importlib.import_module(self.lazy[cmd_name][0]).register(app)
+                self.commands[cmd_name] = typer.main.get_group(app).commands[cmd_name]
+            return super().get_command(ctx, cmd_name)
+
+        def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002  as Typer calls it
+            rows = [(name, summary) for name, (_, summary) in self.lazy.items()]
+            with formatter.section("Commands"):
+                formatter.write_dl(rows)
+
+    return Group
+
+
+def _nothing() -> None:
+    """What stands before every command's name."""
