@@ -23,6 +23,7 @@ def raise_on_signals() -> None:
 
     So every `finally` (lights dark, temporary files removed) runs for each of them.
     """
+    _interrupted.clear()
     signal.signal(signal.SIGTERM, _interrupt)
     signal.signal(signal.SIGHUP, _interrupt)
     if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, signal.SIG_DFL):

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
 import OpenEXR
 
 from lightstage.errors import FormatError
+from lightstage.failures import free_bytes
 from lightstage.formats.files import atomic_path
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
+FULL_BYTES = 2**20
+"""A disk with less room than this after a picture was written may have been full before its end."""
 
 
 def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
@@ -38,7 +43,17 @@ def write_exr(path: Path, image: np.ndarray, *, half: bool = True) -> Path:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic_path(path) as beside, OpenEXR.File(header, channels) as file:
         file.write(str(beside))
+        if free_bytes(path) < FULL_BYTES and not _is_whole(beside, pixels.shape[:2]):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
     return path
+
+
+def _is_whole(path: Path, size: tuple[int, ...]) -> bool:
+    """Whether a picture can be read back: OpenEXR passes over a disk that is full at the end."""
+    try:
+        return _stored(path).shape[:2] == size
+    except FormatError:
+        return False
 
 
 def read_exr(path: Path, *, finite: bool = False) -> np.ndarray:

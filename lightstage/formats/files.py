@@ -9,6 +9,7 @@ import os
 import re
 import secrets
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ from typing import Any
 from lightstage.errors import FormatError
 from lightstage.failures import disk_full, is_disk_full
 from lightstage.formats.values import read_value
+
+REMOVALS, REMOVAL_PAUSE_S = 50, 0.02
 
 
 def fsync_path(path: Path) -> None:
@@ -83,8 +86,8 @@ def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     old = beside.with_name(beside.name + ".old")
-    beside.mkdir()
     try:
+        beside.mkdir()
         yield beside
         fsync_path(beside)
         if path.exists():
@@ -95,13 +98,22 @@ def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
         if not is_disk_full(error):
             raise
         written = _bytes_below(beside)
-        shutil.rmtree(beside, ignore_errors=True)
+        _remove(beside)
         raise disk_full(path, written) from error
     finally:
         if old.exists() and not path.exists():
             os.replace(old, path)
-        shutil.rmtree(beside, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
+        _remove(beside)
+        _remove(old)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, also while a library's threads still write the last files into it."""
+    for _ in range(REMOVALS):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return
+        time.sleep(REMOVAL_PAUSE_S)
 
 
 def _bytes_below(folder: Path) -> int:

@@ -4,15 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import os
 import signal
 import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 
+from learning.checkpoint import save_checkpoint
+from learning.networks.generator import Generator
+from learning.presets import preset
 from lightstage.commands import run_app
+from lightstage.formats.config import as_dict
+from lightstage.formats.environment import LightSet, write_lights
+from lightstage.formats.exr import write_exr
+from lightstage.formats.files import write_json
+from lightstage.formats.mesh import Mesh, write_obj
+from lightstage.importing import import_session
+from lightstage.rig import default_rig, save_rig
+from processing.dataset import build_store
 
 LONGEST_S = 30.0
 """A command that takes longer hangs: it is interrupted, so that its test fails and tells which."""
@@ -41,6 +54,11 @@ class Command:
         """Options that name what is written, by name."""
         named = {option: p for p in self.parser.params for option in p.opts}
         return {name: named[name] for name in ("--out", "--picture") if name in named}
+
+    def suffix(self, option: str) -> str:
+        """What a file of this output ends in; nothing for a folder."""
+        text = self.outputs[option].help.lower()
+        return next((s for s in (".exr", ".png", ".npz", ".obj", ".svg") if s[1:] in text), "")
 
     def words_with(self, option: str, value: Path) -> list[str]:
         """A command line with this output and something for all else that is required."""
@@ -95,20 +113,23 @@ class Ended:
 
 @pytest.fixture
 def run_command(monkeypatch, capsys):
-    """A function that runs a program in this process: `run_command("sim", "render", ...)`."""
+    """A function that runs a program in this process: `run_command("sim", "render", ...)`.
+
+    With `interrupt_s` it gets Ctrl-C after so many seconds.
+    """
     signals: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.getsignal(number) for number in signals]
 
-    def too_long(*_: object) -> None:
-        raise KeyboardInterrupt
+    def ctrl_c(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
 
-    before.append(signal.signal(signal.SIGALRM, too_long))
+    before.append(signal.signal(signal.SIGALRM, ctrl_c))
     signals += (signal.SIGALRM,)
 
-    def run(program: str, *words: Any) -> Ended:
+    def run(program: str, *words: Any, interrupt_s: float = LONGEST_S) -> Ended:
         monkeypatch.setattr(sys, "argv", [f"lightstage-{program}", *map(str, words)])
         capsys.readouterr()
-        signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+        signal.setitimer(signal.ITIMER_REAL, interrupt_s)
         try:
             with pytest.raises(SystemExit) as ended:
                 run_app(importlib.import_module(f"{program}.__main__").app)
@@ -121,3 +142,44 @@ def run_command(monkeypatch, capsys):
     yield run
     for number, handler in zip(signals, before, strict=True):
         signal.signal(number, handler)
+
+
+@pytest.fixture(scope="session")
+def world(tmp_path_factory, make_processed) -> dict[str, Path]:
+    """Small right inputs by name."""
+    folder = tmp_path_factory.mktemp("Möbel und mehr")
+    rig = default_rig().scaled(24 / 6016)
+    rig = dataclasses.replace(rig, lights=rig.lights[::8], cameras=rig.cameras[:2])
+    rng = np.random.default_rng(0)
+    at = {"rig": save_rig(rig, folder / "rig.json")}
+    at["photographs"] = folder / "photographs"
+    (at["photographs"] / "full").mkdir(parents=True)
+    for camera in rig.cameras:
+        size = (camera.height_px, camera.width_px, 3)
+        write_exr(at["photographs"] / "full" / f"{camera.id}.exr", rng.random(size))
+    at["session"] = folder / "session"
+    import_session(at["photographs"], rig, at["session"], "P1", "neutral")
+    at["lab"] = folder / "lab"
+    at["lab"].mkdir()
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    square = np.array([[0, 1, 2, 3]], np.int32)
+    mesh = Mesh(50 * corners, square, (corners[:, :2] + 1) / 2, square)
+    at["mesh"] = write_obj(mesh, folder / "mesh.obj")
+    points = {"scheme": "ibug68", "points_mm": [[float(i), 0.0, 0.0] for i in range(68)]}
+    at["points"] = write_json(folder / "points.json", points)
+    lights = LightSet("key", np.array([[0.0, 0, 900]]), np.ones((1, 3)), np.zeros(3))
+    at["lights"] = write_lights(lights, folder / "lights.json")
+    at["texture"] = write_exr(folder / "texture.exr", rng.random((96, 64, 3)))
+    config = preset("demo", {"generator": {"width": 2}, "data": {"patch_px": 32}}, "test")
+    about = {
+        "config": as_dict(config), "data_fingerprint": "", "held_out": [], "texture_rows": 96,
+        "metrics": {},
+    }  # fmt: skip
+    weights = dict(Generator(config.generator).state_dict())
+    at["run"] = folder / "run"
+    save_checkpoint(at["run"], 1, {"generator": weights}, about)
+    at["small rig"] = save_rig(default_rig().scaled(48 / 6016), folder / "small rig.json")
+    at["processed"] = make_processed(folder / "processed")
+    at["maps"] = at["processed"] / "atlas"
+    at["store"] = build_store([at["processed"]], folder / "store")
+    return at

@@ -53,7 +53,7 @@ def test_an_unusable_output_is_one_clear_message_before_any_work(
     each_output, kind, tmp_path, run_command
 ):
     command, option = each_output
-    suffix = suffix_of(command, option)
+    suffix = command.suffix(option)
     folder = tmp_path / "a folder of Jörg's"
     folder.mkdir()
     path = unusable(kind, folder, suffix)
@@ -74,7 +74,7 @@ def test_an_unusable_output_is_one_clear_message_before_any_work(
 def test_a_full_disk_is_told_before_any_work(each_output, small_disk, run_command):
     command, option = each_output
     (small_disk / "filler").write_bytes(bytes(65536))
-    path = small_disk / f"out{suffix_of(command, option)}"
+    path = small_disk / f"out{command.suffix(option)}"
     ended = run_command(command.program, *command.words_with(option, path))
     assert ended.code == 2, ended
     assert f"DiskFullError: {path}, {option}: found a full disk" in ended.err
@@ -107,12 +107,6 @@ def test_a_full_disk_is_an_error_of_its_own(small_disk):
     (small_disk / "filler").write_bytes(bytes(65536))
     with pytest.raises(DiskFullError, match="found a full disk, 0 bytes free"):
         try_folder("--out", small_disk / "new")
-
-
-def suffix_of(command, option):
-    """What a file of this option ends in; nothing for a folder."""
-    text = command.outputs[option].help
-    return next((s for s in (".exr", ".png", ".npz", ".obj", ".svg") if s[1:] in text.lower()), "")
 
 
 def json_flag(command):

@@ -6,25 +6,9 @@ line that is right otherwise.
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import pytest
-
-from learning.checkpoint import save_checkpoint
-from learning.networks.generator import Generator
-from learning.presets import preset
-from lightstage.formats.config import as_dict
-from lightstage.formats.environment import LightSet, write_lights
-from lightstage.formats.exr import write_exr
-from lightstage.formats.files import write_json
-from lightstage.formats.mesh import Mesh, write_obj
-from lightstage.importing import import_session
-from lightstage.rig import default_rig, save_rig
-from processing.dataset import build_store
 
 NEW = "a new place"
 """Stands for a path that is not there yet."""
@@ -100,45 +84,6 @@ def wrong_values(param: Any) -> list[str]:
     return [*found, *(["nonsense"] if param.opts[0] in CHOICES else [])]
 
 
-@pytest.fixture(scope="module")
-def world(tmp_path_factory, make_processed) -> dict[str, Path]:
-    """Small right inputs by name."""
-    folder = tmp_path_factory.mktemp("Möbel und mehr")
-    rig = default_rig().scaled(24 / 6016)
-    rig = dataclasses.replace(rig, lights=rig.lights[::8], cameras=rig.cameras[:2])
-    rng = np.random.default_rng(0)
-    at = {"rig": save_rig(rig, folder / "rig.json")}
-    at["photographs"] = folder / "photographs"
-    (at["photographs"] / "full").mkdir(parents=True)
-    for camera in rig.cameras:
-        size = (camera.height_px, camera.width_px, 3)
-        write_exr(at["photographs"] / "full" / f"{camera.id}.exr", rng.random(size))
-    at["session"] = folder / "session"
-    import_session(at["photographs"], rig, at["session"], "P1", "neutral")
-    at["lab"] = folder / "lab"
-    at["lab"].mkdir()
-    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    mesh = Mesh(50 * corners, np.array([[0, 1, 2, 3]]), (corners[:, :2] + 1) / 2, None)
-    at["mesh"] = write_obj(mesh, folder / "mesh.obj")
-    points = {"scheme": "ibug68", "points_mm": [[float(i), 0.0, 0.0] for i in range(68)]}
-    at["points"] = write_json(folder / "points.json", points)
-    lights = LightSet("key", np.array([[0.0, 0, 900]]), np.ones((1, 3)), np.zeros(3))
-    at["lights"] = write_lights(lights, folder / "lights.json")
-    at["texture"] = write_exr(folder / "texture.exr", rng.random((96, 64, 3)))
-    config = preset("demo", {"generator": {"width": 2}}, "test")
-    about = {
-        "config": as_dict(config), "data_fingerprint": "", "held_out": [], "texture_rows": 96,
-        "metrics": {},
-    }  # fmt: skip
-    weights = dict(Generator(config.generator).state_dict())
-    at["run"] = folder / "run"
-    save_checkpoint(at["run"], 1, {"generator": weights}, about)
-    at["processed"] = make_processed(folder / "processed")
-    at["maps"] = at["processed"] / "atlas"
-    at["store"] = build_store([at["processed"]], folder / "store")
-    return at
-
-
 def test_every_command_has_a_right_command_line(each_command):
     assert str(each_command) in RIGHT
 
@@ -168,7 +113,7 @@ def test_every_wrong_input_is_refused_in_one_message(each_command, world, tmp_pa
 def words_of(command, option, what, world, folder) -> list[str]:
     """A right command line but for one option."""
     right = {
-        name: str(folder / f"out{suffix_of(command, name)}")
+        name: str(folder / f"out{command.suffix(name)}")
         if value == NEW
         else str(world.get(value, value))
         for name, value in RIGHT[str(command)].items()
@@ -196,9 +141,3 @@ def words_of(command, option, what, world, folder) -> list[str]:
     for name, value in right.items():
         words += [name, value] if name.startswith("-") else [value]
     return words
-
-
-def suffix_of(command, option):
-    """What a file of this option ends in; nothing for a folder."""
-    text = command.outputs[option].help
-    return next((s for s in (".exr", ".png", ".npz", ".obj", ".svg") if s[1:] in text.lower()), "")

@@ -10,7 +10,7 @@ import pytest
 
 from lightstage.errors import DiskError, DiskFullError, FormatError, MemoryLimitError
 from lightstage.failures import explain
-from lightstage.formats.exr import write_exr
+from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import atomic_folder, atomic_path, write_bytes
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.png import write_png
@@ -65,6 +65,18 @@ def test_a_full_disk_says_how_much_is_missing_where_that_is_known(small_disk):
     # 64 KiB are 65.5 kB.
     assert raised.value.found == "a full disk, 65.5 kB free"
     assert raised.value.expected == "100.0 kB: 34.5 kB more"
+
+
+@pytest.mark.parametrize("rows", [1, 4, 8, 16, 24])
+def test_a_small_picture_that_the_disk_has_no_room_for_is_never_left_cut(small_disk, rows):
+    (small_disk / "filler").write_bytes(bytes(65536 - 4096))
+    path = small_disk / "a.exr"
+    try:
+        write_exr(path, noise(rows))
+    except DiskFullError:
+        assert os.listdir(small_disk) == ["filler"]
+    else:
+        assert read_exr(path).shape == (rows, 256, 3)
 
 
 def test_a_folder_that_fills_the_disk_leaves_the_old_one(small_disk):

@@ -1,0 +1,89 @@
+"""Commands that end before they are done: by Ctrl-C in the middle, or by a disk that fills up.
+
+Every command that this machine can run in a second is run whole first, into a folder whose name
+has spaces and umlauts.
+"""
+
+from __future__ import annotations
+
+import random
+import shutil
+import time
+
+import pytest
+
+LEFT_BYTES = 8192
+"""Free on the disk that fills up: what is tried before work fits, most results do not."""
+COMMANDS = {
+    "patterns": ("lightstage", "patterns", "binary", "--rig", "{rig}", "--out", "{new}.png"),
+    "import": ("lightstage", "import", "{photographs}", "--rig", "{rig}", "--out", "{new}"),
+    "decode": ("processing", "run", "{session}", "--until", "decode", "--out", "{new}"),
+    "build": ("processing", "dataset", "build", "{processed}", "--out", "{new}"),
+    "bake": (
+        "learning", "bake", "--maps", "{maps}", "--mesh", "{mesh}", "--environment", "{lights}",
+        "--out", "{new}.exr",
+    ),
+    "render": (
+        "learning", "render", "--maps", "{maps}", "--mesh", "{mesh}", "--environment", "{lights}",
+        "--rig", "{small rig}", "--out", "{new}.png",
+    ),
+    "occlusion": (
+        "learning", "occlusion", "--rows", "24", "--directions", "8", "--out", "{new}.npz",
+    ),
+    "infer": (
+        "learning", "infer", "--texture", "{texture}", "--mesh", "{mesh}", "--checkpoint", "{run}",
+        "--out", "{new}",
+    ),
+    "targets": ("sim", "targets", "--rig", "{rig}", "--scale", "1", "--out", "{new}"),
+}  # fmt: skip
+"""Words of each command; `{name}` is a file of `world`, `{new}` a place that is not there yet."""
+
+
+@pytest.fixture(params=COMMANDS)
+def command(request, world):
+    """A function: the words of one command that writes to a place."""
+
+    def words(new):
+        return [word.format(**world, new=new) for word in COMMANDS[request.param]]
+
+    return words
+
+
+def bytes_below(folder):
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def test_a_command_in_the_middle_is_stopped_by_ctrl_c_or_a_full_disk(
+    command, tmp_path, small_disk, run_command
+):
+    folder = tmp_path / "Jörgs neuer Ordner & mehr"
+    folder.mkdir()
+    began = time.monotonic()
+    ended = run_command(*command(folder / "ganz"))
+    whole_s = time.monotonic() - began
+    assert ended.code == 0, ended
+    needed = bytes_below(folder)
+    assert needed > 0
+
+    rng = random.Random(0)
+    for _ in range(3):
+        shutil.rmtree(folder)
+        folder.mkdir()
+        ended = run_command(*command(folder / "halb"), interrupt_s=rng.uniform(0, whole_s))
+        assert ended.code in (0, 130), ended
+        assert "Traceback" not in ended.err
+        hidden = [p for p in folder.rglob(".*") if p.name != ".lock"]
+        assert hidden == [], hidden
+
+    (small_disk / "filler").write_bytes(bytes(65536 - LEFT_BYTES))
+    before = sorted(small_disk.rglob("*"))
+    ended = run_command(*command(small_disk / "voll"))
+    if needed <= LEFT_BYTES:
+        assert ended.code == 0, ended
+        return
+    assert ended.code == 2, ended
+    assert "Traceback" not in ended.err
+    assert "found a full disk" in ended.err or "found no space left" in ended.err
+    assert [p for p in small_disk.rglob("*") if p.name.startswith(".")] == []
+    left = [p for p in small_disk.rglob("*") if p.is_file() and p not in before]
+    assert all(p.stat().st_size > 0 for p in left), left
