@@ -17,6 +17,7 @@ import collections
 import dataclasses
 import json
 import random
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -104,6 +105,7 @@ class CaptureTrials:
     def _session(self, stage: CodedStage, root: Path) -> None:
         since = stage.lights
         self.sum.sessions += 1
+        followed = 0
         for tried in range(MOST_TRIES):
             going_on = (root / "journal.jsonl").exists()
             share = KILLED if tried == 0 else KILLED / 2
@@ -116,6 +118,10 @@ class CaptureTrials:
             print(f"{root.name}: {(said or ['nothing'])[-1][:200]}", file=sys.stderr)
             operator_mends(stage)
             _put_cards_in(stage)
+            advised = self._advised_retakes(root)
+            if len(advised) > followed and self._run(advised[-1], None) == 0:
+                break
+            followed = len(advised)
         else:
             self.sum.stuck.append(root.name)
         if not wait_until(lambda: stage.device.dark, DARK_S):
@@ -133,6 +139,13 @@ class CaptureTrials:
         ):
             into += [f"{root.name}: {each}" for each in found]
 
+    def _advised_retakes(self, root: Path) -> list[list[str]]:
+        """The commands that a session's captures advised, for taking other patterns again."""
+        begins = f"lightstage retake {root} "
+        lines = [line for line in self._said().splitlines() if begins in line]
+        words = [shlex.split(line[line.index(begins) :]) for line in lines]
+        return [[sys.executable, "-m", *each] for each in words]
+
     def _said(self) -> str:
         """What all captures have said so far."""
         return (self.desk / "said.txt").read_text(errors="replace")
@@ -149,6 +162,10 @@ class CaptureTrials:
         ]
         new = ["--rig", str(stage.rig_path), "--sequence", ",".join(SEQUENCE)]
         command += ["--resume"] if going_on else new
+        return self._run(command, after_s)
+
+    def _run(self, command: Sequence[str], after_s: float | None) -> int:
+        """Run a command; its exit code, or -9 where it was killed."""
         with (self.desk / "said.txt").open("ab") as said:
             child = subprocess.Popen(command, stdout=said, stderr=said, start_new_session=True)
         try:

@@ -25,6 +25,24 @@ def resume_line(session: str | Path, options: Sequence[str] = ()) -> str:
     return line if options else f"{line} (with --leds and --cameras as before)"
 
 
+def retake_line(
+    session: str | Path,
+    patterns: Sequence[str],
+    cameras: Sequence[str] = (),
+    options: Sequence[str] = (),
+) -> str:
+    """What to type to take photographs of a session again.
+
+    Args:
+        session: its folder.
+        patterns: names, at least one.
+        cameras: ids; all where there are none.
+        options: as the capture was given them; none where they are not known.
+    """
+    line = _joined("retake", str(session), ",".join(patterns), *cameras, *options)
+    return line if options else f"{line} (with --leds and --cameras as before)"
+
+
 def watch_line(session: str | Path) -> str:
     """What to type to follow a session."""
     return _joined("watch", str(session))

@@ -17,7 +17,6 @@ DATASET = (ROOT / "docs" / "dataset.md").read_text()
 PEOPLE = ("person-0000", "person-0001", "person-0002")
 
 
-@pytest.mark.xfail(reason="one of the README's commands lacks its program's name", strict=False)
 def test_every_command_of_the_readmes_steps_begins_with_a_programs_name() -> None:
     table = README.split("## What the demo does")[1].split("\n## ")[0]
     assert {code.split(" ")[0] for code in table_code(table)} <= set(PACKAGES)

@@ -6,7 +6,6 @@ import collections
 import dataclasses
 import time
 from collections.abc import Collection, Mapping, Sequence
-from pathlib import Path
 
 from lightstage.cameras.camera import CameraDevice
 from lightstage.capture.config import CaptureConfig
@@ -74,6 +73,10 @@ class Run:
         operator: decides.
         config: deadlines.
         before: what photographs of patterns that are not finished showed before a crash.
+
+    Attributes:
+        suspected: after a contradiction that ended the capture, patterns that were taken before
+            and may be the wrong ones, and their cameras (none: all).
     """
 
     def __init__(
@@ -89,6 +92,7 @@ class Run:
         config: CaptureConfig,
         before: Mapping[str, list[Finding]] | None = None,
     ) -> None:
+        self.suspected: tuple[list[str], list[str]] = ([], [])
         self._before = dict(before or {})
         self._shots = {shot.pattern: shot for shot in shots}
         self._all = {camera.id for camera in cameras}
@@ -189,7 +193,8 @@ class Run:
             elif self._wishes.aborted():
                 raise stopped()
             else:
-                raise one_error([_unfinished(each, self._writer.root) for each in bad])
+                self.suspected = _suspected(bad)
+                raise one_error([_unfinished(each) for each in bad])
         if pattern not in again and not waits:
             self._writer.shot(
                 pattern,
@@ -287,13 +292,19 @@ class Run:
         self._count(paused_s=time.monotonic() - begun_s)
 
 
-def _unfinished(finding: Finding, root: Path) -> LightstageError:
+def _suspected(findings: Sequence[Finding]) -> tuple[list[str], list[str]]:
+    """Patterns that may be the wrong ones of a contradiction, and whose cameras (none: all)."""
+    named = [finding for finding in findings if finding.suspects]
+    patterns = list(dict.fromkeys(name for finding in named for name in finding.suspects))
+    cameras = [finding.camera for finding in named]
+    return patterns, [] if None in cameras else sorted({c for c in cameras if c is not None})
+
+
+def _unfinished(finding: Finding) -> LightstageError:
     hint = finding.hint
     if finding.suspects:
-        names, camera = ", ".join(finding.suspects), finding.camera or ""
-        single = f"lightstage retake {root} {finding.suspects[-1]} {camera}".rstrip()
-        also = f"The wrong photograph may also be that of {names}."
-        hint = f"{hint} {also} Take one again: {single}"
+        names = ", ".join(finding.suspects)
+        hint = f"{hint} The wrong photograph may also be that of {names}."
     return CaptureError(
         finding.where,
         field=finding.code,

@@ -26,7 +26,7 @@ from lightstage.operator.plain import plain
 from lightstage.patterns import on_plane
 from lightstage.patterns.names import BINARY
 from lightstage.preflight import Plan, clear_privacy, drift, preflight, require, set_back
-from lightstage.resume_line import RESUME_WITH, resume_line
+from lightstage.resume_line import RESUME_WITH, resume_line, retake_line
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import photosensitivity_findings
 from lightstage.sequence import Shot
@@ -127,6 +127,7 @@ def capture_session(
             operator.told(line)
         writer.listeners.append(operator.told)
         followed.enter_context(serve_events(writer, operator.request))
+        run: Run | None = None
         operator.at_abort(stage.lights.dark)
         try:
             wanted = writer.state.wanted()
@@ -152,7 +153,12 @@ def capture_session(
                 writer.note("aborted", said=said, **{RESUME_WITH: [*order.resume_with]})
             if isinstance(error, LightstageError):
                 again = resume_line(order.root, order.resume_with)
-                raise type(error)(f"{plain(said)}\n  Go on with: {again}") from None
+                told = f"{plain(said)}\n  Go on with: {again}"
+                patterns, ids = ([], []) if run is None else run.suspected
+                if patterns:
+                    older = retake_line(order.root, patterns, ids, order.resume_with)
+                    told += f"\n  Where that shows the same, take the others again: {older}"
+                raise type(error)(told) from None
             raise
     return report
 
