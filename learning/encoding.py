@@ -195,7 +195,7 @@ class Reflectance:
     Attributes:
         diffuse_albedo: (B, 3, h, w).
         specular_albedo: (B, 1, h, w).
-        diffuse_normal: (B, 3, h, w), unit where the network is sure of any direction.
+        diffuse_normal: (B, 3, h, w), unit, or shorter where the network is unsure.
         specular_normal: (B, 3, h, w).
     """
 
@@ -218,14 +218,15 @@ class Reflectance:
 def decode_maps(channels: Tensor, reference: Reference) -> Reflectance:
     """Thirteen channels (the whole albedo is dropped) to reflectance.
 
-    Normals shorter than 0.1 keep a shorter length, so that the gradient of an untrained network,
-    whose outputs are near zero, stays small.
+    Normals shorter than 1 keep their length: to make them unit would multiply their gradient by
+    its inverse, without bound in an untrained network, whose outputs are near zero. Shade them with
+    `ShadeOptions.fade_normals`.
     """
     return Reflectance(
         decode_colour(_with(channels[:, :3], reference.detail), reference.albedo),
         (channels[:, 3:4] + 1) * (SPECULAR_MOST / 2),
-        unit(turn(channels[:, 4:7], reference.normal), floor=0.1),
-        unit(turn(channels[:, 7:10], reference.normal), floor=0.1),
+        unit(turn(channels[:, 4:7], reference.normal), floor=1.0),
+        unit(turn(channels[:, 7:10], reference.normal), floor=1.0),
     )
 
 

@@ -87,6 +87,7 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
         _require_size(config, where)
     if hasattr(config, "generator") and hasattr(config, "data"):
         _require_patch(config.data.patch_px, config.generator, where)
+        _require_losses(config, where)
 
 
 def _require(value: Any, name: str, where: str | Path) -> None:
@@ -125,4 +126,26 @@ def _require_patch(patch_px: int, generator: GeneratorConfig, where: str | Path)
             found=str(patch_px),
             expected=f"a multiple of {multiple}, at least {least}",
             hint=f"The generator halves a patch {multiple.bit_length() - 1} times.",
+        )
+
+
+def _require_losses(config: Any, where: str | Path) -> None:
+    """Some loss must compare with the truth, and each that has a weight must be defined."""
+    weights = ("feature_weight", "render_weight", "map_weight")
+    if not any(getattr(config, name) > 0 for name in weights):
+        raise ConfigError(
+            where,
+            field=", ".join(weights),
+            found="0 each",
+            expected="at least one above 0",
+            hint="The adversarial loss alone does not ask for the maps of the person shown.",
+        )
+    if config.render_weight > 0 and not config.environments:
+        raise ConfigError(
+            where,
+            field="environments",
+            found="0",
+            expected=f"at least 1 with a render_weight of {config.render_weight:g}",
+            hint="The rendering loss is divided by environments. To train without it, set "
+            "render_weight to 0.",
         )

@@ -26,7 +26,8 @@ def rendering_loss(
 
     The sum runs over the input's own environment and `environments` ones drawn around it, and is
     divided by `environments`; the norm is not squared. It is the Euclidean norm of a texel's rgb
-    difference, averaged over the surface, in linear light.
+    difference, averaged over the surface, in linear light. The found normals' light fades where
+    they are shorter than 1, so that the gradient is bounded.
 
     Args:
         found: (B, 13, h, w), the generator's output.
@@ -37,14 +38,14 @@ def rendering_loss(
     """
     skin = decode_maps(found, batch.reference).on(batch.skin)
     total = found.new_zeros(())
-    options = ShadeOptions()
+    of_truth, of_found = ShadeOptions(), ShadeOptions(fade_normals=True)
     for index in range(environments + 1):
         environment = batch.environment
         if index:
             environment = around(batch.environment, rng, lights)
         with torch.no_grad():
-            truth = shade(batch.skin, environment, options)
-        difference = shade(skin, environment, options) - truth
+            truth = shade(batch.skin, environment, of_truth)
+        difference = shade(skin, environment, of_found) - truth
         # The square root's gradient at 0 is infinite; 1e-4 is far below what a texel shows.
         norm = (difference.square().sum(dim=1, keepdim=True) + 1e-8).sqrt()
         total = total + masked_mean(norm, batch.covered)

@@ -103,13 +103,18 @@ class Trainer:
 
         self.discriminators.requires_grad_(False)
         judged = self.discriminators(torch.cat([batch.inputs, found], dim=1))
+        # By the discriminators as they are now, as the fake pair is judged: features of those of
+        # before the step would differ even where the generator is right.
+        with torch.no_grad():
+            real_features = self.discriminators(real_pair)
         parts = {
             "adversarial": verdict_loss(judged, True),
-            "features": config.feature_weight * feature_loss(judged_real, judged),
-            "rendering": config.render_weight
-            * rendering_loss(found, batch, config.environments, config.lights, rng),
+            "features": config.feature_weight * feature_loss(real_features, judged),
             "maps": config.map_weight * maps_loss(found, batch),
         }
+        if config.render_weight > 0:
+            rendered = rendering_loss(found, batch, config.environments, config.lights, rng)
+            parts["rendering"] = config.render_weight * rendered
         total = torch.stack(list(parts.values())).sum()
         self._generator_adam.zero_grad(set_to_none=True)
         total.backward()

@@ -141,11 +141,14 @@ def around(target: Environment, rng: np.random.Generator, config: RandomLightCon
     """An environment near another one, for the rendering loss [Lattas2021].
 
     Draws are Gaussian around the target, two standard deviations being the published "up to"
-    (50 % of a light's distance, 25 % of the camera's and of the intensity), cut off there.
+    (50 % of a light's distance, 25 % of the camera's and of the intensity). The bound holds for the
+    length of the whole move; a draw beyond it is drawn again.
     """
 
     def draw(shape: tuple[int, ...], most: float) -> Tensor:
-        values = np.clip(rng.normal(0, 0.5 * most, shape), -most, most)
+        values = rng.normal(0, 0.5 * most, shape)
+        while (beyond := np.linalg.norm(values, axis=-1) > most).any():
+            values[beyond] = rng.normal(0, 0.5 * most, (int(beyond.sum()), shape[-1]))
         return torch.from_numpy(values.astype(np.float32)).to(target.rgb)
 
     def moved(points: Tensor, most: float) -> Tensor:

@@ -36,8 +36,9 @@ def shade(
     Values are taken as they are: a NaN or infinity reaches its own texel, and with scattering all
     skin around it; a negative albedo gives negative light; positions in metres put all lights a
     thousand times too far away. `maps.load_head` refuses all three. Normals count by their
-    direction and fade below a length of 1e-6; a light within 1 mm of a texel is as bright as at
-    1 mm; without lights the ambient light remains (nothing in mode `paper`, which multiplies).
+    direction and fade below a length of 1e-6 (below 1 with `fade_normals`); a light within 1 mm of
+    a texel is as bright as at 1 mm; without lights the ambient light remains (nothing in mode
+    `paper`, which multiplies).
 
     Args:
         maps: the skin, batch B or 1; it is never changed.
@@ -147,9 +148,24 @@ def direct(
         irradiance, lobe = (torch.where(some, x, 0.0) for x in (irradiance, lobe))
         if options.mode == "ggx":
             rim = torch.where(some, high, 0.0).unflatten(2, (height, width))
+    if options.fade_normals:
+        irradiance = irradiance * _fading(texels.diffuse_normal)
+        shine = _fading(texels.specular_normal)
+        lobe = lobe * shine
+        rim = None if rim is None else rim * shine.unflatten(2, (height, width))
     if paper:
         irradiance = irradiance * lights.ambient_rgb[:, :, None]
     return irradiance.unflatten(2, (height, width)), lobe.unflatten(2, (height, width)), rim
+
+
+def _fading(normals: Tensor) -> Tensor:
+    """(B, 1, n) share of the light that (B, 3, n) normals get: 0 at length 0, 1 from 1 on.
+
+    It rises as r (2 - r): the slope of a direction, which grows as 1 / r, is at most doubled by it,
+    and at length 1 it has no slope and no kink.
+    """
+    length = normals.norm(dim=1, keepdim=True).clamp_max(1.0)
+    return length * (2 - length)
 
 
 def _in_torch(

@@ -90,6 +90,10 @@ class ShadeOptions:
             other renderers draw them.
         subsurface_mm: the diffusion kernel's standard deviation on the skin; 0 for none. The
             paper's 1.4 mm, 21 px of its 6144 x 4096 texture, is read as a standard deviation.
+        fade_normals: let the light of a normal shorter than 1 fade with its length, as that of
+            several directions' mean does; a network's normals are short where it is unsure. The
+            gradient then stays bounded however short they are, and a normal of zero is black.
+            Without it normals count by their direction alone.
         engine: `auto` takes this package's compiled code on processors and torch's operations
             elsewhere; `eager` and `compiled` (torch.compile) take torch's everywhere. The picture
             is the same to rounding. Only torch's can be differentiated twice.
@@ -97,6 +101,7 @@ class ShadeOptions:
 
     mode: Literal["physical", "paper", "ggx"] = "physical"
     subsurface_mm: float = 1.4
+    fade_normals: bool = False
     engine: Literal["auto", "eager", "compiled"] = "auto"
 
 

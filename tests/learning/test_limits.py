@@ -84,3 +84,17 @@ def test_a_patch_is_taken_exactly_where_the_generator_takes_it(patch_px, downsam
 def test_a_network_that_no_machine_holds_is_refused_before_it_is_built():
     with pytest.raises(ConfigError, match="thousand million weights"):
         preset("paper", {"generator": {"width": 1024, "downsamplings": 8}}, "run.toml")
+
+
+def test_a_rendering_loss_without_environments_is_refused_for_that():
+    with pytest.raises(ConfigError, match=r"environments: found 0, expected at least 1 with a"):
+        preset("demo", {"environments": 0}, "run.toml")
+    preset("demo", {"environments": 0, "render_weight": 0.0}, "run.toml")
+
+
+def test_a_training_that_no_loss_ties_to_the_truth_is_refused():
+    nothing = {"feature_weight": 0.0, "render_weight": 0.0, "map_weight": 0.0}
+    with pytest.raises(ConfigError, match=r"feature_weight, render_weight, map_weight: found 0"):
+        preset("demo", nothing, "run.toml")
+    for name in nothing:
+        preset("demo", {**nothing, name: 1.0}, "run.toml")

@@ -35,7 +35,7 @@ from learning.render.environments import (
 )
 from learning.render.shading import unit
 from learning.score import score
-from learning.train import split, train
+from learning.train import Trainer, split, train
 from lightstage.errors import ConfigError
 from lightstage.formats.files import sha256_file
 from processing.dataset import open_store
@@ -235,13 +235,15 @@ def test_environments_around_a_target_stay_within_the_published_ranges() -> None
     target = random_environment(rng, config, random_lights(rng, config))
     distance = target.position_mm.norm(dim=-1, keepdim=True)
     moves, gains, cameras = [], [], []
-    for _ in range(300):
+    for _ in range(1000):
         found = around(target, rng, config)
-        moves.append(((found.position_mm - target.position_mm) / distance).abs().max())
+        moves.append(((found.position_mm - target.position_mm) / distance).norm(dim=-1).max())
         gains.append((found.rgb / target.rgb - 1).abs().max())
-        cameras.append(((found.camera_mm - target.camera_mm) / target.camera_mm.norm()).abs().max())
+        cameras.append((found.camera_mm - target.camera_mm).norm() / target.camera_mm.norm())
     for values, most in ((moves, 0.5), (gains, 0.25), (cameras, 0.25)):
         assert 0.8 * most < float(max(values)) <= most + 1e-5
+        # Draws beyond the bound are drawn again, not heaped upon it.
+        assert np.mean([float(v) > 0.999 * most for v in values]) < 0.02
 
 
 def test_random_light_gives_the_exposure_asked_for() -> None:
@@ -259,6 +261,47 @@ def test_complexion_moves_along_melanin_and_blood() -> None:
     only_melanin = augment.AugmentConfig(melanin=0.3, haemoglobin=0.0)
     gain = np.log(augment.draw(np.random.default_rng(0), only_melanin).gain)
     np.testing.assert_allclose(gain / gain[1], augment.MELANIN)
+
+
+class Perfect(torch.nn.Module):
+    """A generator that gives the target; it has a weight, which changes nothing."""
+
+    def __init__(self, target: torch.Tensor) -> None:
+        super().__init__()
+        self.target, self.nothing = target, torch.nn.Parameter(torch.zeros(()))
+
+    def forward(self, _: torch.Tensor) -> torch.Tensor:
+        return self.target + 0 * self.nothing
+
+
+def test_a_perfect_generator_matches_the_features_exactly(store_path: Path) -> None:
+    batch = patches(store_path).draw(2, np.random.default_rng(3))
+    trainer = Trainer(TINY)
+    trainer.generator = Perfect(batch.target)  # type: ignore[assignment]
+    for step in range(3):
+        assert trainer.step(batch, np.random.default_rng(step))["features"] == 0.0
+
+
+def test_the_generators_step_gives_the_discriminators_no_gradient(
+    store_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = patches(store_path).draw(2, np.random.default_rng(3))
+    trainer = Trainer(TINY)
+    weights = list(trainer.discriminators.parameters())
+    own: list[torch.Tensor] = []
+    step = trainer._discriminator_adam.step
+
+    def keep_gradients() -> None:
+        own.extend(w.grad.clone() for w in weights if w.grad is not None)
+        step()
+
+    monkeypatch.setattr(trainer._discriminator_adam, "step", keep_gradients)
+    trainer.step(batch, np.random.default_rng(0))
+    assert len(own) == len(weights)
+    for weight, gradient in zip(weights, own, strict=True):
+        assert weight.grad is not None
+        assert torch.equal(weight.grad, gradient)
+    assert all(w.requires_grad for w in weights)
 
 
 def run_interrupted(store_path: Path, out: Path, config: TrainConfig, after: int) -> None:
