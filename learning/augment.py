@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import torch
 from torch import Tensor
 
 MELANIN = (0.71, 1.0, 1.95)
@@ -58,6 +59,10 @@ def draw(rng: np.random.Generator, config: AugmentConfig) -> Variation:
     )
 
 
-def recolour(albedo: Tensor, variation: Variation) -> Tensor:
-    """(B, 3, h, w) albedo under a variation, at most 1."""
-    return (albedo * albedo.new_tensor(variation.gain).view(1, 3, 1, 1)).clamp(0, 1)
+def recolour(albedo: Tensor, variation: Variation, skin: Tensor) -> Tensor:
+    """(B, 3, h, w) albedo under a variation, at most 1.
+
+    Only where `skin`, (B, 1, h, w) bool, is: the whites of eyes and hair keep their colours.
+    """
+    gain = albedo.new_tensor(variation.gain).view(1, 3, 1, 1)
+    return torch.where(skin, (albedo * gain).clamp(0, 1), albedo)

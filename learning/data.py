@@ -14,6 +14,7 @@ from learning import augment
 from learning.encoding import (
     Reference,
     absolute_reference,
+    covered_channels,
     encode_maps,
     local_contrast,
     network_input,
@@ -30,7 +31,7 @@ from learning.render.environments import (
     stack,
 )
 from learning.render.occlusion import PositionGrid, bake_grid
-from learning.render.shading import ShadeOptions, SkinMaps, shade
+from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade
 from learning.render.uv import texel_surface
 from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
@@ -92,7 +93,10 @@ class Region:
         """As the renderer takes it."""
         one = torch.ones_like(self.maps["area"])
         return SkinMaps(
-            diffuse_albedo=augment.recolour(self.maps["diffuse_albedo"], variation),
+            # A store's confidence, and with it the area, is 0 wherever no skin is.
+            diffuse_albedo=augment.recolour(
+                self.maps["diffuse_albedo"], variation, self.maps["area"] > 0
+            ),
             specular_albedo=self.maps["specular_albedo"],
             diffuse_normal=self.maps["diffuse_normal"],
             specular_normal=self.maps["specular_normal"],
@@ -127,20 +131,24 @@ class Batch:
         inputs: (B, 9, h, w).
         target: (B, 13, h, w).
         covered: (B, 1, h, w), 1 where a surface is.
+        covered_channels: (B, 13, h, w), the same for each of the target's channels.
         skin: the patches' true maps.
         environment: the light that is baked into the inputs.
         texture: (B, 3, h, w) linear, what `inputs` encodes.
         reference: of the encoding.
+        options: how the light was baked into the inputs, and how the rendering loss shades.
         places: (scan, row, column) of each patch.
     """
 
     inputs: Tensor
     target: Tensor
     covered: Tensor
+    covered_channels: Tensor
     skin: SkinMaps
     environment: Environment
     texture: Tensor
     reference: Reference
+    options: ShadeOptions
     places: list[tuple[int, int, int]]
 
 
@@ -155,15 +163,17 @@ class PatchData:
         lights: RandomLightConfig,
         variation: augment.AugmentConfig,
         rng: np.random.Generator,
+        mode: Mode = "physical",
         progress: ProgressCallback = quiet,
     ) -> None:
-        """Find the patches and bake the shadows of random light sets.
+        """Find the patches and bake the shadows of random light sets; `mode` is of the shading.
 
         Raises:
             TrainingError: no patch is covered enough.
         """
         self._store, self._config = store, config
         self._lights, self._variation = lights, variation
+        self._options = ShadeOptions(mode)
         self._patches: collections.OrderedDict[tuple[int, int, int], Region]
         self._patches = collections.OrderedDict()
         self._whole: dict[int, Region] = {}
@@ -215,7 +225,9 @@ class PatchData:
         skin, whole_skin = region.skin(variation), whole.skin(variation)
         shadows = self._shadows[scan]
         chosen = int(rng.integers(len(shadows.position_mm)))
-        environment = random_environment(rng, self._lights, shadows.position_mm[chosen])
+        lights = shadows.position_mm[chosen]
+        multiplies = self._options.mode == "paper"
+        environment = random_environment(rng, self._lights, lights, multiplies)
         size = self._config.patch_px
         seen = whole_seen = None
         if shadows.visibility is not None:
@@ -225,24 +237,37 @@ class PatchData:
             box = (row / info.rows, column / info.columns, size / info.rows, size / info.columns)
             seen = _crop(grid, box, size, sharpness)
             whole_seen = _crop(grid, (0.0, 0.0, 1.0, 1.0), size, 1.0)
-        options = ShadeOptions()
+        options = self._options
         covered = (skin.area > 0).to(skin.area)
         with torch.no_grad():
-            texture = shade(skin, environment, options, seen) * covered
-            whole_texture = shade(whole_skin, environment, options, whole_seen)
-            whole_texture = whole_texture * (whole_skin.area > 0)
+            # As printed light is negative behind the horizon, which no photograph shows.
+            texture = shade(skin, environment, options, seen).clamp_min(0) * covered
+            whole_texture = shade(whole_skin, environment, options, whole_seen).clamp_min(0)
+            whole_covered = (whole_skin.area > 0).to(texture)
+            whole_texture = whole_texture * whole_covered
             shape_normal = region.maps["shape_normal"]
             reference = absolute_reference(shape_normal)
             if self._config.relative:
-                whole_covered = (whole_skin.area > 0).to(texture)
                 reference = relative_reference(whole_texture, whole_covered, shape_normal)
             if self._config.detail_px > 0:
                 white, blur_px = reference.texture, self._config.detail_px
                 detail = local_contrast(texture, covered, white, blur_px)
                 reference = dataclasses.replace(reference, detail=detail)
             inputs = network_input(texture, shape_normal, whole_texture, reference)
-            target = encode_maps(skin, whole_skin.diffuse_albedo, reference)
-        return Batch(inputs, target, covered, skin, environment, texture, reference, [place])
+            channels = covered_channels(covered, whole_covered)
+            target = encode_maps(skin, whole_skin.diffuse_albedo, channels, reference)
+        return Batch(
+            inputs,
+            target,
+            covered,
+            channels,
+            skin,
+            environment,
+            texture,
+            reference,
+            self._options,
+            [place],
+        )
 
     def _read_patch(self, place: tuple[int, int, int]) -> Region:
         scan, row, column = place
@@ -326,6 +351,7 @@ def join(examples: list[Batch]) -> Batch:
         torch.cat([e.inputs for e in examples]),
         torch.cat([e.target for e in examples]),
         torch.cat([e.covered for e in examples]),
+        torch.cat([e.covered_channels for e in examples]),
         skin,
         stack([e.environment for e in examples]),
         torch.cat([e.texture for e in examples]),
@@ -335,6 +361,7 @@ def join(examples: list[Batch]) -> Batch:
             torch.cat([e.reference.normal for e in examples]),
             _joined([e.reference.detail for e in examples]),
         ),
+        examples[0].options,
         [place for e in examples for place in e.places],
     )
 

@@ -27,6 +27,8 @@ from torch import Tensor
 from learning.render.shading import SkinMaps, unit
 from learning.render.subsurface import blur
 
+OWN_CHANNELS = 10
+"""Channels of the patch's own maps; those of the whole albedo follow."""
 SPECULAR_MOST = 0.1
 """Specular albedo that stands for 1; skin has about 0.03."""
 TEXTURE_HEADROOM = 4.0
@@ -164,8 +166,17 @@ def network_input(
     return torch.cat([colours[0], shape_normal, colours[1]], dim=1)
 
 
-def encode_maps(skin: SkinMaps, whole_albedo: Tensor, reference: Reference) -> Tensor:
-    """The thirteen channels the generator should give for a skin; where no surface is, 0."""
+def encode_maps(
+    skin: SkinMaps, whole_albedo: Tensor, covered: Tensor, reference: Reference
+) -> Tensor:
+    """The thirteen channels the generator should give for a skin.
+
+    Args:
+        skin: of the patch.
+        whole_albedo: (B, 3, h, w) of the whole texture, shrunk to the patch's size.
+        covered: (B, 13, h, w) of `covered_channels`; 0 is said where it is 0.
+        reference: of the encoding.
+    """
     channels = torch.cat(
         [
             _without(encode_colour(skin.diffuse_albedo, reference.albedo), reference.detail),
@@ -176,7 +187,17 @@ def encode_maps(skin: SkinMaps, whole_albedo: Tensor, reference: Reference) -> T
         ],
         dim=1,
     )
-    return channels * (skin.area > 0)
+    return channels * covered
+
+
+def covered_channels(patch: Tensor, whole: Tensor) -> Tensor:
+    """(B, 13, h, w), 1 where a surface is that a channel shows.
+
+    Args:
+        patch: (B, 1, h, w) of the patch's own maps.
+        whole: (B, 1, h, w) of the whole albedo, which has the outline of the whole texture.
+    """
+    return torch.cat([patch.expand(-1, OWN_CHANNELS, -1, -1), whole.expand(-1, 3, -1, -1)], dim=1)
 
 
 def _without(channels: Tensor, detail: Tensor | None) -> Tensor:

@@ -81,7 +81,7 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
             require_within(value, where, name)
-        elif value is not None and not isinstance(value, bool):
+        elif value is not None and not isinstance(value, bool | str):
             _require(value, name, where)
     if isinstance(config, GeneratorConfig):
         _require_size(config, where)

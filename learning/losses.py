@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from learning.data import Batch
-from learning.encoding import decode_maps
+from learning.encoding import OWN_CHANNELS, decode_maps
 from learning.render.environments import RandomLightConfig, around
-from learning.render.shading import ShadeOptions, shade
-
-OWN_CHANNELS = 10
-"""Channels of the patch's maps; those of the whole albedo follow."""
+from learning.render.shading import shade
 
 
 def rendering_loss(
@@ -38,7 +37,7 @@ def rendering_loss(
     """
     skin = decode_maps(found, batch.reference).on(batch.skin)
     total = found.new_zeros(())
-    of_truth, of_found = ShadeOptions(), ShadeOptions(fade_normals=True)
+    of_truth, of_found = batch.options, dataclasses.replace(batch.options, fade_normals=True)
     for index in range(environments + 1):
         environment = batch.environment
         if index:

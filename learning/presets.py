@@ -11,6 +11,7 @@ from learning.limits import require_within
 from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
 from learning.render.environments import RandomLightConfig
+from learning.render.shading import Mode
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config
 
@@ -37,6 +38,8 @@ class TrainConfig:
         map_weight: of the maps' own L1; not in the paper, 0 there. It makes a training of minutes
             converge.
         environments: n_L of the rendering loss.
+        shading: the renderer's formulas for the training's pictures and the rendering loss: `paper`
+            as printed, `physical` or `ggx` (see learning.render.shading).
         seed: of everything random.
         log_steps: steps between lines of metrics.jsonl.
         save_seconds: time between checkpoints.
@@ -59,6 +62,7 @@ class TrainConfig:
     render_weight: float = 0.3
     map_weight: float = 0.0
     environments: int = 3
+    shading: Mode = "paper"
     seed: int = 0
     log_steps: int = 20
     save_seconds: float = 60.0
@@ -92,6 +96,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "render_weight": 100.0,
         "map_weight": 300.0,
         "environments": 1,
+        "shading": "physical",
     },
 }
 

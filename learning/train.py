@@ -91,7 +91,7 @@ class Trainer:
     def step(self, batch: Batch, rng: np.random.Generator) -> dict[str, float]:
         """One step of both; returns the losses."""
         config = self.config
-        found = self.generator(batch.inputs) * batch.covered
+        found = self.generator(batch.inputs) * batch.covered_channels
         real_pair = torch.cat([batch.inputs, batch.target], dim=1)
         judged_real = self.discriminators(real_pair)
         judged_fake = self.discriminators(torch.cat([batch.inputs, found.detach()], dim=1))
@@ -189,8 +189,8 @@ def train(
         )
     rng = np.random.default_rng([config.seed, 1])
     parts = (config.data, config.lights, config.augment)
-    data = PatchData(store, trained_on, *parts, rng)
-    scored = PatchData(store, held_out, *parts, rng)
+    data = PatchData(store, trained_on, *parts, rng, config.shading)
+    scored = PatchData(store, held_out, *parts, rng, config.shading)
     about: dict[str, Any] = {
         "config": as_dict(config),
         "data_fingerprint": store.fingerprint,
@@ -280,11 +280,11 @@ def _steps(
 def _check_same(checkpoint: Checkpoint, config: TrainConfig, store: Store) -> None:
     where = checkpoint.folder / INDEX
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")
+    # Before the shading could be chosen it was `physical`.
+    begun = {"shading": "physical", **checkpoint.config}
     # How long to go on is a new decision each time.
     differing = {
-        name: values
-        for name, values in _differences(checkpoint.config, wanted).items()
-        if name != "seconds"
+        name: values for name, values in _differences(begun, wanted).items() if name != "seconds"
     }
     if differing:
         raise CheckpointError(

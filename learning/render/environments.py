@@ -110,7 +110,10 @@ def random_lights(rng: np.random.Generator, config: RandomLightConfig) -> np.nda
 
 
 def random_environment(
-    rng: np.random.Generator, config: RandomLightConfig, position_mm: np.ndarray
+    rng: np.random.Generator,
+    config: RandomLightConfig,
+    position_mm: np.ndarray,
+    ambient_multiplies: bool = False,
 ) -> Environment:
     """Lights at given places with random strength and colour, and ambient light; a batch of one.
 
@@ -118,10 +121,14 @@ def random_environment(
         rng: randomness.
         config: the ranges.
         position_mm: (n, 3) lights.
+        ambient_multiplies: for mode `paper`, where the ambient intensity multiplies the lights' sum
+            as printed: the lights give the whole exposure, and the intensity is 1.
     """
     distance = np.linalg.norm(position_mm, axis=1)
     exposure = rng.uniform(*config.exposure)
     ambient = exposure * rng.uniform(*config.ambient_share)
+    if ambient_multiplies:
+        ambient = 0.0
     share = rng.uniform(0.3, 1.0, len(position_mm))
     # A face turned half to a light still receives light, so 0.3 stands for the grazing ones: rims
     # do not become arbitrarily bright to reach the exposure.
@@ -131,7 +138,7 @@ def random_environment(
     return Environment(
         torch.from_numpy(position_mm.astype(np.float32))[None],
         torch.from_numpy(rgb.astype(np.float32))[None],
-        torch.full((1, 3), float(ambient)),
+        torch.full((1, 3), 1.0 if ambient_multiplies else float(ambient)),
         torch.zeros(1, len(position_mm), dtype=torch.bool),
         torch.tensor([[0.0, 0.0, config.camera_mm]]),
     )

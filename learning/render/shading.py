@@ -16,10 +16,10 @@ from torch import Tensor
 from learning.render.eager import TexelFields, compiled_sums, sums, unit
 from learning.render.environments import Environment
 from learning.render.fused import FusedLight, Inputs, can_fuse
-from learning.render.skin import ShadeOptions, SkinMaps, wide_enough
+from learning.render.skin import Mode, ShadeOptions, SkinMaps, wide_enough
 from learning.render.subsurface import scatter, scatter_paper
 
-__all__ = ["ShadeOptions", "SkinMaps", "direct", "shade", "unit"]
+__all__ = ["Mode", "ShadeOptions", "SkinMaps", "direct", "shade", "unit"]
 
 PAIRS_AT_ONCE = 1 << 19
 """Pairs of a light and a texel that torch's operations hold in memory together."""

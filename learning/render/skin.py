@@ -81,6 +81,9 @@ CHANNELS = {
 }
 
 
+Mode = Literal["physical", "paper", "ggx"]
+
+
 @dataclasses.dataclass(frozen=True)
 class ShadeOptions:
     """How to shade.
@@ -99,7 +102,7 @@ class ShadeOptions:
             is the same to rounding. Only torch's can be differentiated twice.
     """
 
-    mode: Literal["physical", "paper", "ggx"] = "physical"
+    mode: Mode = "physical"
     subsurface_mm: float = 1.4
     fade_normals: bool = False
     engine: Literal["auto", "eager", "compiled"] = "auto"

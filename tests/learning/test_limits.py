@@ -20,7 +20,7 @@ def named_numbers(config, table=""):
         value, name = getattr(config, field.name), f"{table}{field.name}"
         if dataclasses.is_dataclass(value):
             found |= named_numbers(value, f"{name}.")
-        elif not isinstance(value, bool):
+        elif not isinstance(value, (bool, str)):
             found[name] = value
     return found
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from learning.data import Batch
-from learning.encoding import absolute_reference, encode_maps
+from learning.encoding import absolute_reference, covered_channels, encode_maps
 from learning.losses import rendering_loss
 from learning.render.environments import Environment, RandomLightConfig
 from learning.render.shading import ShadeOptions, shade, unit
@@ -32,15 +32,17 @@ def scene(kind: torch.dtype) -> tuple[Batch, Tensor]:
         lights.camera_mm.to(kind),
     )
     reference = absolute_reference(torch.zeros_like(skin.diffuse_normal))
-    target = encode_maps(skin, skin.diffuse_albedo, reference)
+    covered = torch.ones_like(skin.area)
+    channels = covered_channels(covered, covered)
+    target = encode_maps(skin, skin.diffuse_albedo, channels, reference)
     guess = target + 0.3 * torch.tensor(rng.uniform(-1, 1, target.shape)).to(kind)
     guess = torch.cat(
         [guess[:, :4].clamp(-0.9, 0.9), unit(guess[:, 4:7]), unit(guess[:, 7:10]), guess[:, 10:]],
         dim=1,
     )
     inputs = target.new_zeros(2, 9, 6, 6)
-    covered = torch.ones_like(skin.area)
-    batch = Batch(inputs, target, covered, skin, lights, skin.diffuse_albedo, reference, [])
+    options, texture = ShadeOptions(), skin.diffuse_albedo
+    batch = Batch(inputs, target, covered, channels, skin, lights, texture, reference, options, [])
     return batch, guess
 
 

@@ -33,7 +33,7 @@ from learning.render.environments import (
     random_environment,
     random_lights,
 )
-from learning.render.shading import unit
+from learning.render.shading import ShadeOptions, shade, unit
 from learning.score import score
 from learning.train import Trainer, split, train
 from lightstage.errors import ConfigError
@@ -56,6 +56,7 @@ TINY = TrainConfig(
     learning_rate=2e-3,
     map_weight=10.0,
     environments=1,
+    shading="physical",
     log_steps=1,
     score_patches=4,
 )
@@ -126,10 +127,74 @@ def test_colour_encoding_is_inverted() -> None:
 def test_maps_survive_encoding(store_path: Path) -> None:
     batch = patches(store_path).draw(1, np.random.default_rng(2))
     skin = batch.skin
-    found = decode_maps(encode_maps(skin, skin.diffuse_albedo, batch.reference), batch.reference)
+    found = decode_maps(
+        encode_maps(skin, skin.diffuse_albedo, batch.covered_channels, batch.reference),
+        batch.reference,
+    )
     torch.testing.assert_close(found.diffuse_albedo, skin.diffuse_albedo, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(found.specular_albedo, skin.specular_albedo, atol=1e-6, rtol=1e-4)
     torch.testing.assert_close(found.diffuse_normal, unit(skin.diffuse_normal), atol=1e-5, rtol=0)
+
+
+def test_the_whole_albedos_target_has_the_whole_textures_own_outline(store_path: Path) -> None:
+    data = patches(store_path)
+    whole = data._whole[data.places[0][0]]
+    # The patch ends half way across, the whole texture a quarter of the way down.
+    data.patch(data.places[0]).maps["area"][..., 16:] = 0
+    whole.maps["area"][..., :8, :] = 0
+    target = data.batch([data.places[0]], np.random.default_rng(0)).target
+    own, shown = target[0, :10].any(dim=0), target[0, 10:].any(dim=0)
+    assert not own[:, 16:].any()
+    assert own[:, :16].all()
+    assert not shown[:8].any()
+    assert shown[8:].all()
+
+
+def test_other_complexions_leave_what_is_no_skin_as_it_is(store_path: Path) -> None:
+    data = patches(store_path)
+    region = data.patch(data.places[0])
+    region.maps["area"][..., 16:] = 0
+    darker = augment.Variation((0.5, 0.4, 0.3), 30.0, 0.5)
+    albedo, given = region.skin(darker).diffuse_albedo, region.maps["diffuse_albedo"]
+    assert torch.equal(albedo[..., 16:], given[..., 16:])
+    torch.testing.assert_close(albedo[:, 0, :, :16], 0.5 * given[:, 0, :, :16])
+
+
+def test_the_papers_preset_shades_by_the_papers_formulas(store_path: Path) -> None:
+    assert preset("paper", {}, "test").shading == "paper"
+    assert preset("demo", {}, "test").shading == "physical"
+    with pytest.raises(ConfigError, match="shading: found 'glossy', expected one of physical"):
+        preset("paper", {"shading": "glossy"}, "test")
+    store = open_store(store_path)
+    config = dataclasses.replace(TINY.data, shadow_rows=0)
+    rng = np.random.default_rng(0)
+    data = PatchData(store, {"person-0"}, config, TINY.lights, TINY.augment, rng, "paper")
+    batch = data.draw(2, np.random.default_rng(1))
+    expected = shade(batch.skin, batch.environment, ShadeOptions("paper")) * batch.covered
+    # The dot product is not clamped, the photograph is.
+    assert float(expected.min()) < 0
+    torch.testing.assert_close(batch.texture, expected.clamp_min(0))
+    # Not black for want of ambient light, which multiplies the lights' sum.
+    assert torch.equal(batch.environment.ambient_rgb, torch.ones(2, 3))
+    assert float(batch.texture.max()) > 0.1
+    lights = RandomLightConfig()
+    found = rendering_loss(batch.target, batch, 1, lights, np.random.default_rng(0))
+    assert float(found) < 1e-3
+    assert float(rendering_loss(-batch.target, batch, 1, lights, np.random.default_rng(0))) > 0.02
+
+
+def test_a_run_of_before_the_shading_could_be_chosen_goes_on_as_physical(
+    store_path: Path, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    run_interrupted(store_path, run, TINY, 1)
+    value = json.loads((run / INDEX).read_text())
+    del value["config"]["shading"]
+    (run / INDEX).write_text(json.dumps(value))
+    changed = dataclasses.replace(TINY, shading="paper")
+    with pytest.raises(CheckpointError, match="shading: found paper now, expected physical"):
+        train(open_store(store_path), run, changed, resume=True)
+    assert train(open_store(store_path), run, TINY, resume=True).steps == 6
 
 
 def test_turning_takes_z_to_the_normal_and_back() -> None:
@@ -189,7 +254,10 @@ def test_with_detail_one_tone_is_the_evenly_lit_texture(store_path: Path) -> Non
     detail = batch.reference.detail
     assert detail is not None
     skin = batch.skin
-    found = decode_maps(encode_maps(skin, skin.diffuse_albedo, batch.reference), batch.reference)
+    found = decode_maps(
+        encode_maps(skin, skin.diffuse_albedo, batch.covered_channels, batch.reference),
+        batch.reference,
+    )
     torch.testing.assert_close(found.diffuse_albedo, skin.diffuse_albedo, atol=1e-5, rtol=1e-4)
     flat = torch.zeros_like(batch.target)
     encoded = encode_colour(
@@ -222,7 +290,7 @@ def test_rendering_loss_of_a_known_difference(store_path: Path) -> None:
     ambient = torch.full_like(batch.environment.ambient_rgb, 0.5)
     lights = dataclasses.replace(batch.environment, rgb=dark, ambient_rgb=ambient)
     even = dataclasses.replace(batch, skin=skin, environment=lights)
-    black = encode_maps(skin, skin.diffuse_albedo, batch.reference)
+    black = encode_maps(skin, skin.diffuse_albedo, batch.covered_channels, batch.reference)
     black[:, :3] = -1
     still = RandomLightConfig(intensity_spread=0.0)
     # White against black in light of 0.5: rgb differs by 0.5 sqrt(3); four environments over three.
