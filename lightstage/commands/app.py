@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import sys
 from typing import Any, cast
 
@@ -99,8 +100,7 @@ def finish(text: str, facts: dict[str, Any], as_json: bool) -> None:
 
 def _end_with(error: Exception, as_json: bool) -> None:
     """Print an error that the user can mend and exit; raise a defect again."""
-    if isinstance(error, BrokenPipeError):
-        # Whoever read our output has ended (`| head`): nobody is left to tell.
+    if isinstance(error, BrokenPipeError) and _reader_is_gone():
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(DEFECT)
     told = explain(error)
@@ -113,6 +113,13 @@ def _end_with(error: Exception, as_json: bool) -> None:
     fields = {key: getattr(told, key) for key in ("where", "field", "found", "expected", "hint")}
     _print_json(as_json, name, {"message": str(told), **fields})
     sys.exit(INTERRUPTED if stopped else BAD_INPUT)
+
+
+def _reader_is_gone() -> bool:
+    """Whether whoever read our output has ended (`| head`): nobody is left to tell."""
+    poll = select.poll()
+    poll.register(1, 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def _end_interrupted(as_json: bool) -> None:

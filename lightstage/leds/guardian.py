@@ -9,6 +9,7 @@ was killed, or stands still too long, it sends what makes the device dark and go
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -35,7 +36,8 @@ def main() -> int:
         pending += data
     head, _, said = pending.partition(b"\n")
     will = json.loads(head)
-    os.write(1, b"r")
+    with contextlib.suppress(BrokenPipeError):  # killed meanwhile: the lines below notice it
+        os.write(1, b"r")
     while b"!" not in said:
         if not select.select([0], [], [], will["silence_s"])[0]:
             break

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -11,6 +13,7 @@ import time
 import numpy as np
 import pytest
 
+from lightstage.leds import guardian
 from lightstage.leds.guard import Guardian, LastWill
 from lightstage.leds.opening import open_leds
 from sim.devices.adalight_device import AdalightDevice
@@ -220,3 +223,24 @@ def test_a_guardian_sends_its_will_more_than_once_when_nobody_answers():
     os.close(writing)
     assert os.read(reading, 100) == 3 * b"dark"
     os.close(reading)
+
+
+def test_a_guardian_whose_capture_died_before_it_was_ready_makes_the_device_dark_without_a_word():
+    ours, device = socket.socketpair()
+    reader, writer = os.pipe()
+    os.close(reader)  # the capture that would read "ready" is gone
+    will = {
+        "handle": ours.fileno(), "messages": [[b"dark".hex(), None]], "answer": b"is dark".hex(),
+        "patience_s": 20.0, "silence_s": 20.0,
+    }  # fmt: skip
+    child = subprocess.Popen(
+        [sys.executable, "-I", "-S", guardian.__file__],
+        stdin=subprocess.PIPE, stdout=writer, stderr=subprocess.PIPE, pass_fds=[ours.fileno()],
+    )  # fmt: skip
+    os.close(writer)
+    child.stdin.write(json.dumps(will).encode() + b"\n")
+    child.stdin.close()
+    assert device.recv(4) == b"dark"
+    device.send(b"is dark")
+    assert child.wait(20) == 0
+    assert child.stderr.read() == b""
