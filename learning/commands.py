@@ -233,7 +233,8 @@ def infer_command(
     image, notes = resampled_texture(image, about.texture_rows, texture)
     head_from_mesh = read_head_pose(head_pose)[:, :3] if head_pose else np.eye(3)
     data = make_config(DataConfig, about.config.get("data", {}), checkpoint)
-    found = infer(generator, data, image, read_mesh(mesh), head_from_mesh, progress)
+    shape = read_mesh(mesh)
+    found = infer(generator, data, image, shape, head_from_mesh, progress, (texture, mesh))
     for name, values in found.maps.items():
         write_map(out / f"{name}.exr", name, values)
     rows, columns = image.shape[:2]
@@ -242,6 +243,6 @@ def infer_command(
         "columns": columns,
         "tiles": found.tiles,
         "step": about.step,
-        "notes": notes,
+        "notes": [*notes, *found.notes],
         "seconds": time.monotonic() - began,
     }

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from learning.encoding import (
     shrink,
 )
 from learning.errors import MapsError
+from learning.infer_checks import UNSEEN, look_through, require_head
 from learning.maps import from_batch, to_batch
 from learning.networks.generator import OUT_CHANNELS, Generator
 from learning.render.shading import unit
@@ -32,8 +34,6 @@ from learning.render.uv import rasterise, texel_surface
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh
 
-UNSEEN = 1e-4
-"""Linear value up to which a texel counts as not photographed."""
 DISAGREEMENT = 0.05
 """Standard deviation of the tiles' albedo (sRGB-encoded) at which the confidence is a half."""
 
@@ -45,10 +45,12 @@ class Inferred:
     Attributes:
         maps: diffuse_albedo, specular_albedo, diffuse_normal, specular_normal, confidence.
         tiles: how many.
+        notes: what a user should know of the texture or the maps, a line each.
     """
 
     maps: dict[str, np.ndarray]
     tiles: int
+    notes: tuple[str, ...] = ()
 
 
 def infer(
@@ -58,6 +60,7 @@ def infer(
     mesh: Mesh,
     head_from_mesh: np.ndarray,
     progress: ProgressCallback = quiet,
+    named: tuple[str | Path, str | Path] = ("texture", "mesh"),
 ) -> Inferred:
     """Infer a texture's reflectance.
 
@@ -68,30 +71,35 @@ def infer(
         mesh: with the texture's UV.
         head_from_mesh: (3, 3) rotation from the mesh's axes to the head frame.
         progress: called with tiles done, twice as many as there are.
+        named: the texture's and the mesh's names in errors.
 
     Returns:
-        Maps in the mesh's axes; zero where no surface is. Confidence is 1 where all tiles that see
-        a texel find the same albedo.
+        Maps in the mesh's axes; zero where no surface is, albedo at most 1. Confidence is 1 where
+        all tiles that see a texel find the same albedo, 0 where the texture is black.
 
     Raises:
-        MapsError: a texture smaller than a patch.
+        MapsError: a texture smaller than a patch, black or badly exposed; a mesh that is flat or
+            not of a head's size in mm.
     """
     rows, columns = texture.shape[:2]
     patch_px = data.patch_px
     if min(rows, columns) < patch_px:
         raise MapsError(
-            "texture",
+            named[0],
             found=f"{rows} x {columns} texels",
             expected=f"at least {patch_px} a side, as the network was trained on",
         )
+    require_head(mesh, named[1])
     raster = rasterise(mesh, rows, columns)
     covered = raster.covered
+    notes = look_through(texture, covered, named[0])
     surface = texel_surface(raster.interpolate(mesh.vertices), covered)
     seen = to_batch(covered)
     lit = to_batch(texture) * seen
     size = (patch_px, patch_px)
     # Black texels of a surface were not photographed: they are no shadow on it.
-    weight = shrink(seen * (lit.amax(dim=1, keepdim=True) > UNSEEN), size)
+    photographed = seen * (lit.amax(dim=1, keepdim=True) > UNSEEN)
+    weight = shrink(photographed, size)
     whole = shrink(lit, size) / weight.clamp_min(1e-3) * (weight > 0.5)
     shape = to_batch(surface.normal @ head_from_mesh.T)
     reference = absolute_reference(shape)
@@ -104,11 +112,15 @@ def infer(
     context = network_input(whole, torch.zeros_like(whole), whole, reference)[:, 6:]
     channels, spread = run_tiles(generator, inputs, context, patch_px, progress)
     found = decode_maps(channels, reference)
-    confidence = 1 / (1 + (spread / DISAGREEMENT) ** 2)
+    confidence = 1 / (1 + (spread[:, None] / DISAGREEMENT) ** 2) * photographed
+    beyond = float(((found.diffuse_albedo > 1).any(dim=1, keepdim=True) * seen).sum() / seen.sum())
+    if beyond > 0:
+        said = f"diffuse albedo above 1 was cut off on {100 * beyond:.2g} % of the surface"
+        notes.append(f"{said}; is the texture too bright?")
     maps = {
-        "diffuse_albedo": found.diffuse_albedo,
-        "specular_albedo": found.specular_albedo,
-        "confidence": confidence[:, None],
+        "diffuse_albedo": found.diffuse_albedo.clamp(0, 1),
+        "specular_albedo": found.specular_albedo.clamp(0, 1),
+        "confidence": confidence,
     }
     out = {name: from_batch(image * seen) for name, image in maps.items()}
     for name, normal in (
@@ -117,7 +129,8 @@ def infer(
     ):
         # Back into the mesh's axes: n_mesh = R^T n_head, rows times R.
         out[name] = from_batch(unit(normal) * seen) @ head_from_mesh.astype(np.float32)
-    return Inferred(out, len(_origins(rows, patch_px)) * len(_origins(columns, patch_px)))
+    tiles = len(_origins(rows, patch_px)) * len(_origins(columns, patch_px))
+    return Inferred(out, tiles, tuple(notes))
 
 
 def run_tiles(

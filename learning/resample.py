@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from learning.errors import MapsError
+from learning.infer_checks import require_size
 
 
 def resampled_texture(
@@ -31,12 +32,14 @@ def resampled_texture(
         (rows, round(w rows / h), 3) float32, and what was done in words, for the command's facts.
 
     Raises:
-        MapsError: a texture so narrow that nothing of it would be left.
+        MapsError: a texture so narrow that nothing of it would be left, or so wide that the result
+            would be too large.
     """
     height, width = image.shape[:2]
     if height == rows:
         return image, []
     columns = round(width * rows / height)
+    require_size(rows, columns, where)
     if columns < 1:
         raise MapsError(where, found=f"{height} x {width} texels", expected="a whole texture")
     # Means over what a texel covers where it shrinks; straight lines between texels where it grows.

@@ -161,9 +161,10 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     import_session(at["photographs"], rig, at["session"], "P1", "neutral")
     at["lab"] = folder / "lab"
     at["lab"].mkdir()
-    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    # A sheet as wide as a face and bent: what is flat is no head.
+    corners = np.array([[-1.0, -1, 0], [1, -1, 1], [1, 1, 0], [-1, 1, 1]])
     square = np.array([[0, 1, 2, 3]], np.int32)
-    mesh = Mesh(50 * corners, square, (corners[:, :2] + 1) / 2, square)
+    mesh = Mesh(60 * corners, square, (corners[:, :2] + 1) / 2, square)
     at["mesh"] = write_obj(mesh, folder / "mesh.obj")
     points = {"scheme": "ibug68", "points_mm": [[float(i), 0.0, 0.0] for i in range(68)]}
     at["points"] = write_json(folder / "points.json", points)

@@ -1,0 +1,100 @@
+"""What a texture and a mesh are looked through for before maps are inferred from them.
+
+A network says something of any picture. What it was not made for is refused here, or said.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from learning.errors import MapsError
+from lightstage.formats.mesh import Mesh
+
+UNSEEN = 1e-4
+"""Linear value up to which a texel counts as not photographed."""
+HEAD_MM = (100.0, 1000.0)
+"""Longest edge of the box around a head, from a face alone to one with shoulders."""
+FLATTEST = 0.1
+"""Shortest edge of that box over the longest one; a face alone has about a half."""
+BRIGHTEST_MEDIAN = 2.0
+"""Skin reflects less than 0.8 of light, of which there is about 1."""
+DARKEST = 0.005
+"""A texture whose 95th percentile is darker than this was exposed for something else."""
+MOST_BLACK, SAID_BLACK = 0.95, 0.5
+"""Share of a surface's texels that were not photographed: refused above, said above."""
+MOST_TEXELS = 2**28
+"""Texels of a texture, at most: ten times the published 6144 x 4096."""
+
+
+def require_head(mesh: Mesh, where: str | Path) -> None:
+    """MapsError where a mesh has not the size in millimetres or the depth of a head."""
+    edges = np.sort(np.ptp(mesh.vertices, axis=0))
+    low, high = HEAD_MM
+    if not low <= edges[2] <= high:
+        raise MapsError(
+            where,
+            field="vertices",
+            found=f"a box whose longest edge is {edges[2]:.3g}",
+            expected=f"a head in millimetres, {low:g} to {high:g}",
+            hint="Is the mesh in metres or centimetres? Multiply it by 1000 or 10.",
+        )
+    if edges[0] < FLATTEST * edges[2]:
+        raise MapsError(
+            where,
+            field="vertices",
+            found=f"a box of {edges[2]:.3g} x {edges[1]:.3g} x {edges[0]:.3g} mm",
+            expected="a head, which is not flat",
+            hint="Name the registered mesh that the texture belongs to.",
+        )
+
+
+def require_size(rows: int, columns: int, where: str | Path) -> None:
+    """MapsError where a texture of this size would be too large to work with."""
+    if rows * columns > MOST_TEXELS:
+        raise MapsError(
+            where,
+            found=f"{rows} x {columns} texels at the size the network was trained on",
+            expected=f"at most {MOST_TEXELS / 1e6:.0f} million",
+            hint="Is the texture an atlas of rows : columns = 3 : 2?",
+        )
+
+
+def look_through(texture: np.ndarray, covered: np.ndarray, where: str | Path) -> list[str]:
+    """Look through a texture's exposure and its black texels.
+
+    Args:
+        texture: (rows, columns, 3) linear.
+        covered: (rows, columns) bool, where the mesh's surface is.
+        where: what to name in an error.
+
+    Returns:
+        What is worth saying, a line each.
+
+    Raises:
+        MapsError: hardly a texel that was photographed, or one exposed far too much or too little.
+    """
+    brightest = texture[covered].max(axis=1, initial=0.0)
+    seen = brightest[brightest > UNSEEN]
+    black = 1 - len(seen) / max(1, len(brightest))
+    if not len(seen) or black > MOST_BLACK:
+        raise MapsError(
+            where,
+            found=f"{100 * black:.1f} % of the surface's texels black",
+            expected=f"at most {100 * MOST_BLACK:.0f} %",
+            hint="Does the texture belong to this mesh, and is it linear light?",
+        )
+    middle, high = np.percentile(seen, [50, 95])
+    if middle > BRIGHTEST_MEDIAN or high < DARKEST:
+        raise MapsError(
+            where,
+            field="exposure",
+            found=f"a median of {middle:.3g} and a 95th percentile of {high:.3g}",
+            expected=f"a median of at most {BRIGHTEST_MEDIAN:g} and a 95th percentile of at least "
+            f"{DARKEST:g}, where 1 is a white diffuser in the light",
+            hint="Multiply the texture by one number, so that lit skin is about 0.1 to 0.6.",
+        )
+    if black > SAID_BLACK:
+        return [f"{100 * black:.0f} % of the surface was not photographed; its confidence is 0"]
+    return []
