@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -180,6 +181,7 @@ def train(
         _check_same(checkpoint, config, store)
         trainer.load(checkpoint)
         first = checkpoint.step
+        _drop_half_line(out / "metrics.jsonl")
     elif (out / INDEX).exists():
         raise CheckpointError(
             out / INDEX,
@@ -320,3 +322,10 @@ def _log(out: Path, values: dict[str, Any], began: float) -> None:
     line = {**values, "seconds": round(time.monotonic() - began, 2)}
     with (out / "metrics.jsonl").open("a") as handle:
         handle.write(json.dumps(line) + "\n")
+
+
+def _drop_half_line(path: Path) -> None:
+    """Cut off a last line that a killed training did not finish, so that none is joined to it."""
+    if path.exists():
+        whole = path.read_bytes().rfind(b"\n") + 1
+        os.truncate(path, whole)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from processing.atlas.sampling import Sharing, accumulate, low_band, weigh_up
+from processing.atlas.sampling import Sharing, accumulate, hold, low_band, weigh_up, widen
 from processing.atlas.weights import ViewSamples, WeightConfig
 
 
@@ -39,6 +39,7 @@ class Blender:
         self._band_mm, self._views = config.band_mm, views
         self._sharing = Sharing(best, config.detail_power, config.detail_least)
         self._total = np.zeros((len(best), 2), np.float32)
+        self._range: tuple[np.ndarray, np.ndarray] | None = None
         for samples in views:
             weigh_up(samples.reading, self._sharing, self._total)
 
@@ -54,6 +55,22 @@ class Blender:
         samples = self._views[view]
         if not len(samples.reading.slot):
             return
+        if self._range is None:
+            depth = image.shape[2]
+            self._range = np.full(depth, np.inf, np.float32), np.full(depth, -np.inf, np.float32)
+        widen(image, samples.reading.usable, *self._range)
         sigma = max(self._band_mm / samples.footprint_mm, 0.5)
         low = low_band(image, samples.reading.usable, sigma)
         accumulate(image, low, samples.reading, self._sharing, self._total, out)
+
+    def finish(self, out: np.ndarray) -> None:
+        """Hold the blended values to the range of the pixels that were read.
+
+        One view's detail on the other views' low band can pass below the darkest pixel of all, so
+        that an albedo becomes negative.
+
+        Args:
+            out: (n, d) float32 that `add` filled; changed in place.
+        """
+        if self._range is not None:
+            hold(out, self._total, *self._range)

@@ -61,7 +61,11 @@ class MeshFill:
         self._rest = _Harmonic(matrix, self._known | mirrored)
 
     def vertex_values(self, values: np.ndarray) -> np.ndarray:
-        """Per-vertex continuation of (k, c) texel values: (n, c) float64."""
+        """Per-vertex continuation of (k, c) texel values: (n, c) float64.
+
+        Guesses stay in the range of the vertices that were seen: the other side's value and the
+        difference between both sides can add up to less than nothing.
+        """
         sums = self._gather(values, len(self._sums))
         out = np.zeros(sums.shape)
         out[self._known] = sums[self._known] / self._sums[self._known, None]
@@ -69,7 +73,11 @@ class MeshFill:
         step = self._difference.fill(out - other)
         guessed = self._mirrored & ~self._known
         out[guessed] = other[guessed] + step[guessed]
-        return self._rest.fill(out)
+        out = self._rest.fill(out)
+        if self._known.any():
+            known = out[self._known]
+            np.clip(out, known.min(axis=0), known.max(axis=0), out=out)
+        return out
 
     def _gather(self, values: np.ndarray, count: int) -> np.ndarray:
         out = np.zeros((count, values.shape[1]))

@@ -171,6 +171,41 @@ def _decimate(
                         sums[row, column, c] += area * as_float(image[y, x, c])
 
 
+@numba.njit(cache=True, nogil=True)
+def widen(image: np.ndarray, usable: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
+    """Widen each channel's range, in place, to the usable pixels of a view.
+
+    Args:
+        image: (h, w, d) of `side_by_side`.
+        usable: (h, w) of `readable`.
+        least: (d,) float32.
+        most: (d,) float32.
+    """
+    for row in range(usable.shape[0]):
+        for column in range(usable.shape[1]):
+            if usable[row, column]:
+                for c in range(len(least)):
+                    value = as_float(image[row, column, c])
+                    least[c] = min(least[c], value)
+                    most[c] = max(most[c], value)
+
+
+@numba.njit(cache=True, parallel=True)
+def hold(values: np.ndarray, total: np.ndarray, least: np.ndarray, most: np.ndarray) -> None:
+    """Hold the texels that some view shows to each channel's range, in place.
+
+    Args:
+        values: (n, d) float32.
+        total: (n, 2) float32 of `weigh_up`.
+        least: (d,) float32.
+        most: (d,) float32.
+    """
+    for k in numba.prange(len(values)):
+        if total[k, 0] > 0:
+            for c in range(values.shape[1]):
+                values[k, c] = min(max(values[k, c], least[c]), most[c])
+
+
 @numba.njit(cache=True, inline="always")
 def _cubic(t: float, k: int) -> float:
     """Weight of tap k of four under Keys's cubic convolution [Keys1981], t past the second."""

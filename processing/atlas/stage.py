@@ -214,6 +214,7 @@ def _blended(
         # No name and no loop may hold a view's pictures while the next but one are read.
         blender.add(place[camera], next(given)[1], values)
         done(count)
+    blender.finish(values)
     return values
 
 

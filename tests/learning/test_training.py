@@ -411,8 +411,12 @@ def test_resuming_goes_on_as_if_never_interrupted(store_path: Path, tmp_path: Pa
     straight = train(open_store(store_path), tmp_path / "a", TINY)
     run_interrupted(store_path, tmp_path / "b", TINY, 3)
     assert read_checkpoint(tmp_path / "b").step == 3
+    metrics = tmp_path / "b" / "metrics.jsonl"
+    with metrics.open("a") as handle:
+        handle.write('{"step": 2, "maps')  # as a kill in the middle of a line leaves it
     resumed = train(open_store(store_path), tmp_path / "b", TINY, resume=True)
     assert resumed.steps == straight.steps == 6
+    assert all(isinstance(json.loads(line), dict) for line in metrics.read_text().splitlines())
     first, second = (load_generator(tmp_path / name)[0].state_dict() for name in "ab")
     for name, value in first.items():
         torch.testing.assert_close(second[name], value, rtol=1e-4, atol=1e-6)

@@ -39,5 +39,6 @@ def blended(count, views, best=None, config=None):
     out = np.zeros((count, room(channels)), np.float32)
     for index, (one, picture) in enumerate(views):
         blender.add(index, side_by_side([picture[one.window]], channels), out)
+    blender.finish(out)
     assert not out[:, channels:].any()
     return out[:, :channels]

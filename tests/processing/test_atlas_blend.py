@@ -155,6 +155,34 @@ def test_low_frequencies_are_averaged_and_detail_comes_from_the_best_view():
     assert np.std(found) > 0.9 * np.std(inside)
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    kind=st.sampled_from(["noise", "step", "one bright pixel"]),
+    scale=st.sampled_from([1e-6, 1e-3, 0.1, 1.0]),
+)
+def test_blended_values_stay_in_the_range_of_the_views_values(seed, kind, scale):
+    rng = np.random.default_rng(seed)
+    views, inputs = [], []
+    for _ in range(3):
+        picture = rng.uniform(size=(20, 20, 1))
+        if kind == "step":
+            picture[:] = np.arange(20)[None, :, None] >= rng.integers(3, 17)
+        elif kind == "one bright pixel":
+            picture[:] = 0
+            picture[tuple(rng.integers(5, 15, 2))] = 1
+        picture = (picture * scale).astype(np.float16)
+        usable = rng.uniform(size=(20, 20)) < 0.98
+        places, weight = rng.uniform(2, 18, (200, 2)), rng.uniform(0.01, 1, 200)
+        views.append((samples_of(places, weight, usable=usable), picture))
+        inputs.append(picture[usable])
+    found = blended(200, views, config=dataclasses.replace(BlendConfig(), band_mm=2.0))
+    values = np.concatenate(inputs).astype(np.float32)
+    assert np.isfinite(found).all()
+    assert found.min() >= values.min()
+    assert found.max() <= values.max()
+
+
 def test_texels_without_a_view_stay_zero_and_tiny_weights_stay_finite():
     samples = samples_of([[5, 5], [6, 6]], [1.0, 2e-6])
     found = blended(3, [(samples, np.full((20, 20, 1), 4, np.float16))])[:, 0]
