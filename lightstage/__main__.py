@@ -24,7 +24,7 @@ COMMANDS = {
     ),
     "check": (
         "lightstage.checks.command",
-        "Verify every hash, size, exposure and pattern of a session.",
+        "Verify every hash, size, exposure and pattern of a session, and that its files agree.",
     ),
     "calibrate": (
         "lightstage.calibrations.command",

@@ -40,3 +40,10 @@ class Finding:
     def __str__(self) -> str:
         text = f"{self.where}: found {self.found}, expected {self.expected}"
         return f"{text}. {self.hint}" if self.hint else text
+
+
+def accepted_in_words(patterns: int, findings: int) -> str:
+    """How many patterns the operator accepted with faults; empty where there are none."""
+    if not patterns:
+        return ""
+    return f"{patterns} patterns accepted by the operator with {findings} findings"

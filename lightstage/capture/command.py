@@ -21,6 +21,7 @@ from lightstage.capture.session_run import (
 from lightstage.capture.stage import Stage, open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
 from lightstage.errors import ConfigError, LightstageError, one_error
+from lightstage.findings import accepted_in_words
 from lightstage.formats.access import group_of, limited_access
 from lightstage.leds.address import parse_url
 from lightstage.operator import open_operator
@@ -35,6 +36,7 @@ from lightstage.session import (
     check_pseudonym,
     read_calibration,
     require_new,
+    whole_frames,
 )
 
 SUBJECT = "subject-1"
@@ -118,6 +120,11 @@ def capture_command(
             "--colour": colour,
         }  # fmt: skip
         _require_none(fixed)
+        frames = whole_frames(out)
+        if frames is not None:
+            said = f"{out}: finished and whole, {frames} frames read back; nothing is left to do"
+            finish(said, {"session": str(out), "frames": frames, "taken": 0}, as_json)
+            return
         the_rig, order = unfinished(out)
     else:
         the_rig, order = _new_order(
@@ -174,10 +181,12 @@ def take_session(
     ):
         order = order if calibrated is None else calibrated(order, stage)
         report = capture_session(stage, order, settings, operator)
+    accepted = accepted_in_words(report.accepted, report.accepted_findings)
     finish(
         f"{order.root}: {report.frames} frames, {report.taken} taken now "
         f"in {report.seconds:.1f} s, overhead {report.overhead_s:.2f} s, "
-        f"{report.retakes} taken again, {report.warnings} warnings, "
+        f"{report.retakes} taken again, {accepted and accepted + ', '}"
+        f"{report.warnings} warnings, "
         f"largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
         {
             "session": str(order.root),

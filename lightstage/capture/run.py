@@ -19,7 +19,7 @@ from lightstage.operator import Operator
 from lightstage.preflight import SkewReport, skew_findings
 from lightstage.safety import SafeLights
 from lightstage.sequence import Shot
-from lightstage.session import SessionWriter
+from lightstage.session import SessionWriter, accepted_findings, read_journal
 from lightstage.steps import step
 
 PAUSE_POLL_S = 0.05
@@ -35,6 +35,8 @@ class CaptureReport:
         shots: patterns taken, retakes among them.
         retakes: photographs that were taken again.
         warnings: findings that the operator should know.
+        accepted: patterns of the session whose faults the operator accepted.
+        accepted_findings: how many faults these are.
         seconds: from the first light to the last journal line.
         lit_s: of these, waiting for the lights' acknowledgement.
         exposed_s: of these, from the first trigger to the last picture of each shot.
@@ -49,6 +51,8 @@ class CaptureReport:
     shots: int = 0
     retakes: int = 0
     warnings: int = 0
+    accepted: int = 0
+    accepted_findings: int = 0
     seconds: float = 0.0
     lit_s: float = 0.0
     exposed_s: float = 0.0
@@ -131,8 +135,11 @@ class Run:
         total = self._total
         spent_s = total.lit_s + total.exposed_s + total.paused_s
         state = self._writer.state
+        accepted = accepted_findings(read_journal(self._writer.journal.path))
         return dataclasses.replace(
             total,
+            accepted=len(accepted),
+            accepted_findings=sum(map(len, accepted.values())),
             frames=sum(len(self._all) - len(state.missing(pattern)) for pattern in self._shots),
             overhead_s=total.seconds - spent_s,
             skew=self._skew.facts(),
@@ -188,7 +195,7 @@ class Run:
                 self._suspects.count(pattern, bad)
                 self._queue_again(again, bad)
             elif decision == "accept" and not missing:
-                self._writer.note("note", pattern=pattern, said="accepted by the operator")
+                self._writer.accept(pattern, bad)
                 again, waits = {}, False
             elif self._wishes.aborted():
                 raise stopped()

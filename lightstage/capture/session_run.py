@@ -259,7 +259,8 @@ def _opened(stage: Stage, order: Order, config: CaptureConfig) -> SessionWriter:
         writer = SessionWriter.new(order.root, stage.rig, plan, cards, serials, facts, *calibration)
         writer.look_beside()
         return writer
-    writer = SessionWriter.resumed(order.root, stage.rig, finished=bool(order.retake))
+    # Of a finished session something is missing or taken again, else no device was opened.
+    writer = SessionWriter.resumed(order.root, stage.rig, finished=True)
     try:
         require(_changed(writer, stage))
         writer.look_beside()

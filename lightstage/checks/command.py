@@ -10,6 +10,7 @@ import typer
 
 from lightstage.checks import check_session
 from lightstage.commands import JsonFlag, finish, progress_bar
+from lightstage.findings import accepted_in_words
 
 
 def register(app: typer.Typer) -> None:
@@ -20,16 +21,19 @@ def register(app: typer.Typer) -> None:
 def check_command(
     session: Path = typer.Argument(help="Session folder."), as_json: bool = JsonFlag
 ) -> None:
-    """Verify every hash, size, exposure and pattern of a session."""
+    """Verify every hash, size, exposure and pattern of a session, and that its files agree."""
     with progress_bar("check") as progress:
         report = check_session(session, progress)
     told = [finding for finding in report.findings if finding.severity != "note"]
     for finding in told:
         print(f"warning: {finding}", file=sys.stderr)
+    for sentence in report.unproven:
+        print(f"note: {sentence}", file=sys.stderr)
+    accepted = accepted_in_words(len(report.accepted), sum(report.accepted.values()))
     finish(
         f"{session}: {report.frames} frames whole and unchanged, {report.sums} pattern sums "
         f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % clipped, "
-        f"{len(told)} warnings",
+        f"{accepted and accepted + ', '}{len(told)} warnings",
         {"session": str(session), **dataclasses.asdict(report)},
         as_json,
     )

@@ -28,8 +28,9 @@ from lightstage.formats.session import (
 from lightstage.photograph import identify
 from lightstage.resume_line import known_options, resume_line, watch_line
 from lightstage.sequence import Shot
-from lightstage.session import read_journal
-from lightstage.session.manifest import check_manifest
+from lightstage.session import accepted_findings, disagreements, read_journal
+from lightstage.session.manifest import MANIFEST, check_manifest
+from lightstage.session.opening import JOURNAL
 
 SUM_TOLERANCE = 0.1
 """Light adds up: patterns that sum to a third must, in every camera's mean, up to this share."""
@@ -52,6 +53,8 @@ class CheckReport:
             operator may have seen and accepted it.
         facts: figures of all that was compared (`ShotChecks.facts`), for a later session's
             baseline.
+        accepted: by pattern, how many faults the operator accepted.
+        unproven: what the files of this session do not prove, in sentences.
     """
 
     frames: int
@@ -60,6 +63,8 @@ class CheckReport:
     clipped: float
     findings: tuple[Finding, ...] = ()
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    accepted: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    unproven: tuple[str, ...] = ()
 
 
 def check_session(
@@ -77,6 +82,9 @@ def check_session(
     """
     session = _load(root)
     problems = missing_frames(session) + changed_frames(session) + _doubled(session)
+    has_journal = (root / JOURNAL).is_file()
+    if has_journal:
+        problems += disagreements(root, session.file)
     if (root / "landmarks.json").exists():
         try:
             read_points_px(root / "landmarks.json")
@@ -115,7 +123,37 @@ def check_session(
         raise one_error(problems)
     worst_clipped = max(clipped.values(), default=0.0)
     frames = len(session.file.frames)
-    return CheckReport(frames, sums, worst, worst_clipped, tuple(findings), checks.facts())
+    lines = read_journal(root / JOURNAL) if has_journal else []
+    return CheckReport(
+        frames,
+        sums,
+        worst,
+        worst_clipped,
+        tuple(findings),
+        checks.facts(),
+        {pattern: len(each) for pattern, each in accepted_findings(lines).items()},
+        _unproven(has_journal, (root / MANIFEST).is_file()),
+    )
+
+
+def _unproven(journal: bool, manifest: bool) -> tuple[str, ...]:
+    """What no comparison of a session's own files can show."""
+    said = []
+    if not journal:
+        said.append(
+            "There is no journal.jsonl: whether session.json was changed together with the "
+            "photographs cannot be told."
+        )
+    if not manifest:
+        said.append(
+            "There is no manifest.json: whether the journal was changed, or files beside the "
+            "photographs, cannot be told."
+        )
+    said.append(
+        "Hashes without a signature prove neither who took the photographs nor when: files that "
+        "were all changed together are not noticed."
+    )
+    return tuple(said)
 
 
 def _doubled(session: Session) -> list[LightstageError]:

@@ -57,7 +57,8 @@ class Calibration(BaseModel):
 class SessionFile(BaseModel):
     """session.json. Unknown fields are kept: others may add theirs.
 
-    A capture adds ``consent``, the id of the record of the person's consent, where there is one.
+    A capture adds ``consent``, the id of the record of the person's consent, where there is one,
+    and ``accepted``, where the operator accepted photographs with faults: by pattern, the findings.
     """
 
     model_config = ConfigDict(extra="allow", frozen=True, populate_by_name=True)

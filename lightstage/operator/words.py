@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
+from lightstage.findings import accepted_in_words
 from lightstage.operator.plain import plain
 from lightstage.printable import printable
 from lightstage.resume_line import options_of, resume_line, watch_line
@@ -230,7 +231,17 @@ def _aborted(line: Line) -> Said:
 def _end(line: Line) -> Said:
     frames = number_of(line, "frames")
     count = "" if frames is None else f": {frames:.0f} photographs"
-    return Said("good", f"The session is complete{count}")
+    report = line.get("capture")
+    told: Line = report if isinstance(report, dict) else {}
+    patterns, faults = number_of(told, "accepted"), number_of(told, "accepted_findings")
+    accepted = accepted_in_words(int(patterns or 0), int(faults or 0))
+    return Said("good", f"The session is complete{count}{accepted and '; ' + accepted}")
+
+
+def _accepted(line: Line) -> Said:
+    findings = line.get("findings")
+    count = f" with {len(findings)} findings" if isinstance(findings, list) else ""
+    return Said("warning", f"{_at(line)}accepted by the operator{count}")
 
 
 def _always(text: str) -> Callable[[Line], Said]:
@@ -251,6 +262,7 @@ _WORDS: dict[str, Callable[[Line], Said]] = {
     "frame": _frame,
     "failed": _failed,
     "finding": _finding,
+    "accepted": _accepted,
     "rejected": _quiet,
     "retake": _always("Photographs of this session are taken again"),
     "recovered": _recovered,

@@ -1,5 +1,7 @@
 """A session's life on disk: the journal, photographs kept once, recovery, session.json."""
 
+from lightstage.session.accepted import accepted_findings
+from lightstage.session.agreement import disagreements, whole_frames
 from lightstage.session.colour import (
     COLOUR_PATH,
     COLOUR_SCHEMA,
@@ -31,10 +33,12 @@ __all__ = [
     "SessionPlan",
     "SessionState",
     "SessionWriter",
+    "accepted_findings",
     "arrived",
     "bring_home",
     "check_consent",
     "check_pseudonym",
+    "disagreements",
     "read_calibration",
     "read_colour",
     "read_journal",
@@ -45,5 +49,6 @@ __all__ = [
     "session_from_journal",
     "state_of",
     "utc_now",
+    "whole_frames",
     "why_not_delete",
 ]

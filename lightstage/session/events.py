@@ -162,6 +162,15 @@ def _is_object(value: Any) -> bool:
     return isinstance(value, dict)
 
 
+def _are_findings(value: Any) -> bool:
+    return isinstance(value, list) and all(
+        isinstance(each, dict)
+        and isinstance(each.get("code"), str)
+        and all(isinstance(each.get(name) or "", str) for name in ("pattern", "camera"))
+        for each in value
+    )
+
+
 def _are_paths(value: Any) -> bool:
     if not isinstance(value, dict):
         return False
@@ -196,6 +205,8 @@ _TOLD = Rule(
 _PATHS = Rule(
     "for each kind of calibration a relative path that stays in the session, or null", _are_paths
 )
+
+_FINDINGS = Rule("a list of findings, each with a code", _are_findings)
 
 Rules = Mapping[str, str | Rule]
 _OF_PHOTOGRAPH: Rules = {"pattern": "name", "camera": "name", "take": _TAKE}
@@ -243,6 +254,7 @@ _EVENTS: Mapping[str, tuple[Rules, Rules]] = {
         {},
         dict.fromkeys(("colour", "cameras", "lights", "flats"), "path"),
     ),
+    "accepted": ({"pattern": "name", "findings": _FINDINGS}, {}),
     "note": ({}, {"cards": _CARDS, "file": _FILE}),
     "finding": ({}, {"code": _TEXT}),
 }

@@ -9,6 +9,7 @@ from typing import Any
 from lightstage.errors import FormatError
 from lightstage.formats.session import Calibration, Driven, Frame, SessionFile
 from lightstage.resume_line import known_options, resume_line
+from lightstage.session.accepted import accepted_findings
 from lightstage.session.events import Line
 from lightstage.session.kept import key_of
 from lightstage.session.reading import read_journal
@@ -24,7 +25,19 @@ def session_from_journal(path: Path) -> SessionFile:
     Raises:
         FormatError: a shot of the sequence that was not finished, or a photograph that is missing.
     """
-    lines = read_journal(path)
+    return session_from_lines(read_journal(path), path)
+
+
+def session_from_lines(lines: Sequence[Line], path: Path) -> SessionFile:
+    """The same of a journal that was read.
+
+    Args:
+        lines: of the journal.
+        path: of it, for errors.
+
+    Raises:
+        FormatError: as session_from_journal.
+    """
     state = SessionState(lines)
     missing = [pattern for pattern in state.patterns if not state.is_shot(pattern)]
     counted = [state.accepted(p, c) for p in state.patterns for c in state.cameras]
@@ -40,6 +53,8 @@ def session_from_journal(path: Path) -> SessionFile:
     driven = _levels(lines)
     # Null says that there is no record of it; an older journal says nothing.
     extra: dict[str, Any] = {k: state.begin[k] for k in ("consent",) if k in state.begin}
+    if accepted := accepted_findings(lines):
+        extra["accepted"] = accepted
     return SessionFile(
         id=state.begin["session"],
         created_utc=state.begin["created_utc"],

@@ -35,6 +35,7 @@ MANIFEST = "manifest.json"
 JOURNAL = "journal.jsonl"
 MAX_BYTES = 1 << 40
 """Of a journal; a larger number is damage."""
+OF_SESSION = ("created_utc", "subject", "expression", "consent")
 OF_CAMERA = (
     *("serial", "model", "firmware", "mode", "iso", "shutter", "aperture"),
     *("white_balance", "image_format", "focus"),
@@ -94,6 +95,7 @@ def write_manifest(root: Path, facts: Mapping[str, Any] | None = None) -> Path:
             for line in lines
             if line["event"] == "finding" and line.get("severity") == "warn"
         ),
+        "accepted": session.get("accepted", {}),
         "resumed": len(begins) - 1,
         "light_map_sha256": light_map_hash(rig),
         "files": dict(sorted(files.items())),
@@ -134,7 +136,12 @@ def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[L
         return [_wrong(path, f"no readable {error}", "the fields of a manifest", "Restore it.")]
     except LightstageError as problem:
         return [problem]
-    problems: list[LightstageError] = []
+    problems = _other_session(root, manifest)
+    problems += [
+        _wrong(path, f"no hash of {name}", "one", "")
+        for name in ("session.json", "rig.json")
+        if name not in files
+    ]
     for name, sha256 in files.items():
         problems += _file_problems(root, str(name), str(sha256), known or {})
     for name in _photographs_on_disk(root):
@@ -142,16 +149,18 @@ def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[L
             problems.append(
                 _wrong(root / name, "a file", "none that the manifest does not list", "")
             )
+    expected = f"its lines up to {line} as written"
     try:
         with open(open_regular(root / JOURNAL), "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            found = hashlib.sha256(file.read(min(limit, size))).hexdigest()
+            data = file.read(min(limit, os.fstat(file.fileno()).st_size))
     except (OSError, FormatError):
-        found = "none"
-    if found != whole:
-        problems.append(
-            _wrong(root / JOURNAL, "another beginning", f"its lines up to {line} as written", "")
-        )
+        problems.append(_wrong(root / JOURNAL, "no journal", expected, "Restore it."))
+    else:
+        if len(data) < limit:
+            said = f"{len(data)} bytes, cut"
+            problems.append(_wrong(root / JOURNAL, said, f"at least {limit}", "Restore it."))
+        elif hashlib.sha256(data).hexdigest() != whole:
+            problems.append(_wrong(root / JOURNAL, "another beginning", expected, "Restore it."))
     if files.get("rig.json") == _hash_of(root / "rig.json"):
         try:
             same = light_map_hash(load_rig(root / "rig.json")) == light_map
@@ -161,6 +170,27 @@ def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[L
             if not same:
                 problems.append(_wrong(path, "another light map", "that of rig.json", ""))
     return problems
+
+
+def _other_session(root: Path, manifest: Mapping[str, Any]) -> list[LightstageError]:
+    """Where a manifest says something else of the session than session.json does."""
+    try:
+        session = read_json(root / "session.json", "lightstage.session/1")
+    except LightstageError:
+        return []  # told with the file's hash
+    said = {**{name: session.get(name) for name in OF_SESSION}, "session": session.get("id")}
+    said["accepted"] = session.get("accepted", {})
+    return [
+        FormatError(
+            root / MANIFEST,
+            field=name,
+            found=repr(manifest[name]),
+            expected=f"{value!r} (session.json)",
+            hint="It is another session's manifest, or one of the two files was changed.",
+        )
+        for name, value in said.items()
+        if name in manifest and manifest[name] != value
+    ]
 
 
 def light_map_hash(rig: Rig) -> str:

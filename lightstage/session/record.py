@@ -3,10 +3,10 @@
 Events: ``begin`` and ``resume`` (what is planned, who the devices are, what lies on the cards),
 ``devices``, ``lit`` (levels acknowledged), ``trigger`` (before cameras are asked), ``exposed`` (a
 file on a card, under light that lasted), ``frame`` (a photograph, hashed as it lies on the disk),
-``failed``, ``finding``, ``rejected`` (a take that does not count), ``retake`` (takes that do not
-count because somebody wants them again), ``recovered`` (a file of uncertain light or label),
-``deleting`` and ``deleted`` (on a card), ``shot`` (a pattern with all its photographs),
-``calibration``, ``note``, ``aborted``, ``end``.
+``failed``, ``finding``, ``accepted`` (findings that the operator lets pass), ``rejected`` (a take
+that does not count), ``retake`` (takes that do not count because somebody wants them again),
+``recovered`` (a file of uncertain light or label), ``deleting`` and ``deleted`` (on a card),
+``shot`` (a pattern with all its photographs), ``calibration``, ``note``, ``aborted``, ``end``.
 """
 
 from __future__ import annotations
@@ -113,9 +113,16 @@ class Record:
 
     def finding(self, finding: Finding) -> Line:
         """Journal what a look at a device or a photograph found."""
-        said = dataclasses.asdict(finding).items()
-        facts = {name: value for name, value in said if value is not None and value != ()}
-        return self.journal.write("finding", **facts)
+        return self.journal.write("finding", **_facts(finding))
+
+    def accept(self, pattern: str, findings: Sequence[Finding]) -> Line:
+        """Journal that the operator takes a pattern's photographs as they are, with their faults.
+
+        Args:
+            pattern: whose shot is over by that.
+            findings: all that spoke against it; they may be of earlier patterns too.
+        """
+        return self.journal.write("accepted", pattern=pattern, findings=list(map(_facts, findings)))
 
     def rejected(self, pattern: str, camera: str, why: str, take: int | None = None) -> Line:
         """Journal that a take does not count; its file stays.
@@ -178,6 +185,12 @@ class Record:
     def note(self, event: str, **facts: Any) -> Line:
         """Journal anything else."""
         return self.journal.write(event, **facts)
+
+
+def _facts(finding: Finding) -> dict[str, Any]:
+    """A finding as a journal has it."""
+    said = dataclasses.asdict(finding).items()
+    return {name: value for name, value in said if value is not None and value != ()}
 
 
 def as_json(files: Collection[CardFile]) -> list[list[Any]]:

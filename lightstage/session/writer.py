@@ -105,7 +105,7 @@ class SessionWriter(Record):
         Args:
             root: its folder.
             rig: must be the session's own, if given.
-            finished: whether it may be finished, because photographs shall be taken again.
+            finished: whether it may be finished, because something of it shall be taken again.
 
         Raises:
             FormatError: no session, a damaged journal, or a changed rig.json.

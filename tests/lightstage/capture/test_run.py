@@ -191,8 +191,11 @@ def test_retakes_end_when_the_operator_is_out_of_them(bench):
 def test_an_operator_may_accept_what_a_check_refuses_but_never_a_missing_photograph(bench):
     bench.checks.of_shots["full"] = [[bad("blurred", "cam0", "full")]]
     bench.operator.answers = ["accept"]
-    assert bench.run().retakes == 0
-    assert any("accepted" in line.get("said", "") for line in bench.events("note"))
+    report = bench.run()
+    assert (report.retakes, report.accepted, report.accepted_findings) == (0, 1, 1)
+    (accepted,) = bench.events("accepted")
+    assert accepted["pattern"] == "full"
+    assert [each["code"] for each in accepted["findings"]] == ["blurred"]
 
 
 def test_the_stage_is_dark_while_a_question_waits(bench):

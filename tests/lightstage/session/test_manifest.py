@@ -115,7 +115,7 @@ def change(path, data=b"x"):
             ),
             "journal.jsonl: found another beginning",
         ),
-        (lambda s: (s / "journal.jsonl").unlink(), "journal.jsonl: found another beginning"),
+        (lambda s: (s / "journal.jsonl").unlink(), "journal.jsonl: found no journal"),
         (lambda s: (s / "manifest.json").write_text("{"), "a readable JSON file"),
         (lambda s: (s / "manifest.json").write_text("[]"), "schema"),
         (lambda s: (s / "manifest.json").unlink(), "expected the manifest"),

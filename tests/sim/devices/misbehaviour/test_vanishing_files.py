@@ -6,8 +6,10 @@ import shutil
 
 import pytest
 
+from lightstage.capture import Order
 from lightstage.checks import check_session
 from lightstage.formats.session import changed_frames, load_session, missing_frames
+from lightstage.sequence import plan_shots
 from lightstage.session.manifest import check_manifest
 
 
@@ -125,3 +127,18 @@ def test_the_manifest_lists_a_take_that_is_lost_apart_and_check_accepts_it(stage
     assert list(manifest["lost"]) == ["frames/full/cam1.dng"]
     assert "frames/full/cam1.dng" not in manifest["files"]
     assert "frames/full/cam1.take2.dng" in manifest["files"]
+
+
+def test_a_finished_session_that_lost_a_photograph_is_gone_on_with_and_ended_again(stage):
+    shots = plan_shots(stage.patterns, stage.rig, stage.drive)
+    with stage.standing() as standing:
+        first = standing.capture()
+        remove_one(first.root)
+        again = standing.capture(first.root, order=Order(first.root, shots, resume=True))
+    assert_whole(again)
+    assert again.report.taken == 0
+    restored = [line for line in again.lines("note") if line.get("about") == "restored"]
+    assert [line["path"] for line in restored] == ["frames/full/cam1.dng"]
+    assert len(again.lines("end")) == 2
+    assert again.lines("end", "note")[-1]["event"] == "end"
+    check_session(again.root)

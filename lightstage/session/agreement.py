@@ -1,0 +1,150 @@
+"""Whether a session's files say the same: session.json and rig.json beside the journal."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from lightstage.errors import FormatError, LightstageError, one_error
+from lightstage.formats.session import Frame, SessionFile, load_session
+from lightstage.rig import load_rig
+from lightstage.session.events import Line
+from lightstage.session.finished import session_from_lines
+from lightstage.session.manifest import check_manifest
+from lightstage.session.opening import JOURNAL, RIG, rig_hash
+from lightstage.session.present import damaged
+from lightstage.session.reading import read_journal
+from lightstage.session.state import SessionState
+
+OF_SESSION = ("id", "created_utc", "subject", "expression", "consent", "sequence", "accepted")
+OF_FRAME = ("path", "sha256", "encoding", "take")
+RESTORE = "Restore the file that was changed; the journal is what was written during the capture."
+
+
+def disagreements(root: Path, session: SessionFile) -> list[LightstageError]:
+    """Compare session.json and rig.json with what the journal says; no photograph is read.
+
+    Args:
+        root: the session's folder, which has a journal.
+        session: what its session.json says.
+
+    Returns:
+        One error for each field and photograph that differs, for lines that are missing in the
+        middle of the journal, and for a capture whose journal has no end.
+    """
+    path = root / JOURNAL
+    try:
+        lines = read_journal(path)
+        known = session_from_lines(lines, path)
+        rig = rig_hash(load_rig(root / RIG))
+    except LightstageError as error:
+        return [error]
+    problems = [*_gaps(lines, path), *_unlike_fields(root, session, known)]
+    problems += _unlike_frames(root, session, known)
+    if lines[0].get("rig_sha256", rig) != rig:
+        problems.append(_wrong(root / RIG, "", "another rig than the journal's", "the same"))
+    if "led_device" in lines[0] and lines[-1]["event"] != "end":
+        problems.append(
+            FormatError(
+                path,
+                found=f"{lines[-1]['event']} as its last line",
+                expected="end",
+                hint="The capture was not finished, or the file was cut: lightstage capture "
+                "--resume, or restore it.",
+            )
+        )
+    return problems
+
+
+def whole_frames(root: Path) -> int | None:
+    """Look at a session that its journal calls finished: is it all there?
+
+    Every photograph is read back from the disk; session.json and the manifest are compared.
+
+    Args:
+        root: the session's folder.
+
+    Returns:
+        How many photographs it has. None where it is not finished, or where something is missing
+        or changed that `--resume` brings in order.
+
+    Raises:
+        FormatError: no journal, or one that was changed: what is right cannot be told by it.
+    """
+    path = root / JOURNAL
+    lines = read_journal(path)
+    if lines[-1]["event"] != "end":
+        return None
+    frames = SessionState(lines).frames()
+    if damaged(root, frames):
+        return None
+    problems = check_manifest(root, {kept.path: kept.sha256 for kept in frames})
+    try:
+        problems += disagreements(root, load_session(root).file)
+    except LightstageError as error:
+        problems.append(error)
+    changed = [each for each in problems if each.where == str(path)]
+    if changed:
+        raise one_error(changed)
+    return None if problems else len(SessionState(lines).cameras) * len(lines[0]["sequence"])
+
+
+def _gaps(lines: Sequence[Line], path: Path) -> list[LightstageError]:
+    """Ids count up by one; where one is left out, a line was removed."""
+    return [
+        _wrong(path, f"after id {before['id']}", f"id {after['id']}", str(before["id"] + 1))
+        for before, after in itertools.pairwise([{"id": 0}, *lines])
+        if after["id"] != before["id"] + 1
+    ]
+
+
+def _unlike_fields(root: Path, found: SessionFile, known: SessionFile) -> list[LightstageError]:
+    path = root / "session.json"
+    problems: list[LightstageError] = [
+        _wrong(path, name, repr(_field(found, name)), f"{_field(known, name)!r} ({JOURNAL})")
+        for name in OF_SESSION
+        if _field(found, name) != _field(known, name)
+    ]
+    problems += [
+        _wrong(path, f"patterns.{pattern}.levels", "other levels", f"those of {JOURNAL}")
+        for pattern in known.patterns
+        if found.patterns.get(pattern) != known.patterns[pattern]
+    ]
+    return problems
+
+
+def _unlike_frames(root: Path, found: SessionFile, known: SessionFile) -> list[LightstageError]:
+    path = root / "session.json"
+    said = {(frame.pattern, frame.camera): frame for frame in found.frames}
+    problems: list[LightstageError] = []
+    for frame in known.frames:
+        other = said.pop((frame.pattern, frame.camera), None)
+        field = f"frame {frame.pattern} by {frame.camera}"
+        if other is None:
+            problems.append(_wrong(path, field, "no such frame", f"{frame.path} ({JOURNAL})"))
+            continue
+        for name in OF_FRAME:
+            wrong, right = _field(other, name), _field(frame, name)
+            if wrong != right:
+                expected = f"{_short(right)} ({JOURNAL})"
+                problems.append(_wrong(path, f"{field}, {name}", _short(wrong), expected))
+    for pattern, camera in said:
+        expected = f"none ({JOURNAL})"
+        problems.append(_wrong(path, f"frame {pattern} by {camera}", "a frame", expected))
+    return problems
+
+
+def _field(of: SessionFile | Frame, name: str) -> Any:
+    """A field, or None: others than captures leave some out."""
+    return getattr(of, name, None)
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) < 60 else f"{text[:12]}.."
+
+
+def _wrong(path: Path, field: str, found: str, expected: str) -> FormatError:
+    return FormatError(path, field=field, found=found, expected=expected, hint=RESTORE)
