@@ -62,3 +62,19 @@ def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
     assert "the whole texture" in refused.stderr
     assert "Traceback" not in refused.stderr
     assert json.loads((tmp_path / "PUB" / "dataset.json").read_text())["counts"]["subjects"] == 3
+
+
+@pytest.mark.parametrize("command", commands((ROOT / "docs" / "learning.md").read_text()))
+def test_every_command_of_the_learning_page_has_the_options_that_it_is_given(command: str) -> None:
+    said = run_as_written(" ".join([*shlex.split(command)[:2], "--help"]), ROOT)
+    assert said.returncode == 0, said.stderr
+    assert [option for option in sorted(options(command)) if option not in said.stdout] == []
+
+
+def test_the_configuration_of_the_learning_page_is_taken_as_written() -> None:
+    import tomllib
+
+    from learning.presets import preset
+
+    (example,) = blocks((ROOT / "docs" / "learning.md").read_text(), "toml")
+    assert preset("demo", tomllib.loads(example), "docs/learning.md").generator.width == 24
