@@ -18,7 +18,9 @@ from lightstage.errors import FormatError
 from lightstage.failures import disk_full, is_disk_full
 from lightstage.formats.values import read_value
 
-REMOVALS, REMOVAL_PAUSE_S = 50, 0.02
+REMOVALS, REMOVAL_PAUSE_S = 100, 0.02
+SEEN_GONE = 5
+"""A folder that is not there at so many looks in a row stays away: nobody writes into it now."""
 
 
 def fsync_path(path: Path) -> None:
@@ -94,25 +96,30 @@ def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
             os.replace(path, old)
         os.replace(beside, path)
         fsync_path(path.parent)
-    except Exception as error:
-        if not is_disk_full(error):
-            raise
-        written = _bytes_below(beside)
+    except BaseException as error:
+        full = is_disk_full(error)
+        written = _bytes_below(beside) if full else 0
         _remove(beside)
-        raise disk_full(path, written) from error
+        if full:
+            raise disk_full(path, written) from error
+        raise
     finally:
         if old.exists() and not path.exists():
             os.replace(old, path)
-        _remove(beside)
-        _remove(old)
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def _remove(folder: Path) -> None:
     """Remove a folder, also while a library's threads still write the last files into it."""
+    gone = 0
     for _ in range(REMOVALS):
-        shutil.rmtree(folder, ignore_errors=True)
         if not folder.exists():
-            return
+            gone += 1
+            if gone == SEEN_GONE:
+                return
+        else:
+            gone = 0
+            shutil.rmtree(folder, ignore_errors=True)
         time.sleep(REMOVAL_PAUSE_S)
 
 

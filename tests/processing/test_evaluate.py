@@ -246,6 +246,10 @@ def test_predicted_maps_without_confidence_are_scored_on_all_skin(
 
 
 def test_nothing_to_compare_is_said(tmp_path: Path) -> None:
+    with pytest.raises(LightstageError, match="a: found no such folder"):
+        evaluate(tmp_path / "a", tmp_path / "b")
+    for name in "ab":
+        (tmp_path / name).mkdir()
     with pytest.raises(LightstageError, match="nothing that"):
         evaluate(tmp_path / "a", tmp_path / "b")
 
