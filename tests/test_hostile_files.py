@@ -125,7 +125,8 @@ LIGHTS = {
     "stray": {"full": np.zeros((3, 3, 4)).tolist()}, "facts": {},
 }  # fmt: skip
 MANIFEST = {
-    "schema": "lightstage.manifest/1", "files": {"rig.json": HASH}, "light_map_sha256": HASH,
+    "schema": "lightstage.manifest/1", "light_map_sha256": HASH,
+    "files": {"rig.json": HASH, "session.json": HASH},
     "journal": {"bytes": 12, "last_id": 1, "sha256": HASH, "path": "journal.jsonl"},
 }  # fmt: skip
 SHOTS = {

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lightstage.errors import LightstageError
 from sim.errors import SimError
 from sim.people.table import TABLES, PeopleTable, load_table, people
 from sim.people.traits import AGE_RANGE, LOOKS, SEXES, TONES
@@ -75,7 +76,7 @@ GOOD = {
         ("subjects", "subjects = 0", "subjects"),
         ("subjects", "subjects = 5\nheight = 3", "height"),
         ("sex", "[sex]\nmale = -1", "not negative"),
-        ("sex", "[sex]\nmale = nan", "not negative"),
+        ("sex", "[sex]\nmale = nan", "finite number"),
         ("sex", "[sex]\nmale = 0", "sum to 0"),
         ("tone", "[tone]\n7 = 1", "7"),
         ("look", "[look]\nshiny = 1", "shiny"),
@@ -89,7 +90,7 @@ GOOD = {
 def test_a_wrong_table_is_one_message(tmp_path: Path, entry: str, text: str, said: str) -> None:
     path = tmp_path / "table.toml"
     path.write_text("\n".join((GOOD | {entry: text}).values()) + "\n")
-    with pytest.raises(SimError, match=said):
+    with pytest.raises(LightstageError, match=said):
         load_table(str(path))
 
 

@@ -320,10 +320,10 @@ def test_broken_copies_name_the_file_and_what_is_wrong(tmp_path):
         (json.dumps({"idx_to_landmark_verts": [99] * 68}), "vertex 99, expected indices below"),
     ):
         (face / "vertex_indices.json").write_text(text)
-        with pytest.raises(SimError, match=said):
+        with pytest.raises(LightstageError, match=said):
             load_ict(folder)
     (face / "vertex_indices.json").unlink()
-    with pytest.raises(SimError, match=r"vertex_indices.json: found no such file"):
+    with pytest.raises(LightstageError, match=r"vertex_indices.json: found no such file"):
         load_ict(folder)
 
 
