@@ -52,8 +52,8 @@ def test_a_disk_that_fills_up_ends_dark_and_the_session_goes_on_when_there_is_ro
 
 
 def test_a_disk_without_room_for_the_whole_plan_is_refused_before_a_light_goes_on(bench, tools):
-    text = bench.stage.rig_path.read_text().replace('"width_px": 48', '"width_px": 8000000')
-    bench.stage.rig_path.write_text(text.replace('"height_px": 64', '"height_px": 8000000'))
+    text = bench.stage.rig_path.read_text().replace('"width_px": 48', '"width_px": 65536')
+    bench.stage.rig_path.write_text(text.replace('"height_px": 64', '"height_px": 65536'))
     said = tools.message(bench.run(), "DeviceError")
     assert f"disk of {bench.desk}: found" in said
     assert "GB free, expected" in said
