@@ -5,11 +5,11 @@ from __future__ import annotations
 import unicodedata
 
 from lightstage.errors import ConfigError
-from lightstage.session.names import consent_problem, name_problem, pseudonym_problem
+from lightstage.formats.names import consent_problem, name_problem, pseudonym_problem
 
 
 def check_pseudonym(text: str, field: str) -> str:
-    """A subject or expression as a session may carry it, in one spelling (`names`).
+    """A subject or expression as a session may carry it, in one spelling (`lightstage.formats.names`).
 
     Args:
         text: given.
@@ -35,7 +35,7 @@ def check_pseudonym(text: str, field: str) -> str:
 
 
 def check_consent(text: str) -> str:
-    """The id of a consent record as a session may carry it (`names.consent_problem`).
+    """The id of a consent record as a session may carry it (`lightstage.formats.names.consent_problem`).
 
     Raises:
         ConfigError: no such id.

@@ -12,6 +12,7 @@ from lightstage.errors import ConfigError, DiskError, DiskFullError
 WITHOUT_OUTPUT = {
     "lightstage watch",  # but for --picture
     "lightstage calibrations",
+    "lightstage retake",  # writes into the session that it is given
     "lightstage check",
     "sim stage",
     "processing evaluate",  # writes into the folder that it reads

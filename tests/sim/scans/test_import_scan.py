@@ -256,7 +256,7 @@ def test_the_lee_perry_smith_scan_imports_as_its_own_loader_reads_it(head_data):
     known = load_scan(folder, 256)
     subject, report = import_scan(
         folder / "LeePerrySmith.glb",
-        "lps-again",
+        "LPS2",
         ANNOTATED,
         folder / "Map-COL.jpg",
         folder / "Infinite-Level_02_Tangent_SmoothUV.jpg",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lightstage.errors import ConfigError
+from lightstage.errors import ConfigError, FormatError
 from sim.devices.fault_names import LEDS, NAMES
 from sim.devices.faults import Fault, FaultLog, Story, read_fault_log
 from sim.errors import SimError
@@ -156,9 +156,10 @@ def test_the_log_tells_what_happened_when_to_whom(tmp_path):
     assert all(re.fullmatch(r"\d{4}-\d\d-\d\dT[\d:.]+\+00:00", t.time_utc) for t in told)
     assert log.names() == ["drop"]
     assert read_fault_log(tmp_path / "none") == []
-    (tmp_path / "log.jsonl").write_text("noise\n")
-    with pytest.raises(SimError, match="line 1"):
-        read_fault_log(tmp_path / "log.jsonl")
+    for line, said in (("noise", FormatError), ('{"device": "leds"}', SimError)):
+        (tmp_path / "log.jsonl").write_text(line + "\n")
+        with pytest.raises(said, match="line 1"):
+            read_fault_log(tmp_path / "log.jsonl")
 
 
 def test_every_name_and_field_is_in_the_documentation_and_its_example_is_read(tmp_path):

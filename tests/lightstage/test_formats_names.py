@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightstage.errors import ConfigError
-from lightstage.session.names import RESERVED, consent_problem, pseudonym_problem
+from lightstage.formats.names import RESERVED, consent_problem, pseudonym_problem
 from lightstage.session.pseudonym import check_consent, check_pseudonym
 
 
