@@ -9,7 +9,7 @@ from lightstage.formats.names import consent_problem, name_problem, pseudonym_pr
 
 
 def check_pseudonym(text: str, field: str) -> str:
-    """A subject or expression as a session may carry it, in one spelling (`lightstage.formats.names`).
+    """A subject or expression as a session may carry it, in one spelling (`formats.names`).
 
     Args:
         text: given.
@@ -35,7 +35,7 @@ def check_pseudonym(text: str, field: str) -> str:
 
 
 def check_consent(text: str) -> str:
-    """The id of a consent record as a session may carry it (`lightstage.formats.names.consent_problem`).
+    """The id of a consent record as a session may carry it (`formats.names.consent_problem`).
 
     Raises:
         ConfigError: no such id.
