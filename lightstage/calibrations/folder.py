@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from lightstage.errors import CaptureError, FormatError, LightstageError, one_error
 from lightstage.formats.files import read_json, sha256_file, write_json
+from lightstage.formats.paths import path_inside
 
 SCHEMA = "lightstage.calibration-shots/1"
 NAME = "calibration.json"
@@ -153,7 +154,8 @@ def read_shots(root: Path) -> Shots:
     """Read a folder of calibration shots.
 
     Raises:
-        FormatError: no calibration.json, or every field of it that is wrong, in one message.
+        FormatError: no calibration.json, every field of it that is wrong, in one message, or a
+            pose's folder that does not lie in this one.
     """
     path = root / NAME
     value = read_json(path, SCHEMA)
@@ -177,6 +179,8 @@ def read_shots(root: Path) -> Shots:
         raise FormatError(
             path, field="created_utc, expires_utc", found=str(error), expected="ISO 8601 with zone"
         ) from None
+    for index, pose in enumerate(file.poses):
+        path_inside(root, pose.folder, path, f"poses[{index}].folder")
     return Shots(root, file)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from lightstage.errors import FormatError, LightstageError, one_error
 from lightstage.formats.files import read_json, sha256_file
+from lightstage.formats.paths import path_inside
 from lightstage.formats.session import Session, load_session
 
 SHOTS_SCHEMA = "lightstage.calibration-shots/1"
@@ -155,16 +156,12 @@ def _poses(kind: str, folder: Path, value: dict[str, Any]) -> list[Pose]:
     problems: list[LightstageError] = []
     for entry in value.get("poses") or []:
         try:
-            name, told, faces = str(entry["folder"]), entry["session_sha256"], entry["faces"]
+            name, told, faces = entry["folder"], entry["session_sha256"], entry["faces"]
         except (KeyError, TypeError):
             raise FormatError(
                 folder / SHOTS_NAME, field="poses", found=repr(entry)[:80], expected="a pose"
             ) from None
-        root = folder / name
-        if not root.resolve().is_relative_to(folder.resolve()):
-            raise FormatError(
-                folder / SHOTS_NAME, field="poses", found=name, expected="a folder in it"
-            )
+        root = path_inside(folder, name, folder / SHOTS_NAME, "poses, folder")
         path = root / "session.json"
         if not path.is_file() or sha256_file(path) != told:
             problems.append(

@@ -14,6 +14,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from processing.errors import ProcessingError
+
 LEAST_FACING = 0.35
 """Cosine to the camera below which a grey ball is no longer Lambertian, and its rim is near."""
 SOLVES = 6
@@ -22,6 +24,11 @@ TOLD_SHARE = 0.5
 """The balls tell the exponent when they leave less than this share of its uncertainty."""
 FIXED = 1e-6
 CONVERGED = 1e-5
+LARGEST_STEP = 0.5
+"""Of a gain's logarithm in one round: a larger one leaves where the linear model holds, and grows
+until it overflows where the readings are not of this ball and these lamps."""
+STRONGEST = 20.0
+"""No lamp of a stage is so many times stronger or weaker than what is known of it."""
 QUADRATIC = 9
 """Terms of a function of a unit normal up to the second degree: its constant is in the squares."""
 
@@ -115,6 +122,9 @@ def solve_gains(
         known_log: (L, 3) natural logarithms of what is known of the gains; NaN where nothing is.
         known_sigma: (L,) their standard errors.
         config: the ball.
+
+    Raises:
+        ProcessingError: readings that only lamps of impossible strength would explain.
     """
     count = len(lamps_mm)
     log, prior = expected_gains(known_log, known_sigma, config)
@@ -134,6 +144,7 @@ def solve_gains(
         found[:, c], spread[:, c], _, _ = _solve(
             readings, readings.rgb[:, :, c], lamps_mm, log[:, c], prior, group_count, fixed
         )
+    _require_lamps(found - log)
     found -= np.log(np.exp(found).mean(axis=0))
     before = _misfit(readings, lamps_mm, np.tile(nominal[:, None], 3), config.exponent)
     after = _misfit(readings, lamps_mm, found, exponent)
@@ -148,6 +159,23 @@ def solve_gains(
         before=before,
         after=after,
         left=left,
+    )
+
+
+def _require_lamps(off: np.ndarray) -> None:
+    """Refuse (L, 3) logarithms of gains, relative to what is known of them, that no lamp has."""
+    wrong = ~(np.abs(off) <= np.log(STRONGEST))
+    if not wrong.any():
+        return
+    light = int(np.flatnonzero(wrong.any(axis=1))[0])
+    raise ProcessingError(
+        "grey ball",
+        field=f"light {light}",
+        found=f"{int(wrong.any(axis=1).sum())} lamps more than {STRONGEST:.0f} times stronger or "
+        "weaker than expected",
+        expected="readings that the rig's lamps explain",
+        hint="Check that the rig and the levels are those of the shots, that the ball stands where "
+        "it was photographed, and that nothing but the ball is in its outline.",
     )
 
 
@@ -242,6 +270,7 @@ def _solve(
         normal[-1, -1] += config.exponent_sigma**-2
         right[-1] += (config.exponent - exponent) * config.exponent_sigma**-2
         step = np.linalg.solve(normal, right)
+        step *= min(1.0, LARGEST_STEP / max(float(np.abs(step[:count]).max()), LARGEST_STEP))
         gain += step[:count]
         exponent += float(step[-1])
         if np.abs(step[:count]).max() < CONVERGED:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.formats.paths import path_inside
 from lightstage.formats.values import parse_json, read_regular
 from sim.errors import SimError
 from sim.scans.file import Picture, ScanFile, decode_picture, merged
@@ -223,7 +224,8 @@ class _Reader:
                 return base64.b64decode(uri.partition(",")[2], validate=True)
             except binascii.Error as error:
                 raise self.wrong(str(error), "base64", field="uri") from None
-        beside = self.path.parent / urllib.parse.unquote(uri)
+        folder, name = self.path.parent, urllib.parse.unquote(uri)
+        beside = path_inside(folder, name, self.path, "uri", SimError)
         if not beside.is_file():
             raise SimError(beside, found="no such file", expected=f"a part of {self.path.name}")
         return beside.read_bytes()

@@ -207,6 +207,18 @@ def test_gains_make_the_light_of_each_pattern_right_though_lamps_cannot_be_told_
     assert found.exponent == pytest.approx(config.exponent, abs=0.1)
 
 
+def test_readings_that_no_lamps_explain_are_refused_without_an_overflow() -> None:
+    readings = readings_of(RIG, np.ones((COUNT, 3)))
+    rng = np.random.default_rng(11)
+    noise = dataclasses.replace(readings, rgb=rng.lognormal(0, 4, readings.rgb.shape))
+    wide = GreyConfig(gain_sigma=3.0, noise_share=1e-4)
+    with np.errstate(all="raise", under="ignore"), pytest.raises(ProcessingError, match="lamps"):
+        solve_gains(noise, RIG.positions_mm, *UNKNOWN, wide)
+    empty = dataclasses.replace(readings, rgb=np.full(readings.rgb.shape, np.nan))
+    with pytest.raises(ProcessingError, match="readings that the rig's lamps explain"):
+        solve_gains(empty, RIG.positions_mm, *UNKNOWN, GreyConfig())
+
+
 def test_gains_known_from_highlights_are_kept_and_made_better() -> None:
     rng = np.random.default_rng(4)
     gain = np.exp(0.1 * rng.normal(size=(COUNT, 3)))

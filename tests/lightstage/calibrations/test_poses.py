@@ -184,6 +184,27 @@ def test_a_damaged_calibration_file_is_refused_field_by_field(begin):
         read_shots(shots.root)
 
 
+@pytest.mark.parametrize("folder", ["../elsewhere", "/etc", "", "link"])
+def test_a_pose_that_leads_out_of_its_folder_is_refused(begin, tmp_path, folder):
+    shots = begin("dark")
+    (shots.root / "link").symlink_to(tmp_path)
+    path = shots.root / "calibration.json"
+    value = json.loads(path.read_text())
+    value["poses"] = [
+        {
+            "index": 0,
+            "folder": folder,
+            "faces": None,
+            "session_sha256": "0",
+            "manifest_sha256": None,
+            "figures": {},
+        }
+    ]
+    path.write_text(json.dumps(value))
+    with pytest.raises(FormatError, match=r"poses\[0\].folder: found .* stays inside the folder"):
+        read_shots(shots.root)
+
+
 def test_shots_of_the_same_second_are_not_mixed(begin):
     begin("dark")
     with pytest.raises(CaptureError, match="shots of this very second"):

@@ -121,6 +121,11 @@ def test_damaged_gltf_is_told_by_file_and_field(egg, files, tmp_path):
     )
     with pytest.raises(SimError, match=r"gone.bin: found no such file, expected a part of apart"):
         read_scan(tmp_path / "apart.gltf")
+    (tmp_path / "out.gltf").write_text(
+        json.dumps({**scene, "buffers": [{"uri": "%2e%2e/elsewhere.bin", "byteLength": 4}]})
+    )
+    with pytest.raises(SimError, match=r"out.gltf, uri: found '../elsewhere.bin', which leaves"):
+        read_scan(tmp_path / "out.gltf")
 
 
 def test_several_colour_textures_are_refused(egg, files, tmp_path):
