@@ -14,6 +14,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from lightstage.commands import ProgressCallback, quiet
@@ -131,6 +132,9 @@ def write_people(plan: Plan, jobs: int = 0, progress: ProgressCallback = quiet) 
 
     Returns:
         How many scans were made now.
+
+    Raises:
+        SimError: a process was killed.
     """
     with _own(plan) as todo:
         kept = plan.scans - sum(len(expressions) for _, expressions in todo)
@@ -140,11 +144,22 @@ def write_people(plan: Plan, jobs: int = 0, progress: ProgressCallback = quiet) 
         jobs = min(jobs or workers(plan.rows), max(1, len(todo)))
         # Forking a process whose libraries run threads can hang; a fresh one cannot.
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs, context, _calm, (jobs,)) as pool:
-            write = functools.partial(_write_person, plan)
-            for count in pool.map(write, *zip(*todo, strict=True)) if todo else ():
-                made += count
-                progress(kept + made, plan.scans)
+        try:
+            with ProcessPoolExecutor(jobs, context, _calm, (jobs,)) as pool:
+                write = functools.partial(_write_person, plan)
+                for count in pool.map(write, *zip(*todo, strict=True)) if todo else ():
+                    made += count
+                    progress(kept + made, plan.scans)
+        except BrokenProcessPool:
+            raise SimError(
+                plan.out,
+                field="--jobs",
+                found=f"one of {jobs} processes was ended from outside, as a system does where "
+                "memory runs out",
+                expected="all of them to come to their end",
+                hint="Run it again with a smaller --jobs or fewer --rows: scans that are whole "
+                "are kept.",
+            ) from None
     return made
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
+import multiprocessing
+import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -100,6 +103,17 @@ def test_a_run_that_was_cut_short_goes_on_where_it_stopped(people, tmp_path):
     assert (half / folders[0].name / MADE_FROM).stat().st_mtime_ns == before
     everything, again = fingerprint(out), fingerprint(half)
     assert everything == again
+
+
+def test_a_process_that_is_killed_is_told_and_what_is_whole_is_kept(people, tmp_path):
+    def kill_the_worker(*_):
+        for child in multiprocessing.active_children():
+            os.kill(child.pid, signal.SIGKILL)
+
+    with pytest.raises(SimError, match=r"--jobs: found one of 1 processes was ended .* --rows"):
+        write_people(plan(tmp_path / "out", 2, 2, 7), jobs=1, progress=kill_the_worker)
+    assert write_people(plan(tmp_path / "out", 2, 2, 7), jobs=1) == 2
+    assert fingerprint(tmp_path / "out") == fingerprint(people[0])
 
 
 def test_a_folder_made_from_another_seed_is_refused(people):
