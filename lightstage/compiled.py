@@ -43,10 +43,15 @@ def commit_of(root: Path) -> str | None:
     """The commit that a checkout stands at; None where it is none, or cannot be read."""
     git = root / ".git"
     try:
+        if git.is_file():  # a worktree of its own: the file says where its folder is
+            git = root / git.read_text().removeprefix("gitdir:").strip()
         head = (git / "HEAD").read_text().strip()
         if not head.startswith("ref: "):
             return head if _is_digest(head) else None
         branch = head.removeprefix("ref: ")
+        shared = git / "commondir"  # branches are the checkout's that the worktree belongs to
+        if shared.is_file():
+            git = git / shared.read_text().strip()
         loose = git / branch
         if loose.is_file():
             found = loose.read_text().strip()

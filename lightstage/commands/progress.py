@@ -40,6 +40,7 @@ def progress_bar(label: str) -> Iterator[ProgressCallback]:
         yield progress
 
 
-def _stop_where_interrupted(done: int, total: int) -> None:  # noqa: ARG001  a ProgressCallback
+def _stop_where_interrupted(*_: int) -> None:
+    """A ProgressCallback that only stops."""
     if interrupted():
         raise KeyboardInterrupt

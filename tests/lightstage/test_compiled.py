@@ -34,6 +34,19 @@ def test_the_commit_is_that_of_a_branch_a_packed_branch_or_a_detached_head(tmp_p
     assert commit_of(root) == FIRST
 
 
+def test_the_commit_of_a_worktree_is_that_of_its_own_branch(tmp_path: Path) -> None:
+    main = checkout(tmp_path / "main")
+    (main / ".git" / "refs" / "heads" / "side").write_text(SECOND)
+    own = main / ".git" / "worktrees" / "side"
+    own.mkdir(parents=True)
+    (own / "HEAD").write_text("ref: refs/heads/side\n")
+    (own / "commondir").write_text("../..\n")
+    side = tmp_path / "side"
+    side.mkdir()
+    (side / ".git").write_text(f"gitdir: {own}\n")
+    assert commit_of(side) == SECOND
+
+
 @pytest.mark.parametrize("head", ["", "ref: refs/heads/none", "no digest", "ref: ../../up"])
 def test_what_is_no_checkout_has_no_commit(tmp_path: Path, head: str) -> None:
     assert commit_of(tmp_path) is None
