@@ -65,7 +65,7 @@ def save_checkpoint(
     tensors: dict[str, dict[str, Tensor]],
     about: dict[str, Any],
 ) -> Path:
-    """Write a checkpoint and remove the one before it.
+    """Write a checkpoint; remove the one before it, and what killed saves left.
 
     Args:
         folder: the run.
@@ -88,8 +88,10 @@ def save_checkpoint(
     value = {"schema": SCHEMA, "step": step, **about, "code_version": code_version()}
     write_json(index, {**value, "files": files})
     kept = {entry["name"] for entry in files.values()}
-    for role in tensors:
-        for path in folder.glob(f"{role}-*.safetensors"):
+    # Those with a dot are of saves that were killed while they wrote.
+    old = [f"{dot}{role}-*.safetensors" for role in tensors for dot in ("", ".")]
+    for pattern in (*old, f".{index.stem}.*.json"):
+        for path in folder.glob(pattern):
             if path.name not in kept:
                 path.unlink()
     return index
