@@ -25,7 +25,7 @@ from learning.errors import CheckpointError
 from learning.limits import require_within
 from learning.networks.generator import Generator, GeneratorConfig
 from lightstage.formats.config import make_config
-from lightstage.formats.files import atomic_path, read_json, sha256_file, write_json
+from lightstage.formats.files import atomic_path, leftovers, read_json, sha256_file, write_json
 from lightstage.formats.paths import check_name, path_inside
 
 SCHEMA = "lightstage.checkpoint/1"
@@ -88,12 +88,10 @@ def save_checkpoint(
     value = {"schema": SCHEMA, "step": step, **about, "code_version": code_version()}
     write_json(index, {**value, "files": files})
     kept = {entry["name"] for entry in files.values()}
-    # Those with a dot are of saves that were killed while they wrote.
-    old = [f"{dot}{role}-*.safetensors" for role in tensors for dot in ("", ".")]
-    for pattern in (*old, f".{index.stem}.*.json"):
-        for path in folder.glob(pattern):
-            if path.name not in kept:
-                path.unlink()
+    names = [f"{role}-*.safetensors" for role in tensors]
+    old = [path for name in names for path in folder.glob(name) if path.name not in kept]
+    for path in (*old, *(path for name in (*names, INDEX) for path in leftovers(folder, name))):
+        path.unlink()
     return index
 
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightstage.calibrations.folder import read_shots
 from lightstage.cameras.cameras_file import read_cameras_file
 from lightstage.capture.command import read_config
 from lightstage.capture.session_run import config_of, unfinished
 from lightstage.errors import LightstageError
+from lightstage.formats.calibration_shots import read_shots
 from lightstage.formats.cameras import read_session_cameras
 from lightstage.formats.environment import read_lights
 from lightstage.formats.files import write_json

@@ -7,9 +7,10 @@ import datetime
 from pathlib import Path
 
 from lightstage.calibrations.config import CalibrationConfig
-from lightstage.calibrations.folder import Shots, lab_shots
+from lightstage.calibrations.folder import lab_shots
 from lightstage.calibrations.kinds import KINDS
 from lightstage.calibrations.stale import duration
+from lightstage.formats.calibration_shots import Shots
 
 
 @dataclasses.dataclass(frozen=True)

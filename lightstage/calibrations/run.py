@@ -10,15 +10,7 @@ from typing import Any, Literal, Protocol
 
 from lightstage.calibrations.config import CalibrationConfig
 from lightstage.calibrations.fingerprint import devices, rig_sha256
-from lightstage.calibrations.folder import (
-    MANIFEST,
-    CalibrationFile,
-    Pose,
-    Shots,
-    new_shots,
-    newest_unfinished,
-    shots_id,
-)
+from lightstage.calibrations.folder import new_shots, newest_unfinished, shots_id
 from lightstage.calibrations.kinds import Kind
 from lightstage.calibrations.pose import PoseLook, look_at_pose
 from lightstage.calibrations.reasons import told_together
@@ -27,6 +19,7 @@ from lightstage.cameras.camera import Summary
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import CaptureError
 from lightstage.findings import Finding
+from lightstage.formats.calibration_shots import MANIFEST, CalibrationFile, Pose, Shots
 from lightstage.formats.files import sha256_file
 from lightstage.leds.controller import Hello
 from lightstage.patterns import Drive

@@ -14,11 +14,12 @@ from typing import Any
 
 from lightstage.calibrations.config import CalibrationConfig, require_kind
 from lightstage.calibrations.fingerprint import rig_sha256
-from lightstage.calibrations.folder import Shots, lab_shots, latest
+from lightstage.calibrations.folder import lab_shots, latest
 from lightstage.calibrations.kinds import KINDS, Kind
 from lightstage.cameras.camera import Summary
 from lightstage.errors import LightstageError, one_error
 from lightstage.findings import Finding, Severity
+from lightstage.formats.calibration_shots import Shots
 from lightstage.leds.controller import Hello
 from lightstage.rig import Rig
 

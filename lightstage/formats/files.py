@@ -18,6 +18,8 @@ from lightstage.errors import FormatError
 from lightstage.failures import disk_full, is_disk_full
 from lightstage.formats.values import read_value
 
+NAME_BYTES = 4
+"""Of chance in the name of what is written beside, so that two writers never share one."""
 REMOVALS, REMOVAL_PAUSE_S = 100, 0.02
 SEEN_GONE = 5
 """A folder that is not there at so many looks in a row stays away: nobody writes into it now."""
@@ -47,7 +49,7 @@ def atomic_path(path: Path, size: int | None = None) -> Iterator[Path]:
         DiskFullError: the disk filled up, whatever the writer raised for it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{path.suffix}")
+    beside = path.with_name(f".{path.stem}.{secrets.token_hex(NAME_BYTES)}{path.suffix}")
     try:
         yield beside
         fsync_path(beside)
@@ -61,6 +63,21 @@ def atomic_path(path: Path, size: int | None = None) -> Iterator[Path]:
         raise disk_full(path, written, size) from error
     finally:
         beside.unlink(missing_ok=True)
+
+
+def leftovers(folder: Path, name: str) -> list[Path]:
+    """What writers that were killed left beside the files or folders of a name.
+
+    Only for who is the folder's one writer: another's file in the making looks the same.
+
+    Args:
+        folder: where they were to be.
+        name: theirs, or a glob of it, as it was given to `atomic_path` or `atomic_folder`.
+    """
+    own = Path(name)
+    digits = "[0-9a-f]" * 2 * NAME_BYTES
+    beside = f".{own.stem}.{digits}{own.suffix}"
+    return sorted([*folder.glob(beside), *folder.glob(f"{beside}.old")])
 
 
 @contextlib.contextmanager
@@ -86,7 +103,7 @@ def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
             hint="Choose another output folder.",
         )
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(NAME_BYTES)}")
     old = beside.with_name(beside.name + ".old")
     try:
         beside.mkdir()

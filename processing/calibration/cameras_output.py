@@ -9,13 +9,14 @@ from typing import Any
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.board import BoardConfig
+from lightstage.formats.calibration_shots import NAME as SHOTS_NAME
 from lightstage.formats.cameras import NAME, SCHEMA
 from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_folder, write_json
 from lightstage.rig import save_rig
 from processing.calibration.boards import see_boards
 from processing.calibration.cameras import CamerasConfig, MeasuredCameras, measure_cameras
-from processing.calibration.folder import SHOTS_NAME, Source
+from processing.calibration.folder import Source
 from processing.errors import ProcessingError
 from processing.records import versions
 

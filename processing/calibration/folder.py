@@ -13,12 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError, LightstageError, one_error
-from lightstage.formats.files import read_json, sha256_file
-from lightstage.formats.paths import path_inside
+from lightstage.formats.calibration_shots import NAME, Shots, read_shots
+from lightstage.formats.files import sha256_file
 from lightstage.formats.session import Session, load_session
 
-SHOTS_SCHEMA = "lightstage.calibration-shots/1"
-SHOTS_NAME = "calibration.json"
 KINDS = ("charuco", "mirror", "grey", "chart", "dark", "flat")
 
 
@@ -42,7 +40,7 @@ class Pose:
     def where(self) -> str:
         """To name in errors."""
         name = self.session.root.name
-        if (self.session.root.parent / SHOTS_NAME).is_file():
+        if (self.session.root.parent / NAME).is_file():
             name = f"{self.session.root.parent.name}/{name}"
         return f"{name}, {self.patterns[0]}"
 
@@ -103,13 +101,21 @@ def read_source(root: Path, now: datetime.datetime | None = None) -> Source:
             expected="a lab's folder of calibration shots, or a session of targets",
             hint="`lightstage calibrate KIND --out LAB` makes one.",
         )
-    newest: dict[str, tuple[datetime.datetime, Path, dict[str, Any]]] = {}
-    for path in sorted(root.glob(f"*/{SHOTS_NAME}")):
-        value = read_json(path, SHOTS_SCHEMA)
-        kind, created = value.get("kind"), _time(value, "created_utc", path)
-        finished = value.get("finished_utc") is not None
-        if finished and kind in KINDS and (kind not in newest or created > newest[kind][0]):
-            newest[kind] = created, path.parent, value
+    newest: dict[str, Shots] = {}
+    problems: list[LightstageError] = []
+    for path in sorted(root.glob(f"*/{NAME}")):
+        try:
+            shots = read_shots(path.parent)
+        except FormatError as error:
+            problems.append(error)
+            continue
+        kind = shots.file.kind
+        finished = shots.file.finished_utc is not None
+        newer = kind not in newest or shots.file.created > newest[kind].file.created
+        if finished and kind in KINDS and newer:
+            newest[kind] = shots
+    if problems:
+        raise one_error(problems)
     if not newest:
         raise FormatError(
             root,
@@ -119,67 +125,47 @@ def read_source(root: Path, now: datetime.datetime | None = None) -> Source:
         )
     poses: dict[str, list[Pose]] = {}
     facts: dict[str, dict[str, Any]] = {}
-    problems: list[LightstageError] = []
     warnings = []
     now = now or datetime.datetime.now(datetime.UTC)
     for kind in (name for name in KINDS if name in newest):
-        _, folder, value = newest[kind]
+        shots = newest[kind]
         try:
-            poses[kind] = _poses(kind, folder, value)
+            poses[kind] = _poses(kind, shots)
         except LightstageError as error:
             problems.append(error)
+        told = shots.file.model_extra or {}
         facts[kind] = {
-            "folder": folder.name,
-            "id": value.get("id"),
-            "created_utc": value["created_utc"],
-            "expires_utc": value.get("expires_utc"),
-            "sha256": sha256_file(folder / SHOTS_NAME),
-            **({"target": value["target"]} if value.get("target") else {}),
+            "folder": shots.root.name,
+            "id": shots.file.id,
+            "created_utc": shots.file.created_utc,
+            "expires_utc": shots.file.expires_utc,
+            "sha256": shots.sha256,
+            **({"target": told["target"]} if told.get("target") else {}),
         }
-        if "expires_utc" in value and _time(value, "expires_utc", folder / SHOTS_NAME) < now:
-            warnings.append(f"{folder.name} expired {value['expires_utc']}")
+        if shots.file.expires < now:
+            warnings.append(f"{shots.root.name} expired {shots.file.expires_utc}")
     if problems:
         raise one_error(problems)
-    rigs = {value.get("rig_sha256") for _, _, value in newest.values()}
-    if len(rigs) > 1:
+    if len({shots.file.rig_sha256 for shots in newest.values()}) > 1:
         warnings.append("the kinds were not all photographed with one rig.json")
     return Source(root, poses, facts, warnings)
 
 
-def _poses(kind: str, folder: Path, value: dict[str, Any]) -> list[Pose]:
+def _poses(kind: str, shots: Shots) -> list[Pose]:
     """The poses that count of one folder of shots.
 
     Raises:
-        FormatError: malformed, or a pose's session is not the one that was taken.
+        FormatError: none, or a pose's session is not the one that was taken.
     """
-    poses = []
-    problems: list[LightstageError] = []
-    for entry in value.get("poses") or []:
-        try:
-            name, told, faces = entry["folder"], entry["session_sha256"], entry["faces"]
-        except (KeyError, TypeError):
-            raise FormatError(
-                folder / SHOTS_NAME, field="poses", found=repr(entry)[:80], expected="a pose"
-            ) from None
-        root = path_inside(folder, name, folder / SHOTS_NAME, "poses, folder")
-        path = root / "session.json"
-        if not path.is_file() or sha256_file(path) != told:
-            problems.append(
-                FormatError(
-                    path,
-                    field="sha256",
-                    found="another file" if path.is_file() else "no such file",
-                    expected=f"{str(told)[:12]}.. ({SHOTS_NAME})",
-                    hint="Bring it back from a copy, or take these shots again.",
-                )
-            )
-            continue
-        session = load_session(root)
-        poses.append(Pose(kind, session, tuple(session.file.sequence), faces))
+    problems = shots.changed()
     if problems:
         raise one_error(problems)
-    if not poses:
-        raise FormatError(folder / SHOTS_NAME, field="poses", found="none", expected="some")
+    if not shots.file.poses:
+        raise FormatError(shots.root / NAME, field="poses", found="none", expected="some")
+    poses = []
+    for pose in shots.file.poses:
+        session = load_session(shots.root / pose.folder)
+        poses.append(Pose(kind, session, tuple(session.file.sequence), pose.faces))
     return poses
 
 
@@ -205,16 +191,3 @@ def _targets(session: Session) -> Source:
         "sha256": sha256_file(session.root / "session.json"),
     }
     return Source(session.root, poses, {kind: dict(told) for kind in poses}, [])
-
-
-def _time(value: dict[str, Any], field: str, path: Path) -> datetime.datetime:
-    """A time with its zone; FormatError where it is none."""
-    try:
-        time = datetime.datetime.fromisoformat(str(value.get(field)))
-    except ValueError:
-        time = datetime.datetime.min
-    if time.tzinfo is None:
-        raise FormatError(
-            path, field=field, found=repr(value.get(field)), expected="ISO 8601 with zone"
-        )
-    return time

@@ -18,7 +18,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.formats.files import atomic_folder, read_json, write_json
+from lightstage.formats.files import atomic_folder, leftovers, read_json, write_json
 from lightstage.formats.people import PEOPLE_LIST, PEOPLE_LOCK, PEOPLE_SCHEMA
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.values import parse_json
@@ -252,7 +252,7 @@ def _own(plan: Plan, session: bool = False) -> Iterator[list[tuple[Person, tuple
             raise SimError(
                 plan.out, found="a run that is making it", expected="one run at a time"
             ) from None
-        for left in plan.out.glob(".person-*"):
+        for left in leftovers(plan.out, "person-*"):
             shutil.rmtree(left, ignore_errors=True)
         _write_list(plan)
         todo = []

@@ -1,15 +1,28 @@
-"""A run that is killed while it saves: it always has one whole checkpoint."""
+"""Checkpoints: whole however a save ends, and refused where they are not what was saved."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
-from learning.checkpoint import load_tensors, read_checkpoint
+from learning.checkpoint import (
+    INDEX,
+    load_generator,
+    load_tensors,
+    read_checkpoint,
+    save_checkpoint,
+)
+from learning.errors import CheckpointError
+from learning.networks.generator import Generator, GeneratorConfig
+from lightstage.errors import ConfigError
+from lightstage.formats.files import sha256_file
 
 ROLES = ("generator", "training")
 ABOUT = {
@@ -58,6 +71,15 @@ for changes in range(1000):
 """
 
 
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run folder with the weights of a network that was not trained."""
+    config = GeneratorConfig(width=8, downsamplings=2, global_blocks=1, local_blocks=1)
+    weights = {"generator": Generator(config).state_dict()}
+    about = {**ABOUT, "config": {"generator": dataclasses.asdict(config)}}
+    return save_checkpoint(tmp_path / "run", 1, weights, about).parent
+
+
 def test_a_save_that_is_killed_anywhere_leaves_one_whole_checkpoint(tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
@@ -78,3 +100,46 @@ def test_a_save_that_is_killed_anywhere_leaves_one_whole_checkpoint(tmp_path: Pa
     left = {path.name for path in after[-1].iterdir()}
     files = read_checkpoint(after[-1]).files.values()
     assert left == {"checkpoint.json", *(entry["name"] for entry in files)}
+
+
+def test_damaged_checkpoints_are_refused(run: Path) -> None:
+    weights = next(run.glob("generator-*.safetensors"))
+    data = weights.read_bytes()
+    weights.write_bytes(data[:-4])
+    with pytest.raises(CheckpointError, match="other bytes than were saved"):
+        load_generator(run)
+    weights.unlink()
+    with pytest.raises(CheckpointError, match="no such file"):
+        load_generator(run)
+    weights.write_bytes(data)
+    value = json.loads((run / INDEX).read_text())
+    value["config"]["generator"]["width"] = 16
+    (run / INDEX).write_text(json.dumps(value))
+    with pytest.raises(CheckpointError, match="those of the configured network"):
+        load_generator(run)
+    del value["step"]
+    (run / INDEX).write_text(json.dumps(value))
+    with pytest.raises(CheckpointError, match="step"):
+        load_generator(run)
+
+
+def test_weights_that_are_not_finite_are_refused(run: Path) -> None:
+    weights = next(run.glob("generator-*.safetensors"))
+    tensors = load_file(weights)
+    name = sorted(tensors)[3]
+    tensors[name].view(-1)[:2] = torch.nan
+    save_file(tensors, weights)
+    value = json.loads((run / INDEX).read_text())
+    value["files"]["generator"]["sha256"] = sha256_file(weights)
+    (run / INDEX).write_text(json.dumps(value))
+    with pytest.raises(CheckpointError, match=f"{name}: found 2 values that are NaN or infinite"):
+        load_generator(run)
+
+
+def test_a_checkpoint_of_an_impossible_network_is_refused(run: Path) -> None:
+    for width in (-8, 0, 10**9):
+        value = json.loads((run / INDEX).read_text())
+        value["config"]["generator"]["width"] = width
+        (run / INDEX).write_text(json.dumps(value))
+        with pytest.raises(ConfigError, match=f"generator.width: found {width}, expected 2 or"):
+            load_generator(run)

@@ -11,6 +11,7 @@ from lightstage.formats.files import (
     atomic_folder,
     atomic_path,
     check_schema,
+    leftovers,
     read_json,
     sha256_file,
     write_bytes,
@@ -23,6 +24,21 @@ def test_a_written_file_is_there_and_alone(tmp_path):
     path = write_bytes(tmp_path / "new" / "a.bin", b"123")
     assert path.read_bytes() == b"123"
     assert os.listdir(path.parent) == ["a.bin"]
+
+
+def test_what_killed_writers_left_is_found_and_nothing_else(tmp_path):
+    kinds = {
+        "weights-1.bin": lambda path: atomic_path(path),
+        "person-1": lambda path: atomic_folder(path, "marker"),
+    }
+    for name, writer in kinds.items():
+        with writer(tmp_path / name) as beside:
+            if not beside.is_dir():
+                beside.write_bytes(b"1")
+            assert leftovers(tmp_path, name) == [beside]
+            assert leftovers(tmp_path, name.replace("1", "*")) == [beside]
+            assert leftovers(tmp_path, name.replace("1", "2")) == []
+        assert leftovers(tmp_path, name) == []
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):

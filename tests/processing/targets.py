@@ -51,6 +51,8 @@ def make_lab(session: Path, lab: Path, created: str = "20260101T000000Z") -> Pat
                     "folder": pose.name,
                     "faces": whole.rig.cameras[index].id if faced else None,
                     "session_sha256": sha256_file(pose / "session.json"),
+                    "manifest_sha256": None,
+                    "figures": {},
                 }
             )
         write_json(
@@ -63,6 +65,9 @@ def make_lab(session: Path, lab: Path, created: str = "20260101T000000Z") -> Pat
                 "finished_utc": time,
                 "expires_utc": "2099-01-01T00:00:00+00:00",
                 "rig_sha256": "0",
+                "devices": {"cameras": {}, "leds": {}},
+                "patterns": ["dark" if kind == "dark" else "full"],
+                "poses_wanted": len(poses),
                 "poses": poses,
             },
         )

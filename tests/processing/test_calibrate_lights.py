@@ -219,6 +219,14 @@ def test_readings_that_no_lamps_explain_are_refused_without_an_overflow() -> Non
         solve_gains(empty, RIG.positions_mm, *UNKNOWN, GreyConfig())
 
 
+def test_lamps_that_differ_several_times_are_found_from_equal_ones() -> None:
+    gain = np.exp(0.5 * np.random.default_rng(12).normal(size=(COUNT, 3)))
+    config = GreyConfig(gain_sigma=0.5, noise_share=1e-4)
+    found = solve_gains(readings_of(RIG, gain), RIG.positions_mm, *UNKNOWN, config)
+    assert found.before > 0.05
+    assert found.after < 1e-5
+
+
 def test_gains_known_from_highlights_are_kept_and_made_better() -> None:
     rng = np.random.default_rng(4)
     gain = np.exp(0.1 * rng.normal(size=(COUNT, 3)))

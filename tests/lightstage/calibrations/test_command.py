@@ -10,7 +10,8 @@ import time
 
 import pytest
 
-from lightstage.calibrations.folder import latest, read_shots
+from lightstage.calibrations.folder import latest
+from lightstage.formats.calibration_shots import read_shots
 from lightstage.formats.session import load_session
 from lightstage.rig import Rig, default_rig
 from lightstage.session import read_journal

@@ -7,12 +7,13 @@ import pytest
 
 from lightstage.calibrations.assistant import TerminalAssistant, UnattendedAssistant
 from lightstage.calibrations.config import KIND_NAMES, CalibrationConfig
-from lightstage.calibrations.folder import latest, newest_unfinished, read_shots
+from lightstage.calibrations.folder import latest, newest_unfinished
 from lightstage.calibrations.kinds import KINDS
 from lightstage.calibrations.reasons import told_together
 from lightstage.calibrations.run import begin_shots, resume_shots, take_poses
 from lightstage.errors import CaptureError, ConfigError, FormatError
 from lightstage.findings import Finding
+from lightstage.formats.calibration_shots import read_shots
 from lightstage.formats.config import make_config
 from lightstage.formats.files import sha256_file
 from lightstage.formats.session import load_session

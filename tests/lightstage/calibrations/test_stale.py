@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from lightstage.calibrations.config import CalibrationConfig, DaysConfig
 from lightstage.calibrations.fingerprint import devices, rig_sha256
-from lightstage.calibrations.folder import CalibrationFile, Pose, new_shots, shots_id
+from lightstage.calibrations.folder import new_shots, shots_id
 from lightstage.calibrations.kinds import KINDS
 from lightstage.calibrations.listing import list_lab
 from lightstage.calibrations.stale import duration, stale, use_calibrations
 from lightstage.errors import ConfigError, FormatError
+from lightstage.formats.calibration_shots import CalibrationFile, Pose
 from lightstage.formats.files import sha256_file, write_json
 from lightstage.rig import Rig
 
