@@ -295,16 +295,17 @@ def learning_section(demo: Demo) -> Section:
         "Learning",
         [
             "A network is shown a texture with light and shadow in it, as a photograph gives, and "
-            "learns to say albedo and normals. A minute or two of training on a few simulated "
-            "people shows that everything works; it does not make a good network.",
+            "learns to say albedo. Training on the few people above for less than a minute shows "
+            "that training works; the maps below come from the weights that are shipped, which "
+            "were trained on 150 other simulated people.",
             _losses(demo),
             Picture(
                 side_by_side([labelled(resize(i, 420), t) for t, i in rows], 444),
                 "The captured head's texture under a light that no pattern used, and what the "
                 "network makes of it beside the truth: light and shadow should go, the skin's "
-                "colour should stay. The network never saw this person. After so short a training "
-                "it says little more than tone and broad shading: the finest contrast comes from "
-                "the texture itself, around the network, and with it the edges of hard shadows.",
+                "colour should stay. The network never saw this person. It sees 96 x 64 texels; "
+                "what is finer comes from the texture itself, and with it some of the edges of "
+                "hard shadows. The normals are the mesh's own.",
                 "inference",
             ),
         ],
@@ -314,7 +315,7 @@ def learning_section(demo: Demo) -> Section:
 def _losses(demo: Demo) -> str | Picture:
     """The training's curves, or a sentence where it was too short for any."""
     curves = {}
-    for name in ("maps", "rendering", "features", "discriminators"):
+    for name in ("diffuse", "specular"):
         known = [(x["seconds"], x[name]) for x in demo.metrics if x.get(name, 0) > 0]
         if len(known) > 1:
             x, y = np.array(known).T
@@ -323,8 +324,8 @@ def _losses(demo: Demo) -> str | Picture:
         return "The training was too short for a curve."
     return Picture(
         line_chart(curves, "seconds of training", "loss"),
-        "Losses while training: of the maps themselves, of a rendering of them, of the "
-        "discriminators' features, and the discriminators' own. The first three should fall.",
+        "Losses while training: the mean squared error of the diffuse albedo, sRGB-encoded, and of "
+        "the specular albedo's logarithm. Both should fall.",
         "losses",
         lossless=True,
     )

@@ -30,7 +30,7 @@ class DemoConfig:
     scale: float = 1080 / 6016
     atlas_rows: int = 1536
     people: int = 4
-    train_seconds: int = 70
+    train_seconds: int = 40
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,9 +181,8 @@ def steps(config: DemoConfig, at: Layout) -> Iterator[Step]:
     )
     yield step(
         "train",
-        f"train the network for {config.train_seconds} s",
-        "learning train --preset demo --data {at.store} --out {at.training}"
-        " --seconds {config.train_seconds}",
+        f"train a network for {config.train_seconds} s",
+        "learning train --data {at.store} --out {at.training} --seconds {config.train_seconds}",
     )
     lights = at.light_sets()
     yield step(
@@ -195,8 +194,8 @@ def steps(config: DemoConfig, at: Layout) -> Iterator[Step]:
     )
     yield step(
         "infer",
-        "reflectance maps from that texture",
-        "learning infer --texture {at.baked} --mesh {at.mesh} --checkpoint {at.training}"
+        "reflectance maps from that texture, by the weights that are shipped",
+        "learning infer --texture {at.baked} --mesh {at.mesh}"
         " --out {at.inferred} --head-pose {at.processed}/head_from_world.json",
     )
     for light in lights:

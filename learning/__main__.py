@@ -183,23 +183,24 @@ def occlusion(
 def train(
     data: Annotated[Path, typer.Option(help="Store made by `lightstage-processing dataset`.")],
     out: Annotated[Path, output_folder("--out", help="Folder of the run: checkpoint and metrics.")],
-    preset: Annotated[str, typer.Option(help="`demo` or `paper`.")] = "demo",
+    preset: Annotated[
+        str,
+        typer.Option(help="`modern`: whole faces; `paper`; `demo`: the paper's networks, narrow."),
+    ] = "modern",
     config: Annotated[Path | None, typer.Option(help="TOML that overrides the preset.")] = None,
     seconds: Annotated[float | None, typer.Option(help="Time to train in this call.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the preset's.")] = None,
     resume: Annotated[bool, typer.Option(help="Go on from the run's checkpoint.")] = False,
     as_json: bool = JsonFlag,
 ) -> None:
-    """Train the generator on a dataset; one person is held out and scored."""
+    """Train a network on a dataset; one person is held out and scored."""
     from learning.commands import train_command
 
     with progress_bar("train") as progress:
         facts = train_command(data, out, preset, config, seconds, seed, resume, progress)
     finish(
         f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; diffuse albedo of the people "
-        f"held out ({facts['held_out']}): PSNR {facts['psnr_db']:.2f} dB; the lit texture as "
-        f"albedo {facts['psnr_input_db']:.2f}, the mean person {facts['psnr_mean_db']:.2f}, one "
-        f"tone {facts['psnr_flat_db']:.2f}; correlation with the true detail {facts['detail']:.2f}",
+        f"held out ({facts['held_out']}): {facts['said']}",
         facts,
         as_json,
     )
@@ -209,8 +210,11 @@ def train(
 def infer(
     texture: Annotated[Path, typer.Option(help="Texture with light in it, .exr, linear.")],
     mesh: MeshOption,
-    checkpoint: Annotated[Path, typer.Option(help="Run folder or its checkpoint.json.")],
     out: Annotated[Path, output_folder("--out", help="Folder for the maps.")],
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(help="Run folder or its checkpoint.json; the weights that are shipped else."),
+    ] = None,
     head_pose: Annotated[
         Path | None,
         typer.Option(

@@ -1,7 +1,7 @@
 """Checkpoints: weights as safetensors, everything else as JSON; no code runs when one is loaded.
 
     RUN/checkpoint.json            the index: configuration, data, code, metrics, names and hashes
-    RUN/generator-STEP.safetensors
+    RUN/generator-STEP.safetensors (a whole face's network: network-STEP.safetensors)
     RUN/training-STEP.safetensors  discriminators and optimisers, to go on from
 
 The JSON is renamed into place last, so a run always has one whole checkpoint.
@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from learning.errors import CheckpointError
 from learning.limits import require_within
 from learning.networks.generator import Generator, GeneratorConfig
+from learning.networks.whole_face import WholeFaceConfig, WholeFaceNetwork
 from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_path, leftovers, read_json, sha256_file, write_json
 from lightstage.formats.paths import check_name, path_inside
@@ -38,6 +39,7 @@ class Checkpoint:
 
     Attributes:
         folder: where its files lie.
+        family: of networks: `patches` or `whole_face`.
         step: training steps done.
         config: the resolved configuration.
         data_fingerprint: of the store.
@@ -45,10 +47,11 @@ class Checkpoint:
         texture_rows: of the maps trained on, which is the size of skin's detail for the network.
         code_version: of this package when it was saved.
         metrics: when it was saved.
-        files: role (generator, training) to {name, sha256}.
+        files: role (generator or network, training) to {name, sha256}.
     """
 
     folder: Path
+    family: str
     step: int
     config: dict[str, Any]
     data_fingerprint: str
@@ -70,7 +73,7 @@ def save_checkpoint(
     Args:
         folder: the run.
         step: training steps done.
-        tensors: role (generator, training) to named tensors.
+        tensors: role (generator or network, training) to named tensors.
         about: the other fields of `Checkpoint`.
 
     Returns:
@@ -119,6 +122,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
     try:
         return Checkpoint(
             index.parent,
+            # Before there were two families, all were of patches.
+            str(value.get("family", "patches")),
             int(value["step"]),
             dict(value["config"]),
             str(value["data_fingerprint"]),
@@ -179,8 +184,7 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
         CheckpointError, FormatError, ConfigError: as `read_checkpoint`, or weights of another
             network.
     """
-    checkpoint = read_checkpoint(path)
-    where = checkpoint.folder / INDEX
+    checkpoint, where = _of_family(path, "patches")
     config = make_config(GeneratorConfig, checkpoint.config.get("generator", {}), where)
     require_within(config, where, "generator")
     with torch.device("meta"):
@@ -188,6 +192,30 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
     generator.to_empty(device="cpu")
     fill(generator, load_tensors(checkpoint, "generator"), where)
     return generator.eval(), checkpoint
+
+
+def load_whole_face(path: Path) -> tuple[WholeFaceNetwork, Checkpoint]:
+    """The whole-face network of a checkpoint, ready to infer with; errors as `load_generator`."""
+    checkpoint, where = _of_family(path, "whole_face")
+    config = make_config(WholeFaceConfig, checkpoint.config.get("network", {}), where)
+    require_within(config, where, "network")
+    network = WholeFaceNetwork(config)
+    fill(network, load_tensors(checkpoint, "network"), where)
+    return network.eval(), checkpoint
+
+
+def shipped_weights() -> Path:
+    """The run folder of the whole-face network that this package brings."""
+    return Path(__file__).parent / "data" / "whole_face"
+
+
+def _of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
+    """A checkpoint and its index; CheckpointError where its networks are of another family."""
+    checkpoint = read_checkpoint(path)
+    where = checkpoint.folder / INDEX
+    if checkpoint.family != family:
+        raise CheckpointError(where, field="family", found=checkpoint.family, expected=family)
+    return checkpoint, where
 
 
 def fill(network: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:

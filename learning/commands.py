@@ -10,7 +10,12 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from learning.checkpoint import load_generator
+from learning.checkpoint import (
+    load_generator,
+    load_whole_face,
+    read_checkpoint,
+    shipped_weights,
+)
 from learning.data import DataConfig
 from learning.errors import MapsError
 from learning.infer import infer
@@ -27,7 +32,13 @@ from learning.relight import (
 from learning.render.occlusion_model import OcclusionConfig, bake_table
 from learning.render.shading import ShadeOptions
 from learning.resample import resampled_texture
+from learning.run import TrainResult
+from learning.score import Score
 from learning.train import train
+from learning.whole.config import WholeTrainConfig
+from learning.whole.infer import infer_whole_face
+from learning.whole.score import FaceScore
+from learning.whole.train import train_faces
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
@@ -206,12 +217,18 @@ def train_command(
     if seed is not None:
         overrides["seed"] = seed
     resolved = preset(preset_name, overrides, str(config) if config else f"preset {preset_name}")
-    result = train(open_store(data), out, resolved, resume, progress)
+    store = open_store(data)
+    result: TrainResult[Score] | TrainResult[FaceScore]
+    if isinstance(resolved, WholeTrainConfig):
+        result = train_faces(store, out, resolved, resume, progress)
+    else:
+        result = train(store, out, resolved, resume, progress)
     return {
         "steps": result.steps,
-        "patches": result.patches,
+        "examples": result.examples,
         "held_out": ", ".join(result.held_out),
         **dataclasses.asdict(result.score),
+        "said": result.score.sentence(),
         "seconds": result.seconds,
     }
 
@@ -219,22 +236,28 @@ def train_command(
 def infer_command(
     texture: Path,
     mesh: Path,
-    checkpoint: Path,
+    checkpoint: Path | None,
     out: Path,
     head_pose: Path | None,
     progress: ProgressCallback,
 ) -> dict[str, Any]:
-    """Infer the maps of a texture; returns the facts."""
+    """Infer the maps of a texture, with the shipped weights where none are named; the facts."""
     began = time.monotonic()
-    generator, about = load_generator(checkpoint)
+    about = read_checkpoint(checkpoint or shipped_weights())
     image = read_exr(texture, finite=True)
     if image.ndim != 3:
         raise MapsError(texture, found="one channel", expected="R G B")
-    image, notes = resampled_texture(image, about.texture_rows, texture)
-    head_from_mesh = read_head_pose(head_pose)[:, :3] if head_pose else np.eye(3)
-    data = make_config(DataConfig, about.config.get("data", {}), checkpoint)
-    shape = read_mesh(mesh)
-    found = infer(generator, data, image, shape, head_from_mesh, progress, (texture, mesh))
+    pose = read_head_pose(head_pose) if head_pose else np.eye(3, 4)
+    shape, named = read_mesh(mesh), (texture, mesh)
+    notes: list[str] = []
+    if about.family == "whole_face":
+        network, _ = load_whole_face(about.folder)
+        found = infer_whole_face(network, image, shape, pose, named)
+    else:
+        generator, _ = load_generator(about.folder)
+        image, notes = resampled_texture(image, about.texture_rows, texture)
+        data = make_config(DataConfig, about.config.get("data", {}), about.folder)
+        found = infer(generator, data, image, shape, pose[:, :3], progress, named)
     for name, values in found.maps.items():
         write_map(out / f"{name}.exr", name, values)
     rows, columns = image.shape[:2]

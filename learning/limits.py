@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from learning.networks.generator import GeneratorConfig
+from learning.networks.whole_face import WholeFaceConfig
 from lightstage.errors import ConfigError
 
 _POSITIVE, _ANY = 1e-30, 1e12
@@ -44,7 +45,23 @@ LIMITS: dict[str, tuple[float, float]] = {
     "augment.haemoglobin": (0, 3),
     "augment.shininess": (1, 1e4),
     "augment.translucency": (0, 1),
+    "network.rows": (16, 1024),
+    "network.columns": (16, 1024),
+    "network.width": (2, 512),
+    "network.halvings": (1, 6),
+    "faces.held_out_subjects": (1, 1_000_000),
+    "faces.shadow_sets": (1, 10_000),
+    "faces.white_balance": (0, 1),
+    "faces.noise": (0, 1),
+    "faces.partial_share": (0, 1),
+    "faces.beside_skin": (0, 1),
     "batch": (1, 4096),
+    "steps": (1, 1_000_000_000),
+    "weight_decay": (0, 1),
+    "specular_weight": (0, _ANY),
+    "deviation_weight": (0, _ANY),
+    "detail_pairs": (1, 10_000),
+    "score_lights": (1, 10_000),
     "epochs": (1, 1_000_000),
     "seconds": (_POSITIVE, _ANY),
     "learning_rate": (_POSITIVE, 1),
@@ -83,6 +100,8 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
             require_within(value, where, name)
         elif value is not None and not isinstance(value, bool | str):
             _require(value, name, where)
+    if isinstance(config, WholeFaceConfig):
+        _require_halvings(config, where)
     if isinstance(config, GeneratorConfig):
         _require_size(config, where)
     if hasattr(config, "generator") and hasattr(config, "data"):
@@ -99,6 +118,21 @@ def _require(value: Any, name: str, where: str | Path) -> None:
         most = "a finite number" if high == _ANY else f"at most {high:g}"
         order = ", the smaller first" if len(numbers) > 1 else ""
         raise ConfigError(where, field=name, found=str(value), expected=f"{least}, {most}{order}")
+
+
+def _require_halvings(config: WholeFaceConfig, where: str | Path) -> None:
+    """A face must halve evenly."""
+    multiple = 2**config.halvings
+    for name in ("rows", "columns"):
+        value = getattr(config, name)
+        if value % multiple:
+            raise ConfigError(
+                where,
+                field=f"network.{name}",
+                found=str(value),
+                expected=f"a multiple of {multiple}",
+                hint=f"The network halves a face {config.halvings} times.",
+            )
 
 
 def _require_size(config: GeneratorConfig, where: str | Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, ClassVar
 
 from learning.augment import AugmentConfig
 from learning.data import DataConfig
@@ -12,13 +12,14 @@ from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
 from learning.render.environments import RandomLightConfig
 from learning.render.shading import Mode
+from learning.whole.config import WholeTrainConfig
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
-    """A training; the defaults are the published ones [Lattas2021, Wang2018].
+    """A training on patches; the defaults are the published ones [Lattas2021, Wang2018].
 
     Attributes:
         generator: its size.
@@ -46,6 +47,7 @@ class TrainConfig:
         score_patches: patches of the people held out that are scored.
     """
 
+    family: ClassVar[str] = "patches"
     generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
     discriminator: DiscriminatorConfig = dataclasses.field(default_factory=DiscriminatorConfig)
     data: DataConfig = dataclasses.field(default_factory=DataConfig)
@@ -69,7 +71,14 @@ class TrainConfig:
     score_patches: int = 32
 
 
+FAMILIES: dict[str, type[TrainConfig] | type[WholeTrainConfig]] = {
+    "modern": WholeTrainConfig,
+    "paper": TrainConfig,
+    "demo": TrainConfig,
+}
+"""What each preset trains: whole faces, or patches."""
 PRESETS: dict[str, dict[str, Any]] = {
+    "modern": {},
     "paper": {},
     # A minute and a half on two cores: the same architecture, narrower, on patches of an atlas of
     # 1536 rows that show as much of the face as 512 of 6144. A higher rate and the maps' own L1
@@ -101,7 +110,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
-def preset(name: str, overrides: dict[str, Any], where: str) -> TrainConfig:
+def preset(name: str, overrides: dict[str, Any], where: str) -> TrainConfig | WholeTrainConfig:
     """A preset with some values changed.
 
     Args:
@@ -118,6 +127,6 @@ def preset(name: str, overrides: dict[str, Any], where: str) -> TrainConfig:
     for key, value in overrides.items():
         both = isinstance(value, dict) and isinstance(values.get(key), dict)
         values[key] = {**values[key], **value} if both else value
-    config = make_config(TrainConfig, values, where)
+    config = make_config(FAMILIES[name], values, where)
     require_within(config, where)
     return config

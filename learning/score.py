@@ -45,6 +45,14 @@ class Score:
     diffuse_normal_deg: float
     specular_normal_deg: float
 
+    def sentence(self) -> str:
+        """See `Scored`."""
+        return (
+            f"PSNR {self.psnr_db:.2f} dB; the lit texture as albedo {self.psnr_input_db:.2f}, the "
+            f"mean person {self.psnr_mean_db:.2f}, one tone {self.psnr_flat_db:.2f}; correlation "
+            f"with the true detail {self.detail:.2f}"
+        )
+
 
 def score(
     generator: Generator, held_out: PatchData, trained_on: PatchData, patches: int, seed: int

@@ -1,6 +1,7 @@
 """Numbers of a training's configuration: every one has bounds, and what is out of them is named."""
 
 import dataclasses
+import itertools
 import math
 
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from learning.limits import LIMITS, require_within
 from learning.networks.generator import GeneratorConfig
 from learning.presets import PRESETS, TrainConfig, preset
+from learning.whole.config import WholeTrainConfig
 from lightstage.errors import ConfigError
 
 
@@ -32,7 +34,7 @@ def changed(config, name, value):
 
 
 def test_every_number_has_bounds_and_every_bound_a_number():
-    assert set(named_numbers(TrainConfig())) == set(LIMITS)
+    assert set(named_numbers(TrainConfig())) | set(named_numbers(WholeTrainConfig())) == set(LIMITS)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -43,12 +45,12 @@ def test_every_preset_is_within_its_bounds(name):
 @pytest.mark.parametrize("name", LIMITS)
 def test_a_number_out_of_bounds_is_named_with_its_bounds(name):
     low, high = LIMITS[name]
-    default = named_numbers(TrainConfig())[name]
+    configs = [c for c in (TrainConfig(), WholeTrainConfig()) if name in named_numbers(c)]
     wrongs = [low - 1, high * 2 + 1, math.nan, math.inf, -math.inf]
-    for wrong in wrongs:
-        value = (wrong, wrong) if isinstance(default, tuple) else wrong
+    for config, wrong in itertools.product(configs, wrongs):
+        value = (wrong, wrong) if isinstance(named_numbers(config)[name], tuple) else wrong
         with pytest.raises(ConfigError) as raised:
-            require_within(changed(TrainConfig(), name, value), "run.toml")
+            require_within(changed(config, name, value), "run.toml")
         assert raised.value.field == name
         assert raised.value.where == "run.toml"
         assert "expected" in str(raised.value)

@@ -33,8 +33,9 @@ from learning.render.environments import (
     random_lights,
 )
 from learning.render.shading import ShadeOptions, shade, unit
+from learning.run import split
 from learning.score import score
-from learning.train import Trainer, split, train
+from learning.train import Trainer, train
 from lightstage.errors import ConfigError
 from processing.dataset import open_store
 
@@ -474,10 +475,11 @@ def test_people_are_split_never_patches(store_path: Path) -> None:
 def test_presets_resolve_and_refuse_unknown_names() -> None:
     assert preset("paper", {}, "test") == TrainConfig()
     demo = preset("demo", {"generator": {"width": 16}}, "test")
+    assert isinstance(demo, TrainConfig)
     assert demo.generator.width == 16
     assert demo.generator.downsamplings == PRESETS["demo"]["generator"]["downsamplings"]
     assert demo.data.patch_px % demo.generator.multiple_px == 0
-    with pytest.raises(ConfigError, match="one of paper, demo"):
+    with pytest.raises(ConfigError, match="one of modern, paper, demo"):
         preset("huge", {}, "test")
     with pytest.raises(ConfigError, match="found an unknown key"):
         preset("demo", {"generator": {"depth": 3}}, "test")

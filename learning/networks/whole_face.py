@@ -1,0 +1,152 @@
+"""A U-Net over a whole face at low resolution: a person's tone, and what is light and what is skin.
+
+What decides an inferred albedo is the person's tone, which no patch shows: it follows from the
+whole face, its shading and its colour. So this network sees all of it at once, in 96 x 64 texels.
+It says how the logarithm of the albedo differs from the mean person's, place by place and by one
+colour for all of the face; an untrained one says the mean person.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor, nn
+
+IN_CHANNELS = 10
+"""Log colour 3, normals 3, position 3, photographed or not 1."""
+SAID_CHANNELS = 4
+"""Change of log diffuse albedo 3, of log specular albedo 1."""
+BANDS = 4
+"""Bands of a texture's detail, of each of which a share is added (see learning.whole.detail)."""
+DARKEST = 1e-3
+"""Linear value below which a colour's logarithm says nothing more."""
+POSITION_MM = 100.0
+"""Positions are told in this unit, so that they are about as large as normals are."""
+DEVIATION = (0.003, 0.5)
+"""Bounds of the expected error, sRGB-encoded."""
+
+
+@dataclasses.dataclass(frozen=True)
+class WholeFaceConfig:
+    """Size of the network.
+
+    Attributes:
+        rows: of the texture that it sees.
+        columns: the same.
+        width: channels at full size; each of the halvings doubles them.
+        halvings: of the size.
+    """
+
+    rows: int = 96
+    columns: int = 64
+    width: int = 16
+    halvings: int = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class WholeFace:
+    """What the network says of a face.
+
+    Attributes:
+        diffuse_albedo: (B, 3, rows, columns) linear.
+        specular_albedo: (B, 1, rows, columns).
+        deviation: (B, 1, rows, columns), the error to expect of the sRGB-encoded diffuse albedo.
+    """
+
+    diffuse_albedo: Tensor
+    specular_albedo: Tensor
+    deviation: Tensor
+
+
+class WholeFaceNetwork(nn.Module):
+    """10 channels of a lit face to its albedo, beside the mean person's that it keeps."""
+
+    mean_log_albedo: Tensor
+    mean_log_specular: Tensor
+    mean_position_mm: Tensor
+    detail_shares: Tensor
+
+    def __init__(self, config: WholeFaceConfig) -> None:
+        """Weights from torch's random state; the mean person is black until it is set."""
+        super().__init__()
+        self.config = config
+        size = (config.rows, config.columns)
+        self.register_buffer("mean_log_albedo", torch.zeros(1, 3, *size))
+        self.register_buffer("mean_log_specular", torch.zeros(1, 1, *size))
+        self.register_buffer("mean_position_mm", torch.zeros(1, 3, *size))
+        self.register_buffer("detail_shares", torch.zeros(BANDS))
+        widths = [config.width * 2**level for level in range(config.halvings + 1)]
+        self.first = _two(IN_CHANNELS, widths[0])
+        self.down = nn.ModuleList(
+            nn.Sequential(
+                nn.Conv2d(wide, 2 * wide, 3, stride=2, padding=1),
+                nn.SiLU(),
+                *_convolution(2 * wide, 2 * wide),
+            )
+            for wide in widths[:-1]
+        )
+        self.up = nn.ModuleList(_two(3 * wide, wide) for wide in reversed(widths[:-1]))
+        everywhere = nn.Linear(widths[-1], SAID_CHANNELS)
+        self.everywhere = nn.Sequential(nn.Linear(widths[-1], widths[-1]), nn.SiLU(), everywhere)
+        self.here = nn.Conv2d(widths[0], SAID_CHANNELS, 1)
+        unsure = nn.Conv2d(widths[0], 1, 1)
+        self.unsure = nn.Sequential(*_convolution(widths[0] + SAID_CHANNELS, widths[0]), unsure)
+        for layer in (self.here, everywhere, unsure):
+            nn.init.zeros_(layer.weight)
+            if layer.bias is not None:
+                nn.init.zeros_(layer.bias)
+
+    def set_mean(self, log_albedo: Tensor, log_specular: Tensor, position_mm: Tensor) -> None:
+        """Keep the mean person: (1, 3 | 1 | 3, rows, columns)."""
+        self.mean_log_albedo.copy_(log_albedo)
+        self.mean_log_specular.copy_(log_specular)
+        self.mean_position_mm.copy_(position_mm)
+
+    def forward(self, inputs: Tensor) -> WholeFace:
+        """(B, 10, rows, columns) of `face_input` to what the face is made of."""
+        features = [self.first(inputs)]
+        for layer in self.down:
+            features.append(layer(features[-1]))
+        found = features.pop()
+        colour = self.everywhere(found.mean(dim=(2, 3)))[:, :, None, None]
+        for layer in self.up:
+            beside = features.pop()
+            larger = functional.interpolate(
+                found, size=beside.shape[2:], mode="bilinear", align_corners=False
+            )
+            found = layer(torch.cat([larger, beside], dim=1))
+        change = self.here(found) + colour
+        # What is said stays what the squared error makes of it: the expected error looks on.
+        seen = torch.cat([found, change], dim=1).detach()
+        low, high = DEVIATION
+        deviation = low * (high / low) ** torch.sigmoid(self.unsure(seen))
+        return WholeFace(
+            # Nothing reflects more than arrives, and a black skin is none.
+            (self.mean_log_albedo + change[:, :3]).clamp(-7.0, 0.0).exp(),
+            (self.mean_log_specular + change[:, 3:]).clamp(-7.0, 0.0).exp(),
+            deviation,
+        )
+
+
+def face_input(texture: Tensor, normal: Tensor, position_mm: Tensor, seen: Tensor) -> Tensor:
+    """The ten input channels.
+
+    Args:
+        texture: (B, 3, rows, columns) linear, light in it.
+        normal: (B, 3, rows, columns) unit, head frame; zero where no surface is.
+        position_mm: (B, 3, rows, columns), head frame.
+        seen: (B, 1, rows, columns), 1 where the texture was photographed.
+    """
+    # A logarithm: light multiplies skin, so that it adds here. 0 is skin in middling light.
+    colour = (texture.clamp_min(DARKEST).log() + 1.5) * seen
+    return torch.cat([colour, normal, position_mm / POSITION_MM, seen], dim=1)
+
+
+def _convolution(channels: int, out: int) -> list[nn.Module]:
+    return [nn.Conv2d(channels, out, 3, padding=1), nn.SiLU()]
+
+
+def _two(channels: int, out: int) -> nn.Sequential:
+    return nn.Sequential(*_convolution(channels, out), *_convolution(out, out))

@@ -1,0 +1,279 @@
+"""One training from its first step to its last: steps or seconds, saves, metrics, resuming.
+
+What is trained is a `Learner`; this is what all of them share.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+from torch import Tensor
+
+from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpoint
+from learning.errors import CheckpointError, TrainingError
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.config import as_dict
+from lightstage.formats.values import parse_json
+from processing.dataset import Store
+
+METRICS = "metrics.jsonl"
+
+
+class Learner(Protocol):
+    """A network in training."""
+
+    def step(self, number: int, done: float) -> dict[str, float]:
+        """Take step `number` of a training of which the share `done` (0..1) is past; the losses.
+
+        All randomness follows from the seed and `number`, so that a training that was interrupted
+        goes on as if it had not been.
+        """
+
+    def tensors(self) -> dict[str, dict[str, Tensor]]:
+        """All state, by the checkpoint's roles."""
+
+
+class Scored(Protocol):
+    """Figures of the people held out: a dataclass of floats."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def sentence(self) -> str:
+        """The figures that matter, for the command's last line."""
+
+
+ScoreT = TypeVar("ScoreT", bound=Scored)
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainResult(Generic[ScoreT]):
+    """What came of a training.
+
+    Attributes:
+        checkpoint: its index.
+        steps: done in all, earlier calls included.
+        seconds: of this call.
+        examples: patches or scans trained on.
+        held_out: people who were not.
+        score: of the people held out.
+    """
+
+    checkpoint: Path
+    steps: int
+    seconds: float
+    examples: int
+    held_out: list[str]
+    score: ScoreT
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A folder with one training in it.
+
+    Attributes:
+        out: the folder.
+        config: of the training; its `seconds`, `log_steps` and `save_seconds` hold here.
+        about: the checkpoint's other fields.
+        first: step to begin with.
+        began: monotonic seconds.
+    """
+
+    out: Path
+    config: Any
+    about: dict[str, Any]
+    first: int
+    began: float
+
+    def steps(self, learner: Learner, total: int, progress: ProgressCallback = quiet) -> int:
+        """Train until the steps or the seconds are used up; returns the steps done in all.
+
+        A checkpoint is saved every `save_seconds`, and when the training is interrupted.
+
+        Raises:
+            TrainingError: losses that are not finite.
+        """
+        finished, saved = self.first, time.monotonic()
+        try:
+            for step, done in _steps(self.first, total, self.config.seconds, progress):
+                losses = learner.step(step, done)
+                finished = step + 1
+                if not all(map(math.isfinite, losses.values())):
+                    raise TrainingError(
+                        self.out,
+                        field=f"step {step}",
+                        found=f"losses {losses}",
+                        expected="finite ones",
+                        hint="Lower learning_rate; the last checkpoint is kept.",
+                    )
+                if step % self.config.log_steps == 0:
+                    self.log({"step": step, **losses})
+                if time.monotonic() - saved > self.config.save_seconds:
+                    save_checkpoint(self.out, finished, learner.tensors(), self.about)
+                    saved = time.monotonic()
+        except KeyboardInterrupt:
+            save_checkpoint(self.out, finished, learner.tensors(), self.about)
+            raise
+        return finished
+
+    def end(
+        self, learner: Learner, steps: int, examples: int, score: ScoreT
+    ) -> TrainResult[ScoreT]:
+        """Save the trained network with its figures."""
+        figures = {f.name: getattr(score, f.name) for f in dataclasses.fields(score)}
+        self.log({"step": steps, **figures})
+        about = {**self.about, "metrics": figures}
+        index = save_checkpoint(self.out, steps, learner.tensors(), about)
+        seconds = time.monotonic() - self.began
+        return TrainResult(index, steps, seconds, examples, self.about["held_out"], score)
+
+    def log(self, values: dict[str, Any]) -> None:
+        """Add a line to the metrics."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        line = {**values, "seconds": round(time.monotonic() - self.began, 2)}
+        with (self.out / METRICS).open("a") as handle:
+            handle.write(json.dumps(line) + "\n")
+
+
+def begin(
+    out: Path,
+    config: Any,
+    store: Store,
+    held_out: set[str],
+    resume: bool,
+    load: Callable[[Checkpoint], None],
+) -> Run:
+    """Begin a run in a folder, or go on with the one that is there.
+
+    Args:
+        out: the folder.
+        config: of the training.
+        store: the data.
+        held_out: people who are not trained on.
+        resume: go on.
+        load: takes over the state of the checkpoint that is gone on with.
+
+    Raises:
+        CheckpointError: nothing to resume, another configuration or other data; or, without
+            `resume`, a run that is there already.
+    """
+    began, first = time.monotonic(), 0
+    if resume:
+        checkpoint = read_checkpoint(out)
+        _check_same(checkpoint, config, store)
+        load(checkpoint)
+        first = checkpoint.step
+        _drop_half_line(out / METRICS)
+    elif (out / INDEX).exists():
+        raise CheckpointError(
+            out / INDEX,
+            found="a run that is there already",
+            expected="an empty folder",
+            hint="Go on with --resume, or choose another --out.",
+        )
+    about = {
+        "family": config.family,
+        "config": as_dict(config),
+        "data_fingerprint": store.fingerprint,
+        "held_out": sorted(held_out),
+        "texture_rows": store.scans[0].rows,
+        "metrics": {},
+    }
+    return Run(out, config, about, first, began)
+
+
+def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
+    """People held out (the last by name) and people trained on.
+
+    Raises:
+        TrainingError: not at least one of each, or maps of several sizes.
+    """
+    sizes = sorted({scan.rows for scan in store.scans})
+    if len(sizes) > 1:
+        raise TrainingError(
+            store.path,
+            field="rows",
+            found=", ".join(map(str, sizes)),
+            expected="maps of one size",
+            hint="Skin's detail has one size for the network; make all atlases equally large.",
+        )
+    people = sorted({scan.subject for scan in store.scans})
+    if not 1 <= held_out < len(people):
+        raise TrainingError(
+            store.path,
+            field="subjects",
+            found=f"{len(people)}",
+            expected=f"more than the {held_out} held out, and at least one of those",
+            hint="Add people to the store; scans of one person all go to one side.",
+        )
+    return set(people[-held_out:]), set(people[:-held_out])
+
+
+def _steps(
+    first: int, total: int, seconds: float | None, progress: ProgressCallback
+) -> Iterator[tuple[int, float]]:
+    """Step numbers with the share that is done, until the steps or the time are used up."""
+    began = time.monotonic()
+    step = first
+    while True:
+        spent = time.monotonic() - began
+        done = step / total if seconds is None else spent / seconds
+        if done >= 1:
+            return
+        yield step, done
+        step += 1
+        if seconds is None:
+            progress(step, total)
+        else:
+            progress(min(int(time.monotonic() - began), int(seconds)), max(1, int(seconds)))
+
+
+def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
+    where = checkpoint.folder / INDEX
+    wanted = parse_json(json.dumps(as_dict(config)), "configuration")
+    # Before the shading could be chosen it was `physical`.
+    begun = {"shading": "physical", **checkpoint.config}
+    # How long to go on is a new decision each time.
+    differing = {
+        name: values for name, values in _differences(begun, wanted).items() if name != "seconds"
+    }
+    if differing:
+        raise CheckpointError(
+            where,
+            field=", ".join(differing),
+            found=", ".join(str(now) for _, now in differing.values()) + " now",
+            expected=", ".join(str(then) for then, _ in differing.values()) + ", as the run began",
+            hint="Resume with the same --preset, --config and --seed.",
+        )
+    if checkpoint.data_fingerprint != store.fingerprint:
+        raise CheckpointError(
+            where,
+            field="data_fingerprint",
+            found=checkpoint.data_fingerprint[:12],
+            expected=f"{store.fingerprint[:12]}, of {store.path}",
+            hint="The run was trained on other data.",
+        )
+
+
+def _differences(then: Any, now: Any, name: str = "") -> dict[str, tuple[Any, Any]]:
+    """Values that two nested configurations do not share, by dotted name."""
+    if not (isinstance(then, dict) and isinstance(now, dict)):
+        return {} if then == now else {name: (then, now)}
+    found: dict[str, tuple[Any, Any]] = {}
+    for key in sorted(then.keys() | now.keys()):
+        below = f"{name}.{key}" if name else key
+        found |= _differences(then.get(key, "nothing"), now.get(key, "nothing"), below)
+    return found
+
+
+def _drop_half_line(path: Path) -> None:
+    """Cut off a last line that a killed training did not finish, so that none is joined to it."""
+    if path.exists():
+        whole = path.read_bytes().rfind(b"\n") + 1
+        os.truncate(path, whole)

@@ -1,0 +1,351 @@
+"""Training pairs of whole faces: a person's albedo, and what a photograph in some light shows."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+from learning import augment
+from learning.encoding import shrink
+from learning.maps import from_batch, to_batch, typical_texel_mm
+from learning.networks.whole_face import WholeFaceConfig, face_input
+from learning.render.environments import (
+    RandomLightConfig,
+    random_environment,
+    random_lights,
+    stack,
+)
+from learning.render.light_dome import even_directions
+from learning.render.occlusion import PositionGrid, bake_grid
+from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
+from learning.render.uv import TexelSurface, texel_surface
+from lightstage.commands import ProgressCallback, quiet
+from processing.dataset import Store
+
+FINER = 2
+"""Faces are lit at so many times the network's resolution, so that edges of shadows are sharp."""
+LARGEST_ROWS = 1536
+"""Rows at most at which the shares of detail are fitted: finer ones are told as one band."""
+SHARPER = 4.0
+"""How much sharper the edges of shadows are than the grid that they were baked on."""
+DOME_MM = 100_000.0 * even_directions(64)
+"""Lights all round and far away, which a texel sees or not: its ambient occlusion."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FacesConfig:
+    """How whole faces are shown to the network.
+
+    Attributes:
+        held_out_subjects: people, the last ones by name, who are scored and never trained on.
+        shadow_sets: sets of lights of each scan whose shadows are baked.
+        white_balance: standard deviation of the logarithm of the photograph's red, green and blue.
+        noise: standard deviation of the logarithm of a texel.
+        partial_share: part of the pairs of which only the side toward some camera is shown.
+        beside_skin: weight of eyes, hair and what was not captured, where skin has 1.
+    """
+
+    held_out_subjects: int = 1
+    shadow_sets: int = 24
+    white_balance: float = 0.05
+    noise: float = 0.02
+    partial_share: float = 0.3
+    beside_skin: float = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class Face:
+    """One scan at `FINER` times the network's size.
+
+    Attributes:
+        maps: by FORMATS' names and shape_normal, ambient_occlusion, area, edges; (1, c, h, w).
+        skin: (1, 1, h, w) share of skin that was captured.
+        texel_mm: edge of a texel of area 1.
+        light_position_mm: (n, 3) of each set of lights.
+        visibility: (n, h, w) uint8, 255 = seen, of each set.
+    """
+
+    maps: dict[str, Tensor]
+    skin: Tensor
+    texel_mm: float
+    light_position_mm: list[np.ndarray]
+    visibility: list[Tensor]
+
+
+@dataclasses.dataclass(frozen=True)
+class LargePair:
+    """One scan at its texture's own size, and as the network sees it.
+
+    Attributes:
+        texture: (rows, columns, 3) linear, light in it.
+        diffuse_albedo: (rows, columns, 3), the truth.
+        covered: (rows, columns) bool, where a surface is.
+        skin: (rows, columns) share of captured skin.
+        small: (1, 3, h, w), the texture at the network's size.
+        inputs: (1, 10, h, w), see `face_input`.
+    """
+
+    texture: np.ndarray
+    diffuse_albedo: np.ndarray
+    covered: np.ndarray
+    skin: np.ndarray
+    small: Tensor
+    inputs: Tensor
+
+
+@dataclasses.dataclass(frozen=True)
+class FaceBatch:
+    """What a step takes, at the network's size.
+
+    Attributes:
+        inputs: (B, 10, rows, columns), see `face_input`.
+        diffuse_albedo: (B, 3, rows, columns), the truth.
+        specular_albedo: (B, 1, rows, columns).
+        weight: (B, 1, rows, columns), how much a texel counts.
+        skin: (B, 1, rows, columns), 1 where captured skin is.
+        texture: (B, 3, rows, columns) linear, what was shown.
+    """
+
+    inputs: Tensor
+    diffuse_albedo: Tensor
+    specular_albedo: Tensor
+    weight: Tensor
+    skin: Tensor
+    texture: Tensor
+
+
+class Faces:
+    """All scans of some people of a store, in memory (3 MB each at the default size)."""
+
+    def __init__(
+        self,
+        store: Store,
+        subjects: set[str],
+        size: WholeFaceConfig,
+        config: FacesConfig,
+        lights: RandomLightConfig,
+        variation: augment.AugmentConfig,
+        rng: np.random.Generator,
+        mode: Mode = "physical",
+        progress: ProgressCallback = quiet,
+    ) -> None:
+        """Read and shrink the scans, and bake the shadows of random sets of lights."""
+        self._store, self._config = store, config
+        self._lights, self._variation = lights, variation
+        self._size = (size.rows, size.columns)
+        self._options = ShadeOptions(mode)
+        self._scans = [scan for scan in store.scans if scan.subject in subjects]
+        self.faces: list[Face] = []
+        for done, scan in enumerate(self._scans):
+            maps, skin = read_small(store, scan.index, FINER * size.rows, FINER * size.columns)
+            self.faces.append(self._face(maps, skin, rng))
+            progress(done + 1, len(self._scans))
+
+    def mean_person(self) -> tuple[Tensor, Tensor, Tensor]:
+        """(1, 3 | 1 | 3, rows, columns) mean log albedo, mean log specular albedo, position."""
+        shrunk = [
+            [shrink(face.maps[name], self._size) for face in self.faces]
+            for name in ("diffuse_albedo", "specular_albedo", "position")
+        ]
+        diffuse, specular, position = (torch.cat(images) for images in shrunk)
+        least = 1e-3
+        return (
+            diffuse.clamp_min(least).log().mean(dim=0, keepdim=True),
+            specular.clamp_min(least).log().mean(dim=0, keepdim=True),
+            position.mean(dim=0, keepdim=True),
+        )
+
+    def draw(self, count: int, rng: np.random.Generator) -> FaceBatch:
+        """A batch of random scans."""
+        return self.batch([int(i) for i in rng.integers(0, len(self.faces), count)], rng)
+
+    def batch(self, chosen: list[int], rng: np.random.Generator) -> FaceBatch:
+        """Light some scans at random; the same scan gives another pair each time."""
+        texture, skin = self._lit([self.faces[index] for index in chosen], rng)
+        captured = torch.cat([self.faces[index].skin for index in chosen])
+        return self._photographed(texture, skin, captured, rng)
+
+    def draw_large(self, rng: np.random.Generator) -> LargePair:
+        """A random scan, lit at its texture's own size (at most `LARGEST_ROWS`)."""
+        index = int(rng.integers(len(self.faces)))
+        small, scan = self.faces[index], self._scans[index]
+        rows = min(scan.rows, LARGEST_ROWS)
+        columns = round(scan.columns * rows / scan.rows)
+        maps, captured = read_small(self._store, scan.index, rows, columns)
+        size = (rows, columns)
+        tensors, texel_mm, surface = _tensors(maps)
+        openness = small.maps["ambient_occlusion"]
+        tensors["ambient_occlusion"] = functional.interpolate(openness, size, mode="bilinear")
+        chosen = int(rng.integers(len(small.light_position_mm)))
+        seen = _enlarged_shadows(small.visibility[chosen], size)
+        lights = [small.light_position_mm[chosen]]
+        face = Face(tensors, to_batch(captured), texel_mm, lights, [seen])
+        texture, skin = self._lit([face], rng)
+        low = shrink(texture, self._size)
+        there = torch.ones_like(low[:, :1])
+        normal = unit(shrink(skin.diffuse_normal, self._size))
+        position = shrink(skin.position_mm, self._size)
+        return LargePair(
+            from_batch(texture),
+            from_batch(skin.diffuse_albedo),
+            surface.area_mm2 > 0,
+            captured,
+            low,
+            face_input(low, normal, position, there),
+        )
+
+    def _lit(self, faces: list[Face], rng: np.random.Generator) -> tuple[Tensor, SkinMaps]:
+        """Faces of one size in random light and complexion: (B, 3, h, w), and their skins."""
+        sets = [int(rng.integers(len(face.light_position_mm))) for face in faces]
+        multiplies = self._options.mode == "paper"
+        environment = stack(
+            [
+                random_environment(rng, self._lights, face.light_position_mm[s], multiplies)
+                for face, s in zip(faces, sets, strict=True)
+            ]
+        )
+        count = environment.rgb.shape[1]
+        seen = torch.cat(
+            [_padded(f.visibility[s], count) for f, s in zip(faces, sets, strict=True)]
+        )
+        skin = _joined([_skin_maps(face, augment.draw(rng, self._variation)) for face in faces])
+        with torch.no_grad():
+            return shade(skin, environment, self._options, seen).clamp_min(0), skin
+
+    def _photographed(
+        self, texture: Tensor, skin: SkinMaps, captured: Tensor, rng: np.random.Generator
+    ) -> FaceBatch:
+        """At the network's size, with the flaws of photographs."""
+        config, size = self._config, self._size
+        normal = unit(shrink(skin.diffuse_normal, size))
+        small = shrink(texture, size)
+        surface = (shrink((skin.area > 0).to(texture), size) > 0.5).to(texture)
+        balance = np.exp(rng.normal(0, config.white_balance, (len(small), 3, 1, 1)))
+        grain = np.exp(rng.normal(0, config.noise, tuple(small.shape)))
+        small = small * torch.from_numpy((balance * grain).astype(np.float32))
+        seen = surface * torch.cat([self._shown(n, rng) for n in normal.split(1)])
+        small = small * seen
+        share = shrink(captured, size)
+        weight = surface * (config.beside_skin + (1 - config.beside_skin) * (share > 0.5))
+        return FaceBatch(
+            face_input(small, normal, shrink(skin.position_mm, size), seen),
+            shrink(skin.diffuse_albedo, size),
+            shrink(skin.specular_albedo, size),
+            weight,
+            (share > 0.5).to(texture) * surface,
+            small,
+        )
+
+    def _shown(self, normal: Tensor, rng: np.random.Generator) -> Tensor:
+        """(1, 1, h, w), what one photograph from some side in front shows; mostly everything."""
+        direction = rng.normal(size=3) * (0.7, 0.4, 0.2) + (0, 0, 1)
+        reach = rng.uniform(-0.2, 0.4)
+        if rng.random() >= self._config.partial_share:
+            return torch.ones_like(normal[:, :1])
+        toward = normal.new_tensor(direction / np.linalg.norm(direction)).view(1, 3, 1, 1)
+        return ((normal * toward).sum(dim=1, keepdim=True) > reach).to(normal)
+
+    def _face(
+        self, maps: dict[str, np.ndarray], skin: np.ndarray, rng: np.random.Generator
+    ) -> Face:
+        tensors, texel_mm, surface = _tensors(maps)
+        covered = (maps["position"] != 0).any(axis=2)
+        grid = PositionGrid(maps["position"], surface.normal, covered)
+        sets = [random_lights(rng, self._lights) for _ in range(self._config.shadow_sets)]
+        # All lights at once: the tree of the surface's triangles is built once.
+        baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
+        *parts, dome = np.split(baked, np.cumsum([len(at) for at in sets]))
+        seen = [torch.from_numpy(part) for part in parts]
+        tensors["ambient_occlusion"] = to_batch(_openness(surface.normal, dome))
+        return Face(tensors, to_batch(skin), texel_mm, sets, seen)
+
+
+def read_small(
+    store: Store, scan: int, rows: int, columns: int
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """A scan's maps as means over larger texels, (rows, columns, c), and its share of skin."""
+    everything = slice(None)
+    read = {
+        name: to_batch(store.read(scan, name, everything, everything))
+        for name in (
+            "diffuse_albedo",
+            "specular_albedo",
+            "diffuse_normal",
+            "specular_normal",
+            "position",
+            "confidence",
+        )
+    }
+    captured = (read.pop("confidence") > 0).float()
+    covered = (read["position"] != 0).any(dim=1, keepdim=True).float()
+    size = (rows, columns)
+    weight = shrink(covered, size)
+    known = weight > 0.5
+
+    def mean(image: Tensor) -> np.ndarray:
+        values = shrink(image * covered, size) / weight.clamp_min(1e-3) * known
+        return np.ascontiguousarray(values[0].permute(1, 2, 0).numpy())
+
+    return {name: mean(image) for name, image in read.items()}, mean(captured)[..., 0]
+
+
+def _tensors(maps: dict[str, np.ndarray]) -> tuple[dict[str, Tensor], float, TexelSurface]:
+    """A face's maps as the renderer takes them, the edge of a texel in mm, and the surface."""
+    covered = (maps["position"] != 0).any(axis=2)
+    surface = texel_surface(maps["position"], covered, smooth_px=1.0)
+    texel_mm = typical_texel_mm(surface.area_mm2)
+    tensors = {name: to_batch(image) for name, image in maps.items()}
+    tensors["area"] = to_batch(surface.area_mm2 / texel_mm**2)
+    tensors["edges"] = to_batch(surface.edges_mm / texel_mm)
+    return tensors, texel_mm, surface
+
+
+def _enlarged_shadows(visibility: Tensor, size: tuple[int, int]) -> Tensor:
+    """(n, h, w) uint8 of a coarser grid at another size, with edges as sharp as small lamps'."""
+    seen = functional.interpolate(visibility[None].float() / 255, size, mode="bilinear")[0]
+    return (255 * ((seen - 0.5) * SHARPER + 0.5).clamp(0, 1)).to(torch.uint8)
+
+
+def _openness(normal: np.ndarray, dome: np.ndarray) -> np.ndarray:
+    """(h, w) share of even light from all round that reaches a texel, weighted by the cosine."""
+    direction = DOME_MM / np.linalg.norm(DOME_MM, axis=1, keepdims=True)
+    cosine = np.clip(np.einsum("hwc,nc->nhw", normal, direction), 0, None)
+    return (dome / 255 * cosine).sum(axis=0) / np.maximum(cosine.sum(axis=0), 1e-6)
+
+
+def _skin_maps(face: Face, variation: augment.Variation) -> SkinMaps:
+    one = torch.ones_like(face.maps["area"])
+    maps = face.maps
+    return SkinMaps(
+        diffuse_albedo=augment.recolour(maps["diffuse_albedo"], variation, face.skin > 0.5),
+        specular_albedo=maps["specular_albedo"],
+        diffuse_normal=maps["diffuse_normal"],
+        specular_normal=maps["specular_normal"],
+        shininess=variation.shininess * one,
+        translucency=variation.translucency * one,
+        position_mm=maps["position"],
+        area=maps["area"],
+        texel_mm=face.texel_mm,
+        ambient_occlusion=maps["ambient_occlusion"],
+        edges=maps["edges"],
+    )
+
+
+def _joined(skins: list[SkinMaps]) -> SkinMaps:
+    """Many skins as one batch; the subsurface kernel is that of the mean texel."""
+    names = [f.name for f in dataclasses.fields(SkinMaps) if f.name != "texel_mm"]
+    return SkinMaps(
+        **{name: torch.cat([getattr(skin, name) for skin in skins]) for name in names},
+        texel_mm=float(np.mean([skin.texel_mm for skin in skins])),
+    )
+
+
+def _padded(visibility: Tensor, lights: int) -> Tensor:
+    """(n, h, w) uint8 to (1, lights, h, w) of 0..1; lights that are not there are seen."""
+    missing = lights - len(visibility)
+    seen = visibility[None].float() / 255
+    return functional.pad(seen, (0, 0, 0, 0, 0, missing), value=1.0)

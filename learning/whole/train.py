@@ -1,0 +1,162 @@
+"""Training of the `modern` preset: whole faces at low resolution, by squared errors alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from learning.augment import AugmentConfig
+from learning.checkpoint import INDEX, Checkpoint, adam_tensors, fill, fill_adam, load_tensors
+from learning.encoding import srgb_from_linear
+from learning.limits import require_within
+from learning.losses import masked_mean
+from learning.networks.whole_face import WholeFaceNetwork
+from learning.run import TrainResult, begin, split
+from learning.whole.config import WholeTrainConfig
+from learning.whole.detail import Shares, bands, enlarged
+from learning.whole.faces import FaceBatch, Faces, FacesConfig
+from learning.whole.score import FaceScore, score_faces
+from lightstage.commands import ProgressCallback, quiet
+from processing.dataset import Store
+
+WARM_UP_STEPS = 50
+"""Steps in which the rate rises, as Adam's means of gradients settle."""
+
+
+class WholeFaceTrainer:
+    """The network and its optimiser, one step at a time."""
+
+    def __init__(self, config: WholeTrainConfig) -> None:
+        """Random weights of the configuration's seed."""
+        torch.manual_seed(config.seed)
+        self.config = config
+        self.network = WholeFaceNetwork(config.network)
+        self._adam = torch.optim.AdamW(
+            self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+        )
+
+    def step(self, batch: FaceBatch, number: int, done: float) -> dict[str, float]:
+        """One step of a training of which the share `done` is past; returns the losses."""
+        rate = self.config.learning_rate * min(1.0, (number + 1) / WARM_UP_STEPS)
+        rate *= 0.5 + 0.5 * math.cos(math.pi * min(1.0, done))
+        for group in self._adam.param_groups:
+            group["lr"] = rate
+        losses = face_losses(self.network, batch)
+        weights = {
+            "diffuse": 1.0,
+            "specular": self.config.specular_weight,
+            "deviation": self.config.deviation_weight,
+        }
+        total = torch.stack([weights[name] * value for name, value in losses.items()]).sum()
+        self._adam.zero_grad(set_to_none=True)
+        total.backward()
+        self._adam.step()
+        return {"learning_rate": rate, **{name: float(v.detach()) for name, v in losses.items()}}
+
+    def tensors(self) -> dict[str, dict[str, Tensor]]:
+        """All state, by the checkpoint's roles."""
+        return {
+            "network": dict(self.network.state_dict()),
+            "training": adam_tensors(self._adam, "adam"),
+        }
+
+    def load(self, checkpoint: Checkpoint) -> None:
+        """Take over a checkpoint's state."""
+        fill(self.network, load_tensors(checkpoint, "network"), checkpoint.folder / INDEX)
+        fill_adam(self._adam, load_tensors(checkpoint, "training"), "adam")
+
+
+class FaceLearner:
+    """The network, fed with random faces."""
+
+    def __init__(self, trainer: WholeFaceTrainer, faces: Faces) -> None:
+        """Train `trainer` on `faces`."""
+        self._trainer, self._faces = trainer, faces
+
+    def step(self, number: int, done: float) -> dict[str, float]:
+        """See `Learner`."""
+        config = self._trainer.config
+        rng = np.random.default_rng([config.seed, 2, number])
+        return self._trainer.step(self._faces.draw(config.batch, rng), number, done)
+
+    def tensors(self) -> dict[str, dict[str, Tensor]]:
+        """See `Learner`."""
+        return self._trainer.tensors()
+
+
+def face_losses(network: WholeFaceNetwork, batch: FaceBatch) -> dict[str, Tensor]:
+    """Squared errors of what the network says, and how badly it knows its own error.
+
+    Returns:
+        diffuse: mean square of the sRGB-encoded diffuse albedo's error.
+        specular: mean square of the error of the specular albedo's natural logarithm.
+        deviation: of a normal distribution's negative log likelihood, with the expected error as
+            its deviation; the error itself is given here, and is not made smaller by it.
+    """
+    said = network(batch.inputs)
+    error = srgb_from_linear(said.diffuse_albedo) - srgb_from_linear(batch.diffuse_albedo)
+    square = error.square()
+    shine = said.specular_albedo.log() - batch.specular_albedo.clamp_min(1e-3).log()
+    variance = said.deviation.square()
+    given = square.detach().mean(dim=1, keepdim=True)
+    return {
+        "diffuse": masked_mean(square, batch.weight),
+        "specular": masked_mean(shine.square(), batch.weight),
+        "deviation": masked_mean(given / variance + variance.log(), batch.weight),
+    }
+
+
+def train_faces(
+    store: Store,
+    out: Path,
+    config: WholeTrainConfig,
+    resume: bool = False,
+    progress: ProgressCallback = quiet,
+) -> TrainResult[FaceScore]:
+    """Train on whole faces; arguments, errors and what is left in `out` as `learning.train.train`.
+
+    At the end the shares of the texture's detail are fitted, on people trained on.
+    """
+    require_within(config, "training")
+    held_out, trained_on = split(store, config.faces.held_out_subjects)
+    trainer = WholeFaceTrainer(config)
+    run = begin(out, config, store, held_out, resume, trainer.load)
+    rng = np.random.default_rng([config.seed, 1])
+
+    def faces_of(people: set[str], how: FacesConfig, skins: AugmentConfig) -> Faces:
+        return Faces(store, people, config.network, how, config.lights, skins, rng, config.shading)
+
+    faces = faces_of(trained_on, config.faces, config.augment)
+    # Scored are people as they are, and all of their faces.
+    whole = dataclasses.replace(config.faces, partial_share=0.0)
+    own = dataclasses.replace(config.augment, melanin=0.0, haemoglobin=0.0)
+    scored = faces_of(held_out, whole, own)
+    network = trainer.network
+    if not run.first:
+        network.set_mean(*faces.mean_person())
+    steps = run.steps(FaceLearner(trainer, faces), config.steps, progress)
+    network.eval()
+    network.detail_shares.copy_(torch.tensor(fit_shares(network, faces, config)))
+    result = score_faces(network, scored, config.score_lights, config.seed)
+    return run.end(FaceLearner(trainer, faces), steps, len(faces.faces), result)
+
+
+def fit_shares(network: WholeFaceNetwork, faces: Faces, config: WholeTrainConfig) -> list[float]:
+    """How much of each band of a texture's detail is skin, over people trained on."""
+    rng = np.random.default_rng([config.seed, 4])
+    shares = Shares()
+    for _ in range(config.detail_pairs):
+        pair = faces.draw_large(rng)
+        with torch.inference_mode():
+            said = network(pair.inputs)
+        low = said.diffuse_albedo[0].permute(1, 2, 0).log().numpy()
+        rows, columns = pair.texture.shape[:2]
+        small = pair.small[0].permute(1, 2, 0).numpy()
+        wanted = np.log(np.maximum(pair.diffuse_albedo, 1e-3)) - enlarged(low, rows, columns)
+        shares.add(bands(pair.texture, pair.covered, small), wanted, pair.skin)
+    return shares.solve()

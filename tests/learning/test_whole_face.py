@@ -1,0 +1,306 @@
+"""The network over a whole face: what it is shown, what it learns, what it says of a texture."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from learning.augment import AugmentConfig
+from learning.checkpoint import load_generator, load_whole_face
+from learning.encoding import shrink
+from learning.errors import CheckpointError, MapsError
+from learning.maps import to_batch
+from learning.networks.whole_face import WholeFaceConfig, WholeFaceNetwork, face_input
+from learning.presets import preset
+from learning.render.environments import RandomLightConfig
+from learning.whole.config import WholeTrainConfig
+from learning.whole.detail import BANDS, Shares, bands, enlarged, with_detail
+from learning.whole.faces import Faces, FacesConfig
+from learning.whole.infer import infer_whole_face
+from learning.whole.score import score_faces
+from learning.whole.train import WholeFaceTrainer, face_losses, train_faces
+from lightstage.commands import ProgressCallback
+from lightstage.errors import ConfigError
+from lightstage.formats.mesh import Mesh
+from processing.dataset import open_store
+
+SIZE = WholeFaceConfig(rows=48, columns=32, width=4, halvings=2)
+TINY = WholeTrainConfig(
+    network=SIZE,
+    faces=FacesConfig(shadow_sets=3),
+    steps=80,
+    learning_rate=0.01,
+    log_steps=1,
+    detail_pairs=2,
+    score_lights=2,
+)
+PLAIN = FacesConfig(shadow_sets=3, white_balance=0.0, noise=0.0, partial_share=0.0)
+OWN = AugmentConfig(melanin=0.0, haemoglobin=0.0)
+
+
+def faces_of(store_path: Path, config: FacesConfig = PLAIN, skins: AugmentConfig = OWN) -> Faces:
+    store = open_store(store_path)
+    people = {scan.subject for scan in store.scans}
+    rng = np.random.default_rng(0)
+    return Faces(store, people, SIZE, config, RandomLightConfig(), skins, rng)
+
+
+def stopping_after(steps: int) -> ProgressCallback:
+    def stop(done: int, total: int) -> None:
+        if done == steps:
+            raise KeyboardInterrupt
+
+    return stop
+
+
+def test_a_pair_is_the_store_relit_at_the_networks_size(store_path: Path) -> None:
+    batch = faces_of(store_path).batch([1], np.random.default_rng(1))
+    assert batch.inputs.shape == (1, 10, 48, 32)
+    store, everything = open_store(store_path), slice(None)
+    truth = to_batch(store.read(1, "diffuse_albedo", everything, everything))
+    torch.testing.assert_close(batch.diffuse_albedo, shrink(truth, (48, 32)), atol=2e-3, rtol=0)
+    # Light of at most 1.1 on this skin, and shadow somewhere.
+    ratio = batch.texture / batch.diffuse_albedo
+    assert float(ratio.max()) < 2.5
+    assert float(ratio.min()) < 0.6 * float(ratio.max())
+    assert float(batch.skin.mean()) > 0.9
+
+
+def test_the_same_randomness_gives_the_same_pair_and_other_randomness_another(
+    store_path: Path,
+) -> None:
+    faces = faces_of(store_path, TINY.faces, TINY.augment)
+    first, second, third = (faces.draw(2, np.random.default_rng(seed)) for seed in (5, 5, 6))
+    assert torch.equal(first.inputs, second.inputs)
+    assert not torch.equal(first.inputs, third.inputs)
+
+
+def test_what_a_partial_pair_does_not_show_says_nothing(store_path: Path) -> None:
+    config = dataclasses.replace(PLAIN, partial_share=1.0)
+    batch = faces_of(store_path, config).batch([0, 1, 2], np.random.default_rng(0))
+    seen = batch.inputs[:, 9:]
+    share = seen.mean(dim=(1, 2, 3))
+    assert bool(((share > 0.2) & (share < 0.8)).all())
+    assert not bool((batch.inputs[:, :3] * (1 - seen)).any())
+    # The truth is asked for there too.
+    assert float(batch.weight.min()) == 1.0
+
+
+def test_an_untrained_network_says_the_mean_person_of_any_texture(store_path: Path) -> None:
+    faces = faces_of(store_path)
+    network = WholeFaceNetwork(SIZE)
+    network.set_mean(*faces.mean_person())
+    said = network(faces.draw(2, np.random.default_rng(0)).inputs)
+    albedos = [shrink(face.maps["diffuse_albedo"], (48, 32)).log() for face in faces.faces]
+    mean = torch.cat(albedos).mean(dim=0).exp()
+    torch.testing.assert_close(said.diffuse_albedo[0], mean)
+    torch.testing.assert_close(said.diffuse_albedo[1], mean)
+
+
+@given(
+    arrays.arrays(
+        np.float32, (3, 48, 32), elements=st.sampled_from([0.0, 1e-30, 1e-6, 0.2, 1.0, 1e6, 3e38])
+    )
+)
+@settings(max_examples=20, deadline=None)
+def test_whatever_the_texture_albedo_lies_between_0_and_1(texture: np.ndarray) -> None:
+    torch.manual_seed(0)
+    network = WholeFaceNetwork(SIZE)
+    with torch.no_grad():
+        for weights in network.parameters():
+            weights.add_(torch.randn_like(weights))
+    zeros = torch.zeros(1, 3, 48, 32)
+    with torch.inference_mode():
+        shown = torch.from_numpy(texture)[None]
+        said = network(face_input(shown, zeros, zeros, torch.ones(1, 1, 48, 32)))
+    for values in (said.diffuse_albedo, said.specular_albedo):
+        assert 0 < float(values.min()) <= float(values.max()) <= 1
+    assert bool(((said.deviation >= 0.003) & (said.deviation <= 0.5)).all())
+
+
+def test_the_expected_error_changes_nothing_that_is_said(store_path: Path) -> None:
+    batch = faces_of(store_path).draw(2, np.random.default_rng(0))
+    network = WholeFaceTrainer(TINY).network
+    torch.nn.init.normal_(network.here.weight)
+    face_losses(network, batch)["deviation"].backward()
+    touched = {n for n, w in network.named_parameters() if w.grad is not None and w.grad.any()}
+    assert touched
+    assert all(name.startswith("unsure") for name in touched)
+
+
+def test_losses_in_double_precision_are_those_of_a_plain_twin(store_path: Path) -> None:
+    batch = faces_of(store_path).draw(2, np.random.default_rng(0))
+    network = WholeFaceNetwork(SIZE)
+    network.set_mean(*faces_of(store_path).mean_person())
+    said = network(batch.inputs)
+    weight = batch.weight.double().numpy()
+
+    def curve(x: np.ndarray) -> np.ndarray:
+        return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+    found, true = (v.detach().double().numpy() for v in (said.diffuse_albedo, batch.diffuse_albedo))
+    square = (curve(found) - curve(true)) ** 2
+    variance = said.deviation.detach().double().numpy() ** 2
+    given_error = square.mean(axis=1, keepdims=True)
+    expected = {
+        "diffuse": (square * weight).sum() / (3 * weight.sum()),
+        "deviation": ((given_error / variance + np.log(variance)) * weight).sum() / weight.sum(),
+    }
+    losses = face_losses(network, batch)
+    for name, value in expected.items():
+        assert float(losses[name].detach()) == pytest.approx(value, rel=1e-4)
+
+
+def test_training_learns_scores_and_leaves_whole_files(store_path: Path, tmp_path: Path) -> None:
+    result = train_faces(open_store(store_path), tmp_path / "run", TINY)
+    assert result.steps == 80
+    assert result.examples == 2
+    assert result.held_out == ["person-2"]
+    lines = [json.loads(s) for s in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    first, last = (
+        np.mean([line["diffuse"] for line in part]) for part in (lines[:20], lines[-21:-1])
+    )
+    assert last < 0.7 * first
+    assert result.score.psnr_db > result.score.psnr_input_db
+    assert result.score.psnr_gain_db >= result.score.psnr_db
+    network, checkpoint = load_whole_face(tmp_path / "run")
+    assert checkpoint.metrics["psnr_db"] == result.score.psnr_db
+    assert not network.training
+    assert bool((network.mean_position_mm != 0).any())
+    with pytest.raises(CheckpointError, match="family: found whole_face, expected patches"):
+        load_generator(tmp_path / "run")
+
+
+def test_resuming_goes_on_to_the_same_bits(store_path: Path, tmp_path: Path) -> None:
+    config, store = dataclasses.replace(TINY, steps=6), open_store(store_path)
+    train_faces(store, tmp_path / "a", config)
+    with pytest.raises(KeyboardInterrupt):
+        train_faces(store, tmp_path / "b", config, progress=stopping_after(3))
+    assert train_faces(store, tmp_path / "b", config, resume=True).steps == 6
+    first, second = (load_whole_face(tmp_path / name)[0].state_dict() for name in "ab")
+    for name, value in first.items():
+        assert torch.equal(second[name], value), name
+
+
+def test_a_network_that_is_right_scores_without_error(store_path: Path) -> None:
+    faces = faces_of(store_path)
+    faces.faces = faces.faces[:1]
+
+    network = WholeFaceNetwork(SIZE)
+    network.set_mean(*faces.mean_person())
+    score = score_faces(network, faces, 2, 0)
+    # Of one person the mean person is the person.
+    assert score.psnr_db > 50
+    assert score.psnr_mean_db == pytest.approx(score.psnr_db)
+    assert score.psnr_input_db < score.psnr_tone_db < 40
+    assert score.specular_rmse < 1e-3 < score.specular_constant_rmse
+
+
+def test_bands_are_the_whole_texture_and_hold_nothing_of_what_was_not_photographed() -> None:
+    rng = np.random.default_rng(0)
+    texture = rng.uniform(0.1, 0.5, (192, 128, 3)).astype(np.float32)
+    small = shrink(to_batch(texture), (48, 32))[0].permute(1, 2, 0).numpy()
+    seen = np.ones((192, 128), bool)
+    total = sum(bands(texture, seen, small))
+    wanted = np.log(texture) - enlarged(np.log(small), 192, 128)
+    np.testing.assert_allclose(total, wanted, atol=1e-5)
+    seen[:, 64:] = False
+    hidden = np.where(seen[..., None], texture, 0)
+    other = np.where(seen[..., None], texture, 77.0)
+    for first, second in zip(bands(hidden, seen, small), bands(other, seen, small), strict=True):
+        np.testing.assert_array_equal(first, second)
+        assert not first[:, 64:].any()
+
+
+def test_shares_that_made_an_albedo_are_found_again() -> None:
+    rng = np.random.default_rng(0)
+    shares, true = Shares(), [0.9, 0.6, 0.3, 0.0]
+    for _ in range(2):
+        parts = [rng.normal(size=(24, 16, 3)) for _ in range(BANDS)]
+        wanted = sum(s * p for s, p in zip(true, parts, strict=True))
+        shares.add(parts, np.asarray(wanted), np.ones((24, 16)))
+    np.testing.assert_allclose(shares.solve(), true, atol=1e-3)
+    assert Shares().solve() == [0.0] * BANDS
+
+
+def test_with_full_shares_the_albedo_is_the_texture_over_its_slow_light() -> None:
+    rng = np.random.default_rng(0)
+    skin = rng.uniform(0.2, 0.4, (192, 128, 3)).astype(np.float32)
+    light = np.linspace(0.5, 1.0, 192, dtype=np.float32)[:, None, None]
+    low = shrink(to_batch(skin * light), (48, 32))[0].permute(1, 2, 0).numpy()
+    true_low = shrink(to_batch(skin), (48, 32))[0].permute(1, 2, 0).numpy()
+    seen = np.ones((192, 128), bool)
+    found = with_detail(np.log(true_low), skin * light, seen, low, [1.0] * BANDS)
+    np.testing.assert_allclose(found[8:-8], skin[8:-8], rtol=0.02)
+
+
+@pytest.fixture(scope="module")
+def trained(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> WholeFaceNetwork:
+    out = tmp_path_factory.mktemp("trained")
+    train_faces(open_store(store_path), out, dataclasses.replace(TINY, steps=10))
+    return load_whole_face(out)[0]
+
+
+def test_maps_have_the_textures_size_and_the_meshs_normals(
+    trained: WholeFaceNetwork, ball_mesh: Mesh
+) -> None:
+    texture = np.full((120, 80, 3), 0.3, np.float32)
+    texture[:, 40:] = 0
+    found = infer_whole_face(trained, texture, ball_mesh, np.eye(3, 4))
+    assert found.maps["diffuse_albedo"].shape == (120, 80, 3)
+    assert all(np.isfinite(values).all() for values in found.maps.values())
+    assert not found.maps["confidence"][:, 40:].any()
+    assert found.maps["confidence"][:, :36].min() > 0
+    # What was not photographed is filled with what the network says.
+    assert found.maps["diffuse_albedo"][:, 60:].min() > 0.01
+    rows, columns = np.mgrid[0:120, 0:80]
+    azimuth = ((columns + 0.5) / 80 - 0.5) * 2 * np.pi
+    elevation = (0.5 - (rows + 0.5) / 120) * np.pi
+    true = np.stack(
+        [
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+            np.cos(elevation) * np.cos(azimuth),
+        ],
+        axis=-1,
+    )
+    cosine = (found.maps["diffuse_normal"] * true).sum(axis=-1)
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 3
+
+
+def test_another_layout_another_size_and_a_tiny_texture_are_refused(
+    trained: WholeFaceNetwork, ball_mesh: Mesh
+) -> None:
+    texture = np.full((96, 64, 3), 0.3, np.float32)
+    assert ball_mesh.uvs is not None
+    upside_down = dataclasses.replace(ball_mesh, uvs=ball_mesh.uvs * [1, -1] + [0, 1])
+    with pytest.raises(MapsError, match=r"uv: found texels \d+ mm from where the people"):
+        infer_whole_face(trained, texture, upside_down, np.eye(3, 4))
+    metres = dataclasses.replace(ball_mesh, vertices=ball_mesh.vertices / 1000)
+    with pytest.raises(MapsError, match="a head in millimetres"):
+        infer_whole_face(trained, texture, metres, np.eye(3, 4))
+    with pytest.raises(MapsError, match="at least 48 x 32, which the network sees"):
+        infer_whole_face(trained, texture[:40], ball_mesh, np.eye(3, 4))
+    with pytest.raises(MapsError, match="exposure"):
+        infer_whole_face(trained, 1000 * texture, ball_mesh, np.eye(3, 4))
+
+
+def test_the_modern_preset_refuses_what_cannot_be() -> None:
+    assert preset("modern", {}, "test") == WholeTrainConfig()
+    for wrong, said in (
+        ({"network": {"rows": 50}}, "network.rows: found 50, expected a multiple of 8"),
+        ({"network": {"width": -1}}, "network.width: found -1, expected 2 or more"),
+        ({"faces": {"partial_share": 2.0}}, "faces.partial_share: found 2.0"),
+        ({"learning_rate": float("nan")}, "learning_rate: found nan"),
+        ({"generator": {"width": 8}}, "an unknown key"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            preset("modern", wrong, "test")
