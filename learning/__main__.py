@@ -92,7 +92,7 @@ def render(
     """
     from learning.commands import RenderRequest, render_command
 
-    with progress_bar("render") as progress:
+    with limited_access(group_of([maps])), progress_bar("render") as progress:
         facts = render_command(
             RenderRequest(
                 maps,
@@ -142,7 +142,7 @@ def bake(
     """Bake light and shadow into a texture, as a photograph would give it."""
     from learning.commands import RenderRequest, bake_command
 
-    with progress_bar("bake") as progress:
+    with limited_access(group_of([maps])), progress_bar("bake") as progress:
         request = RenderRequest(
             maps, mesh, environment, out, rig, camera, template, mode, lights, rotate, shadows
         )
@@ -157,7 +157,9 @@ def bake(
 
 @app.command()
 def occlusion(
-    out: Annotated[Path, output_file("--out", help="Table to write, .npz.", suffixes=[".npz"])],
+    out: Annotated[
+        Path, output_file("--out", help="Table to write, .npz.", suffixes=[".npz"], shared=True)
+    ],
     template: Annotated[Path | None, typer.Option(help="Template; our own without it.")] = None,
     rows: Annotated[int, typer.Option(help="Rows of the texture shadows are baked in.")] = 96,
     directions: Annotated[int, typer.Option(help="Lights all round that are baked.")] = 2048,
@@ -196,7 +198,7 @@ def train(
     """Train a network on a dataset; one person is held out and scored."""
     from learning.commands import train_command
 
-    with progress_bar("train") as progress:
+    with limited_access(group_of([data])), progress_bar("train") as progress:
         facts = train_command(data, out, preset, config, seconds, seed, resume, progress)
     finish(
         f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; diffuse albedo of the people "

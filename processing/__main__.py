@@ -175,7 +175,7 @@ def evaluate(
     from processing.evaluation.folder import evaluate as evaluate_folder
     from processing.evaluation.folder import headline
 
-    with progress_bar("evaluate") as progress:
+    with limited_access(group_of([out])), progress_bar("evaluate") as progress:
         facts = evaluate_folder(out, truth, template, progress=progress)
     finish(f"{out / 'evaluation.json'}: {_said(headline(facts))}", facts, as_json)
 
@@ -216,7 +216,7 @@ def build(
 @dataset_app.command()
 def publish(
     store: Path = typer.Argument(..., help="The lab's store.", show_default=False),
-    out: Path = output_folder("--out", help="Published folder to make."),
+    out: Path = output_folder("--out", help="Published folder to make.", shared=True),
     overwrite: bool = Overwrite,
     patch: int | None = typer.Option(
         None,

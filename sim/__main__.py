@@ -21,7 +21,6 @@ from lightstage.commands import (
     progress_bar,
     run_app,
 )
-from lightstage.formats.access import limited_access
 from sim.devices.stage_command import add_stage_commands
 from sim.errors import SimError
 from sim.scans.commands import add_import_commands
@@ -38,7 +37,6 @@ add_stage_commands(app)
 
 
 @app.command()
-@limited_access()
 def session(
     subject: str = typer.Option(..., help=SUBJECT_HELP),
     out: Path = output_folder("--out", help="Session folder; truth goes to OUT.truth."),
@@ -136,7 +134,6 @@ def session(
 
 
 @app.command()
-@limited_access()
 def dataset(
     out: Path = output_folder("--out", help="Folder for all of them."),
     subjects: int | None = typer.Option(
@@ -239,7 +236,9 @@ def render(
 
 @app.command()
 def targets(
-    out: Path = output_folder("--out", help="Session folder; truth goes to OUT.truth."),
+    out: Path = output_folder(
+        "--out", help="Session folder; truth goes to OUT.truth.", shared=True
+    ),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     seed: int = typer.Option(0, min=0, help="Of the board's poses, lenses, sensors and noise."),
     scale: float = typer.Option(
@@ -311,7 +310,8 @@ def gallery(
 
 @app.command()
 def template(
-    out: Path = output_folder("--out", help="Template folder."), as_json: bool = JsonFlag
+    out: Path = output_folder("--out", help="Template folder.", shared=True),
+    as_json: bool = JsonFlag,
 ) -> None:
     """Write our own template: mesh, UV, landmarks, regions, modes, skin maps."""
     from sim.head.template import write_template

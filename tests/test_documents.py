@@ -75,6 +75,9 @@ def test_the_configuration_of_the_learning_page_is_taken_as_written() -> None:
     import tomllib
 
     from learning.presets import preset
+    from learning.whole.config import WholeTrainConfig
 
     (example,) = blocks((ROOT / "docs" / "learning.md").read_text(), "toml")
-    assert preset("demo", tomllib.loads(example), "docs/learning.md").generator.width == 24
+    found = preset("modern", tomllib.loads(example), "docs/learning.md")
+    assert isinstance(found, WholeTrainConfig)
+    assert found.network.width == 24

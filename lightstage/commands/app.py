@@ -14,6 +14,7 @@ from typer.exceptions import TyperException
 
 from lightstage.errors import LightstageError, StoppedError
 from lightstage.failures import explain
+from lightstage.formats.access import private_command
 from lightstage.interrupts import interrupted, raise_on_signals
 
 JsonFlag = typer.Option(
@@ -71,11 +72,15 @@ def run_app(app: typer.Typer) -> None:
     What the user can mend is one message on stderr; with --json it is also the last line of
     stdout, as {"error": {...}}. Set LIGHTSTAGE_TRACEBACK=1 to see where it was raised. Any other
     exception is a defect, and shows its traceback.
+
+    What the command writes is its owner's alone, whatever the umask, unless its output is `shared`
+    (lightstage.commands.outputs) or the lab's group may have it (lightstage.formats.access).
     """
     raise_on_signals()
     as_json = "--json" in sys.argv[1:]
     try:
-        status = typer.main.get_command(app).main(standalone_mode=False)
+        with private_command():
+            status = typer.main.get_command(app).main(standalone_mode=False)
         sys.stdout.flush()
     except TyperException as error:
         cast(Any, error).show()  # Typer's base class, which is public, does not declare it

@@ -18,13 +18,20 @@ import typer
 
 from lightstage.errors import ConfigError, DiskError
 from lightstage.failures import disk_full, explain, is_disk_full, nearest_existing
+from lightstage.formats.access import share
 
 _BLOCK = bytes(4096)
 _NAME_BYTES = 255 - 24
 """Of one name in a path: temporary names add up to 24 bytes to a file's."""
 
 
-def output_file(*names: str, help: str, suffixes: Sequence[str] = (), default: Any = ...) -> Any:  # noqa: A002  Typer's word
+def output_file(
+    *names: str,
+    help: str,  # noqa: A002  Typer's word
+    suffixes: Sequence[str] = (),
+    default: Any = ...,
+    shared: bool = False,
+) -> Any:
     """A Typer option for a file to write.
 
     Args:
@@ -32,13 +39,20 @@ def output_file(*names: str, help: str, suffixes: Sequence[str] = (), default: A
         help: what `--help` says.
         suffixes: what its name may end in, lower case; any where empty.
         default: where the option is absent; required without it.
+        shared: it shows nobody's face and is made to be passed on, so that the user's own umask
+            holds for it; what a command writes is its owner's alone else.
     """
-    return _option(names, help, default, lambda name, path: try_file(name, path, suffixes))
+    return _option(names, help, default, shared, lambda name, path: try_file(name, path, suffixes))
 
 
-def output_folder(*names: str, help: str, default: Any = ...) -> Any:  # noqa: A002  Typer's word
-    """A Typer option for a folder to write into, made where absent."""
-    return _option(names, help, default, try_folder)
+def output_folder(
+    *names: str,
+    help: str,  # noqa: A002  Typer's word
+    default: Any = ...,
+    shared: bool = False,
+) -> Any:
+    """A Typer option for a folder to write into, made where absent; arguments as `output_file`."""
+    return _option(names, help, default, shared, try_folder)
 
 
 def try_file(option: str, path: Path, suffixes: Sequence[str] = ()) -> None:
@@ -76,11 +90,17 @@ def try_folder(option: str, path: Path) -> None:
 
 
 def _option(
-    names: tuple[str, ...], help_text: str, default: Any, check: Callable[[str, Path], None]
+    names: tuple[str, ...],
+    help_text: str,
+    default: Any,
+    shared: bool,
+    check: Callable[[str, Path], None],
 ) -> Any:
     def tried(param: typer.CallbackParam, value: Path | None) -> Path | None:
         if value is not None and param.name is not None:
             check(f"--{param.name.replace('_', '-')}", value)
+            if shared:
+                share()
         return value
 
     return typer.Option(default, *names, help=help_text, callback=tried, show_default=False)

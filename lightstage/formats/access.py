@@ -15,6 +15,33 @@ Group = Literal["nothing", "read", "write"]
 _MASKS: dict[Group, int] = {"nothing": 0o077, "read": 0o027, "write": 0o007}
 
 
+class _Process:
+    """What the umask of this process was before a command began; None outside commands."""
+
+    users_umask: int | None = None
+
+
+@contextlib.contextmanager
+def private_command() -> Iterator[None]:
+    """Make all that a command writes its owner's alone, until it says otherwise.
+
+    It says so by `share`, which is called for outputs that show nobody, or by `limited_access`,
+    which gives the lab's group what it may have.
+    """
+    _Process.users_umask = os.umask(_MASKS["nothing"])
+    try:
+        yield
+    finally:
+        os.umask(_Process.users_umask)
+        _Process.users_umask = None
+
+
+def share() -> None:
+    """Let the user's own umask hold for what this command writes: it shows nobody's face."""
+    if _Process.users_umask is not None:
+        os.umask(_Process.users_umask)
+
+
 @contextlib.contextmanager
 def limited_access(group: Group = "nothing") -> Iterator[None]:
     """Make new files and folders of this process and its children private within the block.

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from pathlib import Path
+
+from lightstage.errors import FormatError, LightstageError
 
 LONGEST = 64
 RESERVED = frozenset(
@@ -51,6 +54,37 @@ def name_problem(text: str) -> str | None:
     if " " in text or not (plain or re.search(r"[0-9]", text)):
         return "one word of letters a to z, or one with a digit, such as P07 or subject-12"
     return None
+
+
+def require_pseudonym(
+    text: object, where: str | Path, field: str, error: type[LightstageError] = FormatError
+) -> str:
+    """A file's subject or expression, in one spelling.
+
+    A name with a blank is taken here, as sessions of before such were refused may have one.
+
+    Args:
+        text: what the file says.
+        where: the file.
+        field: of the file.
+        error: what to raise.
+
+    Raises:
+        FormatError, or `error`: no text, or one that `pseudonym_problem` refuses.
+    """
+    composed = unicodedata.normalize("NFC", text) if isinstance(text, str) else ""
+    wanted = pseudonym_problem(composed) if composed else "a pseudonym"
+    if wanted is not None:
+        shown = "none" if text is None else ascii(text)
+        raise error(
+            where,
+            field=field,
+            found=shown if len(shown) <= 80 else f"{shown[:80]}..",
+            expected=wanted,
+            hint="The file was changed by hand or by another program: name a pseudonym such as "
+            "P07 in it, never a name, an address or a path.",
+        )
+    return composed
 
 
 def consent_problem(text: str) -> str | None:

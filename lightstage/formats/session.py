@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
 from lightstage.formats.files import read_json, sha256_file, write_json
+from lightstage.formats.names import require_pseudonym
 from lightstage.formats.paths import check_name, path_inside
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig, load_rig
@@ -210,6 +211,11 @@ def _faults(session: Session) -> list[LightstageError]:
     path = session.root / "session.json"
     problems: list[LightstageError] = []
     cameras = {camera.id for camera in session.rig.cameras}
+    for field in ("subject", "expression"):
+        try:
+            require_pseudonym(getattr(session.file, field), path, field)
+        except FormatError as error:
+            problems.append(error)
     seen: set[tuple[str, str]] = set()
     for index, frame in enumerate(session.file.frames):
         field = f"frames[{index}]"

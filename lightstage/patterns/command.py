@@ -42,7 +42,7 @@ def patterns_command(
     drive: str = typer.Option("solid-angle", help="How lights are driven: solid-angle or on-off."),
     patterns: Path | None = typer.Option(None, help="Your own patterns (TOML)."),
     out: Path | None = output_file(
-        "--out", help="Picture of all of them, .png.", suffixes=[".png"], default=None
+        "--out", help="Picture of all of them, .png.", suffixes=[".png"], default=None, shared=True
     ),
     as_json: bool = JsonFlag,
 ) -> None:

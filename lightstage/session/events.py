@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from lightstage.errors import FormatError
+from lightstage.formats.names import require_pseudonym
 from lightstage.formats.paths import check_name, relative_path
 
 Line = dict[str, Any]
@@ -72,6 +73,8 @@ _HINT = "The journal was changed by hand or by the disk; restore it from a copy.
 def _check_field(value: Any, rule: str | Rule, path: Path, field: str) -> None:
     if rule == "name":
         check_name(value, path, field)
+    elif rule == "pseudonym":
+        require_pseudonym(value, path, field)
     elif rule == "names":
         _check_field(value, _LIST, path, field)
         for index, each in enumerate(value):
@@ -215,8 +218,8 @@ _EVENTS: Mapping[str, tuple[Rules, Rules]] = {
         {
             "session": "name",
             "created_utc": _TEXT,
-            "subject": _TEXT,
-            "expression": _TEXT,
+            "subject": "pseudonym",
+            "expression": "pseudonym",
             "sequence": "names",
             "cameras": "names",
         },

@@ -20,7 +20,7 @@ def calibrate_cameras_command(
     lab: Path = typer.Argument(
         ..., help="A lab's calibration shots, or a session of targets.", show_default=False
     ),
-    out: Path = output_folder("--out", help="Folder for rig.json and cameras.json."),
+    out: Path = output_folder("--out", help="Folder for rig.json and cameras.json.", shared=True),
     config: Path | None = typer.Option(None, "--config", help="TOML: [board] [cameras]"),
     allow_camera: list[str] = typer.Option([], help="A camera to keep whatever its residual."),
     as_json: bool = JsonFlag,

@@ -19,7 +19,7 @@ def calibrate_command(
     lab: Path = typer.Argument(
         ..., help="A lab's calibration shots, or a session of targets.", show_default=False
     ),
-    out: Path = output_folder("--out", help="Calibration folder, made or replaced."),
+    out: Path = output_folder("--out", help="Calibration folder, made or replaced.", shared=True),
     config: Path | None = typer.Option(None, "--config", help="TOML: [chart] [colour] [flat] .."),
     as_json: bool = JsonFlag,
 ) -> None:

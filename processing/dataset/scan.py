@@ -12,6 +12,7 @@ import numpy as np
 from lightstage.errors import FormatError
 from lightstage.formats.fields import MOST
 from lightstage.formats.files import read_json, sha256_file
+from lightstage.formats.names import require_pseudonym
 from lightstage.formats.people import is_people_file
 from lightstage.formats.processed import ProcessedFolder
 from processing.errors import ProcessingError
@@ -87,9 +88,12 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
     _require_processed(root)
     folder = ProcessedFolder(root)
     report = read_json(root / "report.json")
-    for key in ("subject", "expression"):
-        if not isinstance(report, dict) or not isinstance(report.get(key), str):
-            raise FormatError(root / "report.json", field=key, found="none", expected="a pseudonym")
+    if not isinstance(report, dict):
+        raise FormatError(root / "report.json", found="a list or value", expected="a JSON object")
+    subject, expression = (
+        require_pseudonym(report.get(key), root / "report.json", key)
+        for key in ("subject", "expression")
+    )
     consent = report.get("consent")
     if consent is not None and not (isinstance(consent, str) and consent):
         raise FormatError(
@@ -130,8 +134,8 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
     rows, columns = maps["confidence"].shape[:2]
     files = [folder.head_pose, *(folder.atlas_path(name) for name in (*CHANNELS, SKIN))]
     entry = ScanEntry(
-        subject=report["subject"],
-        expression=report["expression"],
+        subject=subject,
+        expression=expression,
         rows=rows,
         columns=columns,
         sha256=hashlib.sha256("".join(map(sha256_file, files)).encode()).hexdigest(),

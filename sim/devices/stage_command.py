@@ -74,7 +74,7 @@ def stage(
 
 def calibrate(
     kind: str = typer.Argument(help="charuco, mirror, grey, chart, dark or flat."),
-    out: Path = output_folder("--out", help="The lab's folder of calibration shots."),
+    out: Path = output_folder("--out", help="The lab's folder of calibration shots.", shared=True),
     seed: int = typer.Option(0, min=0, help="Of poses, lenses and noise."),
     scale: float = ScaleOption,
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),

@@ -7,6 +7,7 @@ import importlib
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import typer
 
 from learning.checkpoint import save_checkpoint
 from learning.networks.generator import Generator
-from learning.presets import preset
+from learning.presets import TrainConfig, preset
 from lightstage.commands import run_app
 from lightstage.formats.config import as_dict
 from lightstage.formats.environment import LightSet, write_lights
@@ -27,8 +28,9 @@ from lightstage.importing import import_session
 from lightstage.rig import default_rig, save_rig
 from processing.dataset import build_store
 
-LONGEST_S = 30.0
-"""A command that takes longer hangs: it is interrupted, so that its test fails and tells which."""
+LONGEST_S = 120.0
+"""A command that takes longer, compiling included, hangs: it is interrupted, so that its test fails
+and tells which."""
 PROGRAMS = ("lightstage", "processing", "learning", "sim")
 
 
@@ -172,6 +174,7 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     at["lights"] = write_lights(lights, folder / "lights.json")
     at["texture"] = write_exr(folder / "texture.exr", rng.random((96, 64, 3)))
     config = preset("demo", {"generator": {"width": 2}, "data": {"patch_px": 32}}, "test")
+    assert isinstance(config, TrainConfig)
     about = {
         "config": as_dict(config), "data_fingerprint": "", "held_out": [], "texture_rows": 96,
         "metrics": {},
@@ -184,3 +187,38 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     at["maps"] = at["processed"] / "atlas"
     at["store"] = build_store([at["processed"]], folder / "store")
     return at
+
+
+COMMANDS = {
+    "patterns": ("lightstage", "patterns", "binary", "--rig", "{rig}", "--out", "{new}.png"),
+    "import": ("lightstage", "import", "{photographs}", "--rig", "{rig}", "--out", "{new}"),
+    "decode": ("processing", "run", "{session}", "--until", "decode", "--out", "{new}"),
+    "build": ("processing", "dataset", "build", "{processed}", "--out", "{new}"),
+    "bake": (
+        "learning", "bake", "--maps", "{maps}", "--mesh", "{mesh}", "--environment", "{lights}",
+        "--out", "{new}.exr",
+    ),
+    "render": (
+        "learning", "render", "--maps", "{maps}", "--mesh", "{mesh}", "--environment", "{lights}",
+        "--rig", "{small rig}", "--out", "{new}.png",
+    ),
+    "occlusion": (
+        "learning", "occlusion", "--rows", "24", "--directions", "8", "--out", "{new}.npz",
+    ),
+    "infer": (
+        "learning", "infer", "--texture", "{texture}", "--mesh", "{mesh}", "--checkpoint", "{run}",
+        "--out", "{new}",
+    ),
+    "targets": ("sim", "targets", "--rig", "{rig}", "--scale", "1", "--out", "{new}"),
+}  # fmt: skip
+"""Words of each command; `{name}` is a file of `world`, `{new}` a place that is not there yet."""
+
+
+@pytest.fixture(params=COMMANDS)
+def command(request: pytest.FixtureRequest, world: dict[str, Path]) -> Callable[[Path], list[str]]:
+    """A function: the words of one command that writes to a place."""
+
+    def words(new: Path) -> list[str]:
+        return [word.format(**world, new=new) for word in COMMANDS[request.param]]
+
+    return words

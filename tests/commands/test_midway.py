@@ -17,39 +17,6 @@ from lightstage.commands import progress
 
 LEFT_BYTES = 8192
 """Free on the disk that fills up: what is tried before work fits, most results do not."""
-COMMANDS = {
-    "patterns": ("lightstage", "patterns", "binary", "--rig", "{rig}", "--out", "{new}.png"),
-    "import": ("lightstage", "import", "{photographs}", "--rig", "{rig}", "--out", "{new}"),
-    "decode": ("processing", "run", "{session}", "--until", "decode", "--out", "{new}"),
-    "build": ("processing", "dataset", "build", "{processed}", "--out", "{new}"),
-    "bake": (
-        "learning", "bake", "--maps", "{maps}", "--mesh", "{mesh}", "--environment", "{lights}",
-        "--out", "{new}.exr",
-    ),
-    "render": (
-        "learning", "render", "--maps", "{maps}", "--mesh", "{mesh}", "--environment", "{lights}",
-        "--rig", "{small rig}", "--out", "{new}.png",
-    ),
-    "occlusion": (
-        "learning", "occlusion", "--rows", "24", "--directions", "8", "--out", "{new}.npz",
-    ),
-    "infer": (
-        "learning", "infer", "--texture", "{texture}", "--mesh", "{mesh}", "--checkpoint", "{run}",
-        "--out", "{new}",
-    ),
-    "targets": ("sim", "targets", "--rig", "{rig}", "--scale", "1", "--out", "{new}"),
-}  # fmt: skip
-"""Words of each command; `{name}` is a file of `world`, `{new}` a place that is not there yet."""
-
-
-@pytest.fixture(params=COMMANDS)
-def command(request, world):
-    """A function: the words of one command that writes to a place."""
-
-    def words(new):
-        return [word.format(**world, new=new) for word in COMMANDS[request.param]]
-
-    return words
 
 
 @contextlib.contextmanager

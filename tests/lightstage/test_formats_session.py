@@ -83,6 +83,8 @@ def test_recorded_levels_are_believed_and_else_the_name(root, small_rig):
     [
         ({"schema": "lightstage.session/2"}, "newer version"),
         ({"subject": None}, "subject: found None, expected Input should be a valid string"),
+        ({"subject": "../../etc"}, r"subject: found '\.\./\.\./etc', expected letters, digits"),
+        ({"expression": "smile\x1b[2J"}, "expression: found 'smile.x1b.2J', expected letters"),
         (
             {"frames": [{"pattern": "full"}]},
             r"(?s)4 problems:.*frames\.0\.sha256: found no such field",
