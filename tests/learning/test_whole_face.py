@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from learning.augment import AugmentConfig
-from learning.checkpoint import load_generator, load_whole_face
+from learning.checkpoint import load_generator, load_whole_face, shipped_weights
 from learning.encoding import shrink
 from learning.errors import CheckpointError, MapsError
 from learning.maps import to_batch
@@ -30,7 +30,9 @@ from learning.whole.train import WholeFaceTrainer, face_losses, train_faces
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.mesh import Mesh
-from processing.dataset import open_store
+from processing.dataset import build_store, open_store
+from sim.people.dataset import make_plan, write_people
+from sim.people.table import load_table
 
 SIZE = WholeFaceConfig(rows=48, columns=32, width=4, halvings=2)
 TINY = WholeTrainConfig(
@@ -304,3 +306,22 @@ def test_the_modern_preset_refuses_what_cannot_be() -> None:
     ):
         with pytest.raises(ConfigError, match=said):
             preset("modern", wrong, "test")
+
+
+def test_the_shipped_weights_beat_the_plain_guesses_on_people_not_trained_on(
+    tmp_path: Path,
+) -> None:
+    plan = make_plan(tmp_path / "people", load_table("balanced"), 4, 1, 900, 192)
+    write_people(plan, jobs=1)
+    folders = sorted(path.parent for path in (tmp_path / "people").glob("*/report.json"))
+    store = open_store(build_store(folders, tmp_path / "store"))
+    network, _ = load_whole_face(shipped_weights())
+    people = {scan.subject for scan in store.scans}
+    rng = np.random.default_rng(0)
+    faces = Faces(store, people, network.config, PLAIN, RandomLightConfig(), OWN, rng)
+    score = score_faces(network, faces, 3, 0)
+    assert score.psnr_db > 23
+    assert score.psnr_gain_db > 32
+    assert score.psnr_db > max(score.psnr_input_db, score.psnr_mean_db) + 4
+    assert score.specular_rmse < 0.9 * score.specular_constant_rmse
+    assert 0.5 < score.deviation_ratio < 2

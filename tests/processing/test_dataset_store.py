@@ -127,9 +127,15 @@ def without_subject(root: Path) -> None:
     (root / "report.json").write_text("{}")
 
 
+def with_a_path_for_a_subject(root: Path) -> None:
+    value = json.loads((root / "report.json").read_text())
+    (root / "report.json").write_text(json.dumps({**value, "subject": "../other"}))
+
+
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
+        (with_a_path_for_a_subject, r"subject: found '\.\./other', expected letters"),
         (wrong_size, "different size"),
         (with_nan, "NaN"),
         (without_pose, "head_from_world.json"),

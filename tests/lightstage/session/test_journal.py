@@ -229,6 +229,7 @@ def test_resumes_that_are_cut_one_after_another_do_no_harm(tmp_path_factory, cut
         lambda _: [],
         lambda lines: [lines[0].replace(b"journal/2", b"journal/3"), *lines[1:]],
         lambda lines: [lines[0].replace(b"journal/2", b"rig/1"), *lines[1:]],
+        lambda lines: [lines[0].replace(b'"p-1"', b'"../p-1"'), *lines[1:]],
     ],
 )
 def test_a_journal_that_was_changed_is_refused(path, damage):
