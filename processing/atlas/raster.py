@@ -17,7 +17,8 @@ class Raster:
 
     Attributes:
         face: (rows, columns) int32 triangle, -1 in the gutter.
-        barycentric: (rows, columns, 2) float32 weights of the triangle's second and third corner.
+        barycentric: (rows, columns, 2) float32 weights of the triangle's second and third corner,
+            none below 0 and both together at most 1.
     """
 
     face: np.ndarray
@@ -109,8 +110,23 @@ def _fill(corners: np.ndarray, face: np.ndarray, barycentric: np.ndarray) -> Non
                     b2 = _edge(x0, y0, x1, y1, x, y) / double_area
                     if b0 >= 0 and b1 >= 0 and b2 >= 0:
                         face[row, column] = t
-                        barycentric[row, column, 0] = b1
-                        barycentric[row, column, 1] = b2
+                        barycentric[row, column] = _single(b1, b2)
+
+
+@numba.njit(cache=True)
+def _single(b1: float, b2: float) -> tuple[np.float32, np.float32]:
+    """Two weights in single precision, which together are still at most 1.
+
+    Both rounded up, they would leave the first corner less than nothing, and what is interpolated
+    between black and white would fall below black.
+    """
+    first, second = np.float32(b1), np.float32(b2)
+    if 1.0 - first - second < 0:
+        if first > second:
+            first = np.nextafter(first, np.float32(0))
+        else:
+            second = np.nextafter(second, np.float32(0))
+    return first, second
 
 
 @numba.njit(cache=True, inline="always")

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from processing.atlas.fill import MeshFill, mirrored_vertices
-from processing.atlas.finish import gutter_sources, picture
+from processing.atlas.finish import gutter_sources, picture, towards
 from processing.atlas.raster import overlap_share, rasterise, texel_size_mm
 from tests.processing.shapes import ellipsoid
 
@@ -51,6 +51,8 @@ def test_rasteriser_agrees_with_its_plain_twin(seed, size, rows):
     assert np.array_equal(found.face[sure], face[sure])
     both = (found.face == face) & (face >= 0)
     assert np.allclose(found.barycentric[both], barycentric[both][:, 1:], atol=1e-5)
+    assert found.barycentric.min() >= 0
+    assert found.barycentric.sum(axis=2, dtype=float).max() <= 1
 
 
 def test_every_texel_of_a_covered_tile_is_covered_once_and_edges_leave_no_gap():
@@ -185,6 +187,39 @@ def test_filling_with_everything_or_nothing_seen_is_finite():
         mirror = mirrored_vertices(mesh.vertices, 1.0)
         fill = MeshFill(mesh.vertices, mesh.triangles(), raster, texels, seen, mirror)
         assert np.allclose(fill.vertex_values(values), expected, atol=1e-5)
+
+
+@settings(max_examples=60)
+@given(
+    seed=st.integers(0, 2**32),
+    rows=st.sampled_from([24, 60, 96]),
+    black_or_white=st.booleans(),
+    seen_share=st.sampled_from([0.0, 0.02, 0.3, 1.0]),
+    faintest=st.sampled_from([1e-30, 1e-6, 1.0]),
+    two_sides=st.booleans(),
+)
+def test_filled_albedo_stays_between_black_and_white(
+    seed, rows, black_or_white, seen_share, faintest, two_sides
+):
+    rng = np.random.default_rng(seed)
+    mesh = ellipsoid(8, 12)
+    triangles = mesh.triangles()
+    assert mesh.uvs is not None
+    raster = rasterise(mesh.uvs, mesh.triangle_uvs(), rows, rows * 2 // 3)
+    texels = raster.texels()
+    weight = faintest ** rng.uniform(size=len(texels)) * (
+        rng.uniform(size=len(texels)) < seen_share
+    )
+    weight = weight.astype(np.float32)
+    values = rng.uniform(size=(len(texels), 3)).astype(np.float32)
+    values = np.round(values) if black_or_white else values
+    none = np.full(len(mesh.vertices), -1)
+    mirror = mirrored_vertices(mesh.vertices, 1.0) if two_sides else none
+    fill = MeshFill(mesh.vertices, triangles, raster, texels, weight, mirror)
+    guess = fill.vertex_values(values)
+    assert 0 <= guess.min() <= guess.max() <= 1
+    towards(values, guess, raster, triangles, texels, weight)
+    assert 0 <= values.min() <= values.max() <= 1
 
 
 def test_the_other_side_is_a_better_guess_than_the_surroundings():
