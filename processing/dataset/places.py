@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import cv2
 import numpy as np
 
 from processing.dataset.store import Store
@@ -19,6 +20,8 @@ LARGEST_TEXEL = 16.0
 it counts so much."""
 REACH = 0.75
 """Share of texels that a proposed size is chosen for; the others are stretched more."""
+CLEAR = 1 / 8
+"""Side of a square of skin without a gap, as a share of a patch's side: 3 to 5 mm of a face."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +32,7 @@ class Place:
         scan: index in the store.
         row: of the top-left texel.
         column: of the top-left texel.
-        face_share: what it shows of the scan's measured skin, by area on the surface.
+        face_share: what its clear skin is of the scan's measured skin, by area on the surface.
         quarter_turns: counter-clockwise, 0 to 3.
         mirrored: flipped left to right, after the turns.
         axes: (3, 3) that takes directions of the head frame to the patch's own; orthogonal, with
@@ -53,7 +56,7 @@ class Layout:
         size: side of a patch in texels.
         gap: fewest texels between two patches.
         wander: most texels by which a patch lies off its cell's corner, each way.
-        min_coverage: smallest share of a patch's texels that are measured skin.
+        min_coverage: smallest share of a patch's texels that are clear skin.
         turned: whether patches are turned and mirrored at random, and their directions with them.
     """
 
@@ -93,7 +96,7 @@ def texel_areas_mm2(store: Store, scan: int) -> np.ndarray:
 
 
 def places_of(store: Store, scan: int, layout: Layout) -> list[Place]:
-    """Every place of a scan that shows enough skin, whatever the share of the face.
+    """Every place of a scan that shows enough clear skin, whatever the share of the face.
 
     All scans of a person have the same places, in every release: patches of two expressions or of
     two releases that overlapped would stitch together what the gap keeps apart. What is drawn
@@ -112,8 +115,7 @@ def places_of(store: Store, scan: int, layout: Layout) -> list[Place]:
     rng = np.random.default_rng(_secret_of(store, info.subject))
     seen = store.read(scan, "confidence", slice(None), slice(None))[:, :, 0] > 0
     area = texel_areas_mm2(store, scan)
-    covered, shown = _sums(seen), _sums(area)
-    face = float(shown[-1, -1])
+    face = max(float(area.sum(dtype=float)), 1e-9)
     # At least one texel must be measured, or a patch would have no mean to remove.
     fewest = max(layout.min_coverage * size**2, 0.5)
     pitch = size + layout.gap + layout.wander
@@ -127,9 +129,13 @@ def places_of(store: Store, scan: int, layout: Layout) -> list[Place]:
             turns, mirrored = int(rng.integers(4)), bool(rng.integers(2))
             axes = _random_axes(rng, mirrored)
             inside = 0 <= row <= info.rows - size and 0 <= column <= info.columns - size
-            if not inside or _sum(covered, row, column, size) < fewest:
+            if not inside:
                 continue
-            share = _sum(shown, row, column, size) / max(face, 1e-9)
+            here = slice(row, row + size), slice(column, column + size)
+            clear = clear_skin(seen[here])
+            if clear.sum() < fewest:
+                continue
+            share = float(area[here][clear].sum(dtype=float)) / face
             if not layout.turned:
                 turns, mirrored, axes = 0, False, np.eye(3)
             found.append(Place(scan, row, column, share, turns, mirrored, axes))
@@ -156,6 +162,28 @@ def size_that_shows(store: Store, most: float) -> int:
     return max(1, size // 8 * 8 if size >= 8 else size)
 
 
+def clear_skin(measured: np.ndarray) -> np.ndarray:
+    """Texels of a patch that lie in a square of measured skin without a gap.
+
+    Between the hairs of a beard single texels are skin. They are too small for a texture, and
+    their outline draws the hair.
+
+    Args:
+        measured: (size, size) bool, where skin was measured.
+
+    Returns:
+        (size, size) bool.
+    """
+    # Odd, so that the square has a middle and a turned patch has the same texels.
+    side = int(CLEAR * len(measured)) | 1
+    square = np.ones((side, side), np.uint8)
+    # What lies beyond the patch is not published and makes no square whole.
+    middles = cv2.erode(
+        measured.astype(np.uint8), square, borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
+    return np.asarray(cv2.dilate(middles, square) > 0)
+
+
 def turned(patch: np.ndarray, place: Place) -> np.ndarray:
     """A patch's picture as it is published: (size, size, c), turned and mirrored."""
     picture = np.rot90(patch, place.quarter_turns)
@@ -167,21 +195,6 @@ def _secret_of(store: Store, subject: str) -> int:
     own = [scan for scan in store.scans if scan.subject == subject]
     chosen = next((scan for scan in own if scan.expression == "neutral"), own[0])
     return int(chosen.sha256, 16)
-
-
-def _sums(values: np.ndarray) -> np.ndarray:
-    """(h + 1, w + 1) float64 sums over all rows above and columns before."""
-    total = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
-    np.cumsum(values, axis=0, out=total[1:, 1:], dtype=float)
-    np.cumsum(total[1:, 1:], axis=1, out=total[1:, 1:])
-    return total
-
-
-def _sum(total: np.ndarray, row: int, column: int, size: int) -> float:
-    bottom, right = row + size, column + size
-    return float(
-        total[bottom, right] - total[row, right] - total[bottom, column] + total[row, column]
-    )
 
 
 def _random_axes(rng: np.random.Generator, mirrored: bool) -> np.ndarray:

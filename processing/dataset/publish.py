@@ -25,7 +25,7 @@ import zarr
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import ConfigError
 from lightstage.formats.files import atomic_folder, write_json
-from processing.dataset.places import Layout, Place, places_of, size_that_shows, turned
+from processing.dataset.places import Layout, Place, clear_skin, places_of, size_that_shows, turned
 from processing.dataset.protection import CANNOT_PROTECT
 from processing.dataset.scan import DatasetError
 from processing.dataset.statistics import Statistics
@@ -59,7 +59,7 @@ class PublishConfig:
         turned: patches are turned and mirrored at random, directions and shape with them.
         drop: share of everybody's patches that a release leaves out.
         most_face: largest share of a scan's measured skin that a patch may show, by area in mm2.
-        min_coverage: smallest share of a patch's texels that show skin.
+        min_coverage: smallest share of a patch's texels that show clear skin (`clear_skin`).
         fewest_subjects: statistics are left out where fewer people than this would hide in them.
         shard_patches: patches that share a file.
         without_consent: publish scans of people of whom no consent is on record, and say so.
@@ -209,11 +209,12 @@ def read_patch(store: Store, place: Place, size: int) -> tuple[dict[str, np.ndar
     """Maps of one place as they are published.
 
     Returns:
-        By name (size, size, c) float32, zero where not measured; (size, size) bool, where measured.
+        By name (size, size, c) float32, zero where no clear skin is; (size, size) bool, where it
+        is.
     """
     rows = slice(place.row, place.row + size)
     columns = slice(place.column, place.column + size)
-    seen = store.read(place.scan, "confidence", rows, columns) > 0
+    seen = clear_skin(store.read(place.scan, "confidence", rows, columns)[:, :, 0] > 0)[:, :, None]
     patch = {
         name: store.read(place.scan, name, rows, columns) * seen
         for name in CHANNELS

@@ -11,11 +11,13 @@ import cv2
 import numpy as np
 import pytest
 import zarr
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.processed import ProcessedFolder
 from processing.dataset import PublishConfig, Store, build_store, open_store, publish
-from processing.dataset.places import places_of
+from processing.dataset.places import CLEAR, clear_skin, places_of
 from processing.dataset.publish import published_places, read_patch
 
 Make = Callable[..., Path]
@@ -384,3 +386,45 @@ def test_unmeasured_texels_publish_nothing(tmp_path: Path, make_processed: Make)
     assert (albedo[seen] == 0.75).all()
     assert not albedo[~seen].any()
     assert not seen.all()
+
+
+def test_skin_between_the_hairs_of_a_beard_is_not_published(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    rows, columns = np.mgrid[:192, :128]
+    beard = rows >= 96
+    hairs = beard & (rows % 3 == 0) & (columns % 3 == 0)
+    root = make_processed(tmp_path / "bearded", 192, 128, subject="bearded")
+    ProcessedFolder(root).write_atlas("skin", ~hairs)
+    bearded = open_store(build_store([root], tmp_path / "one"))
+    root = make_processed(tmp_path / "shaven", 192, 128, subject="shaven")
+    shaven = open_store(build_store([root], tmp_path / "two"))
+    layout = SMALL.layout(bearded)
+    left, all_of_it = (published_places(store, layout, 1.0) for store in (bearded, shaven))
+    assert 0.3 * len(all_of_it) < len(left) < 0.7 * len(all_of_it)
+    for place in left:
+        shown = read_patch(bearded, place, SIZE)[1]
+        here = slice(place.row, place.row + SIZE), slice(place.column, place.column + SIZE)
+        # One row of the beard has no hair before the first: it still belongs to whole squares.
+        assert shown.sum() <= (~beard[here]).sum() + SIZE
+        assert (clear_skin(shown) == shown).all()
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    size=st.sampled_from([1, 8, 16, 41, 64]),
+    hair=st.sampled_from([0.0, 0.003, 0.03, 0.3, 1.0]),
+)
+def test_clear_skin_is_what_whole_squares_of_skin_cover_however_it_is_turned(
+    seed: int, size: int, hair: float
+) -> None:
+    measured = np.random.default_rng(seed).uniform(size=(size, size)) >= hair
+    side = int(CLEAR * size) | 1
+    covered = np.zeros_like(measured)
+    for row in range(size - side + 1):
+        for column in range(size - side + 1):
+            here = slice(row, row + side), slice(column, column + side)
+            covered[here] |= measured[here].all()
+    assert (clear_skin(measured) == covered).all()
+    for own, right in zip(unturned(measured), unturned(covered), strict=True):
+        assert (clear_skin(own) == right).all()
