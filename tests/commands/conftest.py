@@ -189,7 +189,7 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     return at
 
 
-COMMANDS = {
+RUNNABLE = {
     "patterns": ("lightstage", "patterns", "binary", "--rig", "{rig}", "--out", "{new}.png"),
     "import": ("lightstage", "import", "{photographs}", "--rig", "{rig}", "--out", "{new}"),
     "decode": ("processing", "run", "{session}", "--until", "decode", "--out", "{new}"),
@@ -214,11 +214,11 @@ COMMANDS = {
 """Words of each command; `{name}` is a file of `world`, `{new}` a place that is not there yet."""
 
 
-@pytest.fixture(params=COMMANDS)
+@pytest.fixture(params=RUNNABLE)
 def command(request: pytest.FixtureRequest, world: dict[str, Path]) -> Callable[[Path], list[str]]:
     """A function: the words of one command that writes to a place."""
 
     def words(new: Path) -> list[str]:
-        return [word.format(**world, new=new) for word in COMMANDS[request.param]]
+        return [word.format(**world, new=new) for word in RUNNABLE[request.param]]
 
     return words

@@ -125,6 +125,8 @@ def test_train_then_infer_writes_the_maps(
     (tmp_path / "tiny.toml").write_text(TINY_TOML)
     train = [
         "train",
+        "--preset",
+        "demo",
         "--data",
         store_path,
         "--out",
@@ -159,6 +161,40 @@ def test_train_then_infer_writes_the_maps(
     assert run(monkeypatch, *base, "--texture", nan, "--out", refused) == 2
     assert "element (5, 7, 1): found 1 values that are NaN" in capsys.readouterr().err
     assert not refused.exists()
+
+
+def test_whole_faces_are_the_default_and_infer_keeps_a_textures_size(
+    store_path: Path,
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    small = "steps = 2\ndetail_pairs = 1\n[network]\nrows = 48\ncolumns = 32\nwidth = 2\n"
+    (tmp_path / "small.toml").write_text(small)
+    run_folder = tmp_path / "run"
+    train = [
+        "train",
+        "--data",
+        store_path,
+        "--out",
+        run_folder,
+        "--config",
+        tmp_path / "small.toml",
+    ]
+    assert run(monkeypatch, *train) == 0
+    assert "after the best gain a channel" in capsys.readouterr().out
+    texture = read_exr(people[1].atlas_path("diffuse_albedo"))
+    odd = write_exr(tmp_path / "odd.exr", texture[:72, :56])
+    base = ["infer", "--mesh", people[1].registered_mesh, "--texture", odd]
+    assert run(monkeypatch, *base, "--out", tmp_path / "maps", "--checkpoint", run_folder) == 0
+    assert read_exr(tmp_path / "maps" / "diffuse_albedo.exr").shape == (72, 56, 3)
+    # The shipped weights know our template's layout, and a ball's is another.
+    large = write_exr(tmp_path / "large.exr", np.tile(texture, (2, 2, 1)))
+    other = ["infer", "--mesh", people[1].registered_mesh, "--texture", large]
+    assert run(monkeypatch, *other, "--out", tmp_path / "other") == 2
+    assert "mm from where the people trained on have them" in capsys.readouterr().err
+    assert not (tmp_path / "other").exists()
 
 
 def test_bad_input_is_one_message_and_exit_2(
@@ -202,6 +238,6 @@ def test_bad_input_is_one_message_and_exit_2(
         assert expected in capsys.readouterr().err
     train = ["train", "--data", store_path, "--out", tmp_path / "run"]
     assert run(monkeypatch, *train, "--preset", "huge") == 2
-    assert "one of paper, demo" in capsys.readouterr().err
+    assert "one of modern, paper, demo" in capsys.readouterr().err
     assert run(monkeypatch, "train", "--data", tmp_path, "--out", tmp_path / "run") == 2
     assert not (tmp_path / "run").exists()
