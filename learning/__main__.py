@@ -220,8 +220,9 @@ def infer(
     head_pose: Annotated[
         Path | None,
         typer.Option(
-            help="head_from_world.json of a mesh in world axes; without it the mesh is in the head "
-            "frame. Normals come out in the mesh's axes."
+            help="head_from_world.json of a mesh in world axes. Without it a whole-face network "
+            "aligns the mesh with the people that it was trained on, and a network of patches "
+            "takes it as in the head frame. Normals come out in the mesh's axes."
         ),
     ] = None,
     as_json: bool = JsonFlag,

@@ -247,7 +247,7 @@ def infer_command(
     image = read_exr(texture, finite=True)
     if image.ndim != 3:
         raise MapsError(texture, found="one channel", expected="R G B")
-    pose = read_head_pose(head_pose) if head_pose else np.eye(3, 4)
+    pose = read_head_pose(head_pose) if head_pose else None
     shape, named = read_mesh(mesh), (texture, mesh)
     notes: list[str] = []
     if about.family == "whole_face":
@@ -257,7 +257,8 @@ def infer_command(
         generator, _ = load_generator(about.folder)
         image, notes = resampled_texture(image, about.texture_rows, texture)
         data = make_config(DataConfig, about.config.get("data", {}), about.folder)
-        found = infer(generator, data, image, shape, pose[:, :3], progress, named)
+        turned = np.eye(3) if pose is None else pose[:, :3]
+        found = infer(generator, data, image, shape, turned, progress, named)
     for name, values in found.maps.items():
         write_map(out / f"{name}.exr", name, values)
     rows, columns = image.shape[:2]

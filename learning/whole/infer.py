@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from learning.encoding import shrink
@@ -20,14 +21,21 @@ from learning.whole.detail import enlarged, with_detail
 from lightstage.formats.mesh import Mesh
 
 FARTHEST_MM = 40.0
-"""Mean distance of a head's texels from those of the mean person; own people have about 10."""
+"""Mean distance of a head's texels from those of the mean person. Our people have 3 to 9 once they
+are aligned, a texture that is flipped or turned has 78 to 99."""
+LEAST_TEXELS = 100
+"""A head has about 4,000 at the network's size."""
+OTHER_LAYOUT = (
+    "Is the mesh another template's, or its --head-pose another head's? Register the head to the "
+    "template of the training."
+)
 
 
 def infer_whole_face(
     network: WholeFaceNetwork,
     texture: np.ndarray,
     mesh: Mesh,
-    head_from_mesh: np.ndarray,
+    head_from_mesh: np.ndarray | None = None,
     named: tuple[str | Path, str | Path] = ("texture", "mesh"),
     shares: list[float] | None = None,
 ) -> Inferred:
@@ -38,7 +46,8 @@ def infer_whole_face(
         texture: (rows, columns, 3) linear, with light and shadow in it, of any size that is not
             smaller than what the network sees.
         mesh: with the texture's UV, which must be that of the people trained on.
-        head_from_mesh: (3, 4) from the mesh's axes to the head frame, mm.
+        head_from_mesh: (3, 4) from the mesh's axes to the head frame, mm. Where None, the mesh is
+            aligned rigidly with the mean person of those trained on, texel by texel.
         named: the texture's and the mesh's names in errors.
         shares: of each band of the texture's detail, 0..1; the network's own where None.
 
@@ -65,15 +74,21 @@ def infer_whole_face(
     raster = rasterise(mesh, rows, columns)
     covered = raster.covered
     notes = look_through(texture, covered, named[0])
-    position = raster.interpolate(mesh.vertices) @ head_from_mesh[:, :3].T + head_from_mesh[:, 3]
     normal = raster.normals(mesh).astype(np.float32)
     shape = (size.rows, size.columns)
-    low_position = _mean_over(to_batch(position), to_batch(covered), shape)
-    _require_layout(network, low_position, named[1])
+    low_position = _mean_over(to_batch(raster.interpolate(mesh.vertices)), to_batch(covered), shape)
+    known = _both_known(network, low_position, named[1])
+    if head_from_mesh is None:
+        head_from_mesh = _aligned(network, low_position, known)
+    rotation = torch.from_numpy(head_from_mesh[:, :3]).float()
+    offset_mm = torch.from_numpy(head_from_mesh[:, 3]).float()[:, None, None]
+    here = (low_position != 0).any(dim=1, keepdim=True)
+    low_position = (_turned(low_position, rotation) + offset_mm) * here
+    _require_layout(network, low_position, known, named[1])
     photographed = covered & (texture.max(axis=2) > UNSEEN)
     seen = to_batch(photographed)
     small = _mean_over(to_batch(texture), seen, shape)
-    low_normal = unit(shrink(to_batch(normal @ head_from_mesh[:, :3].T), shape))
+    low_normal = _turned(unit(shrink(to_batch(normal), shape)), rotation)
     shown = (shrink(seen, shape) > 0.5).float()
     with torch.inference_mode():
         said = network(face_input(small * shown, low_normal, low_position, shown))
@@ -96,21 +111,47 @@ def infer_whole_face(
     return Inferred({n: m.astype(np.float32) for n, m in maps.items()}, 1, tuple(notes))
 
 
-def _require_layout(network: WholeFaceNetwork, position_mm: Tensor, where: str | Path) -> None:
+def _both_known(network: WholeFaceNetwork, position_mm: Tensor, where: str | Path) -> Tensor:
+    """(h, w) bool, texels of which both this head's and the mean person's positions are known."""
+    known = (position_mm != 0).any(dim=1) & (network.mean_position_mm != 0).any(dim=1)
+    if known.sum() < LEAST_TEXELS:
+        raise MapsError(
+            where,
+            field="uv",
+            found=f"{int(known.sum())} texels of the network's in common with those trained on",
+            expected=f"at least {LEAST_TEXELS}",
+            hint=OTHER_LAYOUT,
+        )
+    return known[0]
+
+
+def _aligned(network: WholeFaceNetwork, position_mm: Tensor, known: Tensor) -> np.ndarray:
+    """(3, 4) least-squares rigid motion of a head's texels onto the mean person's [Umeyama1991]."""
+    mine = position_mm[0][:, known].T.double().numpy()
+    mean = network.mean_position_mm[0][:, known].T.double().numpy()
+    rotation, _ = Rotation.align_vectors(mean - mean.mean(axis=0), mine - mine.mean(axis=0))
+    offset_mm = mean.mean(axis=0) - rotation.apply(mine.mean(axis=0))
+    return np.column_stack([rotation.as_matrix(), offset_mm])
+
+
+def _require_layout(
+    network: WholeFaceNetwork, position_mm: Tensor, known: Tensor, where: str | Path
+) -> None:
     """MapsError where the same texel lies at quite another place of the head."""
-    known = network.mean_position_mm
-    both = (position_mm != 0).any(dim=1) & (known != 0).any(dim=1)
-    apart = (position_mm - known).norm(dim=1)[both]
-    distance = float(apart.mean()) if len(apart) else np.inf
+    distance = float((position_mm - network.mean_position_mm).norm(dim=1)[0][known].mean())
     if not distance <= FARTHEST_MM:
         raise MapsError(
             where,
             field="uv",
             found=f"texels {distance:.0f} mm from where the people trained on have them",
             expected=f"at most {FARTHEST_MM:g} mm in the mean",
-            hint="Is the mesh another template's, or in world axes? Register the head to the "
-            "template of the training, and name its --head-pose.",
+            hint=OTHER_LAYOUT,
         )
+
+
+def _turned(vectors: Tensor, rotation: Tensor) -> Tensor:
+    """(1, 3, h, w) vectors under a (3, 3) rotation."""
+    return torch.einsum("ij,bjhw->bihw", rotation, vectors)
 
 
 def _mean_over(image: Tensor, known: Tensor, size: tuple[int, int]) -> Tensor:

@@ -12,6 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from scipy.spatial.transform import Rotation
 
 from learning.augment import AugmentConfig
 from learning.checkpoint import load_generator, load_whole_face, shipped_weights
@@ -256,7 +257,7 @@ def test_maps_have_the_textures_size_and_the_meshs_normals(
 ) -> None:
     texture = np.full((120, 80, 3), 0.3, np.float32)
     texture[:, 40:] = 0
-    found = infer_whole_face(trained, texture, ball_mesh, np.eye(3, 4))
+    found = infer_whole_face(trained, texture, ball_mesh)
     assert found.maps["diffuse_albedo"].shape == (120, 80, 3)
     assert all(np.isfinite(values).all() for values in found.maps.values())
     assert not found.maps["confidence"][:, 40:].any()
@@ -278,6 +279,22 @@ def test_maps_have_the_textures_size_and_the_meshs_normals(
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 3
 
 
+def test_a_mesh_in_any_axes_gives_the_same_albedo_and_normals_in_its_own(
+    trained: WholeFaceNetwork, ball_mesh: Mesh
+) -> None:
+    rng = np.random.default_rng(1)
+    texture = rng.uniform(0.1, 0.5, (96, 64, 3)).astype(np.float32)
+    turned = Rotation.from_rotvec([0.5, -2.0, 1.0]).as_matrix()
+    moved = dataclasses.replace(ball_mesh, vertices=ball_mesh.vertices @ turned.T + [900, -50, 3])
+    here = infer_whole_face(trained, texture, ball_mesh).maps
+    there = infer_whole_face(trained, texture, moved).maps
+    for name in ("diffuse_albedo", "specular_albedo", "confidence"):
+        np.testing.assert_allclose(there[name], here[name], atol=2e-4)
+    np.testing.assert_allclose(there["diffuse_normal"] @ turned, here["diffuse_normal"], atol=5e-3)
+    with pytest.raises(MapsError, match=r"found texels \d{3} mm from where the people"):
+        infer_whole_face(trained, texture, moved, np.eye(3, 4))
+
+
 def test_another_layout_another_size_and_a_tiny_texture_are_refused(
     trained: WholeFaceNetwork, ball_mesh: Mesh
 ) -> None:
@@ -285,14 +302,17 @@ def test_another_layout_another_size_and_a_tiny_texture_are_refused(
     assert ball_mesh.uvs is not None
     upside_down = dataclasses.replace(ball_mesh, uvs=ball_mesh.uvs * [1, -1] + [0, 1])
     with pytest.raises(MapsError, match=r"uv: found texels \d+ mm from where the people"):
-        infer_whole_face(trained, texture, upside_down, np.eye(3, 4))
+        infer_whole_face(trained, texture, upside_down)
+    corner = dataclasses.replace(ball_mesh, uvs=0.05 * ball_mesh.uvs)
+    with pytest.raises(MapsError, match=r"uv: found \d+ texels of the network's in common"):
+        infer_whole_face(trained, texture, corner)
     metres = dataclasses.replace(ball_mesh, vertices=ball_mesh.vertices / 1000)
     with pytest.raises(MapsError, match="a head in millimetres"):
-        infer_whole_face(trained, texture, metres, np.eye(3, 4))
+        infer_whole_face(trained, texture, metres)
     with pytest.raises(MapsError, match="at least 48 x 32, which the network sees"):
-        infer_whole_face(trained, texture[:40], ball_mesh, np.eye(3, 4))
+        infer_whole_face(trained, texture[:40], ball_mesh)
     with pytest.raises(MapsError, match="exposure"):
-        infer_whole_face(trained, 1000 * texture, ball_mesh, np.eye(3, 4))
+        infer_whole_face(trained, 1000 * texture, ball_mesh)
 
 
 def test_the_modern_preset_refuses_what_cannot_be() -> None:

@@ -271,7 +271,8 @@ def test_some_patterns_of_lights_are_those_of_the_whole() -> None:
     lights = lights_of(nominal_lamps(RIG), BINARY, levels)
     some = lights.of(("z-", "x+"))
     assert some.patterns == ("z-", "x+")
-    np.testing.assert_array_equal(far_field(some), far_field(lights)[:, [6, 1]])
+    # A matrix product may add up in another order where it has fewer columns.
+    np.testing.assert_allclose(far_field(some), far_field(lights)[:, [6, 1]], atol=1e-13)
 
 
 def test_light_falls_off_a_lamps_axis_and_none_goes_backward() -> None:
