@@ -26,7 +26,7 @@ from lightstage.formats.access import group_of, limited_access
 from lightstage.leds.address import parse_url
 from lightstage.operator import open_operator
 from lightstage.patterns import Drive, read_patterns, sequence_patterns
-from lightstage.preflight import consent_findings
+from lightstage.preflight import consent_findings, require_known
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import check_shots, photosensitivity_findings
 from lightstage.sequence import plan_shots
@@ -167,6 +167,7 @@ def take_session(
     Raises:
         LightstageError: as open_stage and capture_session.
     """
+    require_known(order.subject, settings.session)
     order = dataclasses.replace(order, findings=consent_findings(order.consent, settings.session))
     worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
     check_shots(order.shots, rig, settings.safety, worst_s)

@@ -103,6 +103,10 @@ def read_config(
     config = config or CaptureConfig()
     if path is not None:
         config = make_config(CaptureConfig, read_toml(path), path)
+        if config.session.pseudonyms is not None:  # so that a session goes on from anywhere
+            table = str(path.absolute().parent / config.session.pseudonyms)
+            session = dataclasses.replace(config.session, pseudonyms=table)
+            config = dataclasses.replace(config, session=session)
     if ignore_clock:
         preflight = dataclasses.replace(config.preflight, ignore_clock=True)
         config = dataclasses.replace(config, preflight=preflight)

@@ -85,6 +85,17 @@ def read_lines(path: Path) -> list[Any]:
     ]
 
 
+def read_text_lines(path: Path, wanted: str) -> list[str]:
+    """The lines of a text that somebody wrote by hand; ConfigError where there is none.
+
+    Args:
+        path: the file; it has the limits of a TOML file.
+        wanted: what an error says was expected.
+    """
+    data = read_regular(path, TOML.size_bytes, wanted, ConfigError)
+    return _text(data, path, ConfigError).splitlines()
+
+
 def parse_json(
     data: bytes | str,
     where: str | Path,

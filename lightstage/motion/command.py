@@ -24,9 +24,9 @@ from lightstage.importing import (
 from lightstage.motion.cameras import FoundCameras, find_cameras
 from lightstage.motion.lengths import Length, parse_length
 from lightstage.motion.points import read_clicks
-from lightstage.preflight import consent_findings
+from lightstage.preflight import consent_findings, require_known
 from lightstage.rig import Rig, default_rig, load_rig
-from lightstage.session import Carried, read_calibration, require_new
+from lightstage.session import Carried, check_pseudonym, read_calibration, require_new
 
 
 def register(app: typer.Typer) -> None:
@@ -76,6 +76,7 @@ def import_command(
     """
     require_new(out)
     settings = read_config(config).session
+    require_known(check_pseudonym(subject, "subject"), settings)
     findings = consent_findings(consent, settings)
     for finding in findings:
         print(f"warning: {finding}", file=sys.stderr)

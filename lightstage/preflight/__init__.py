@@ -6,6 +6,7 @@ from lightstage.preflight.consent import consent_findings
 from lightstage.preflight.drift import drift, set_back
 from lightstage.preflight.photograph import photograph_findings
 from lightstage.preflight.privacy import clear_privacy
+from lightstage.preflight.pseudonyms import require_known
 from lightstage.preflight.skew import SkewReport, skew_findings
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "preflight",
     "refusals",
     "require",
+    "require_known",
     "set_back",
     "skew_findings",
 ]

@@ -152,3 +152,13 @@ def test_an_import_keeps_the_consent_record_and_may_require_one(folder, tmp_path
     assert (done.returncode, done.stderr) == (0, "")
     assert load_session(tmp_path / "S").file.model_extra["consent"] == "C-17"
     assert stat.S_IMODE((tmp_path / "S").stat().st_mode) == 0o750
+
+
+def test_an_import_of_a_subject_that_the_labs_table_lacks_is_refused(folder, tmp_path, small_rig):
+    config = tmp_path / "config.toml"
+    config.write_text('[session]\npseudonyms = "known.txt"\n')
+    (tmp_path / "known.txt").write_text("P08\n")
+    done = imported(folder, tmp_path, small_rig, "--config", str(config))
+    assert done.returncode == 2
+    assert "known.txt, subject: found no" in done.stderr
+    assert not (tmp_path / "S").exists()

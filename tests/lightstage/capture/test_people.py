@@ -8,6 +8,9 @@ import sys
 
 import pytest
 
+from lightstage.errors import ConfigError
+from lightstage.preflight import require_known
+from lightstage.session.config import SessionConfig
 from tests.lightstage.capture.test_command import one_clear_message, run
 
 
@@ -111,3 +114,55 @@ def test_a_session_that_is_gone_on_with_is_not_opened_wider(stage, tmp_path, ope
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert modes(out) == ({"0o700"}, {"0o600"})
+
+
+@pytest.fixture
+def table(tmp_path):
+    """A lab's configuration, and the table of pseudonyms that it names."""
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    (folder / "known.txt").write_text("# of this year\nP07\n\nsubject-12  # moved\nP19\n")
+    return config(folder, '[session]\npseudonyms = "known.txt"\n'), folder / "known.txt"
+
+
+def test_a_subject_that_the_labs_table_lacks_lights_nothing(stage, tmp_path, table):
+    out = tmp_path / "S"
+    settings, known = table
+    more = ("--sequence", "full", "--config", settings, "--consent", "C-17")
+    done = run(stage, out, "--subject", "P70", *more)
+    one_clear_message(
+        done, f"{known}, subject: found no 'P70'", "Add the line P70", "nearest known one is P07"
+    )
+    assert not out.exists()
+    assert stage.device.dark
+    done = run(stage, out, "--subject", "anybody", *more)
+    one_clear_message(done, "look for a typing error.")
+    done = run(stage, out, "--subject", "subject-12", *more)
+    assert done.returncode == 0, done.stderr
+    assert str(tmp_path) not in (out / "manifest.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"P07\nAnna Maria\n", "line 2: found 'Anna Maria'"),
+        (b"\xff\xfeP\0", "byte-order mark"),
+        (b"P07\n\xff\n", "byte 4 is not UTF-8"),
+        (b"P07\0\n", "line 1: found 'P07\\x00'"),
+        (b"P07\n" * (1 << 20) + b"P07", "more than 4 MiB"),
+        (None, "no such file"),
+    ],
+)
+def test_a_table_that_is_none_is_refused_with_its_name_and_line(tmp_path, table, data, said):
+    _, known = table
+    known.unlink() if data is None else known.write_bytes(data)
+    with pytest.raises(ConfigError) as wrong:
+        require_known("P07", SessionConfig(pseudonyms=str(known)))
+    assert str(wrong.value).startswith(str(known))
+    assert said in str(wrong.value)
+
+
+def test_a_pseudonym_is_known_however_its_accents_were_written(table):
+    _, known = table
+    known.write_text("e\u03017\r\nP08\r\n")
+    require_known("\u00e97", SessionConfig(pseudonyms=str(known)))
