@@ -220,6 +220,16 @@ def _of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
 
 def fill(network: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:
     """Put weights into a network; CheckpointError when they are not its own."""
+    # Weights of another type would be converted in silence.
+    for name, own in network.state_dict().items():
+        if name in tensors and tensors[name].dtype != own.dtype:
+            raise CheckpointError(
+                where,
+                field=f"weights, {name}",
+                found=str(tensors[name].dtype),
+                expected=str(own.dtype),
+                hint="The file was changed; copy the run again.",
+            )
     try:
         network.load_state_dict(tensors)
     except RuntimeError as error:
