@@ -36,7 +36,7 @@ from lightstage.session import (
     check_pseudonym,
     read_calibration,
     require_new,
-    whole_frames,
+    whole_session,
 )
 
 SUBJECT = "subject-1"
@@ -120,10 +120,16 @@ def capture_command(
             "--colour": colour,
         }  # fmt: skip
         _require_none(fixed)
-        frames = whole_frames(out)
-        if frames is not None:
-            said = f"{out}: finished and whole, {frames} frames read back; nothing is left to do"
-            finish(said, {"session": str(out), "frames": frames, "taken": 0}, as_json)
+        with limited_access(group_of([out])):
+            whole = whole_session(out)
+        if whole is not None:
+            frames, written = whole
+            did = f"{' and '.join(written)} written again; " if written else ""
+            said = (
+                f"{out}: finished and whole, {frames} frames read back; {did}nothing is left to do"
+            )
+            facts = {"session": str(out), "frames": frames, "taken": 0, "written": written}
+            finish(said, facts, as_json)
             return
         the_rig, order = unfinished(out)
     else:

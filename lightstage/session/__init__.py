@@ -1,7 +1,7 @@
 """A session's life on disk: the journal, photographs kept once, recovery, session.json."""
 
 from lightstage.session.accepted import accepted_findings
-from lightstage.session.agreement import disagreements, whole_frames
+from lightstage.session.agreement import disagreements, whole_session
 from lightstage.session.colour import (
     COLOUR_PATH,
     COLOUR_SCHEMA,
@@ -49,6 +49,6 @@ __all__ = [
     "session_from_journal",
     "state_of",
     "utc_now",
-    "whole_frames",
+    "whole_session",
     "why_not_delete",
 ]

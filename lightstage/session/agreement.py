@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError, LightstageError, one_error
-from lightstage.formats.session import Frame, SessionFile, load_session
+from lightstage.formats.session import Frame, SessionFile, load_session, save_session
 from lightstage.rig import load_rig
+from lightstage.session.disk import disk_errors
 from lightstage.session.events import Line
 from lightstage.session.finished import session_from_lines
-from lightstage.session.manifest import check_manifest
+from lightstage.session.manifest import MANIFEST, check_manifest, write_manifest
 from lightstage.session.opening import JOURNAL, RIG, rig_hash
 from lightstage.session.present import damaged
 from lightstage.session.reading import read_journal
 from lightstage.session.state import SessionState
 
+SESSION = "session.json"
 OF_SESSION = ("id", "created_utc", "subject", "expression", "consent", "sequence", "accepted")
 OF_FRAME = ("path", "sha256", "encoding", "take")
 RESTORE = "Restore the file that was changed; the journal is what was written during the capture."
@@ -58,21 +61,61 @@ def disagreements(root: Path, session: SessionFile) -> list[LightstageError]:
     return problems
 
 
-def whole_frames(root: Path) -> int | None:
+def whole_session(root: Path) -> tuple[int, list[str]] | None:
     """Look at a session that its journal calls finished: is it all there?
 
-    Every photograph is read back from the disk; session.json and the manifest are compared.
+    Every photograph is read back from the disk; session.json and the manifest are compared. Where
+    one of the two is lost or changed, it is written again: all that it says is in the journal.
 
     Args:
         root: the session's folder.
 
     Returns:
-        How many photographs it has. None where it is not finished, or where something is missing
-        or changed that `--resume` brings in order.
+        How many photographs it has, and the names of the files that were written. None where it
+        is not finished, or where something else is missing or changed that `--resume` brings in
+        order with the cameras.
 
     Raises:
         FormatError: no journal, or one that was changed: what is right cannot be told by it.
+        CaptureError: the disk failed.
     """
+    looked = _looked(root)
+    records = (str(root / SESSION), str(root / MANIFEST))
+    if looked is None or any(each.where not in records for each in looked.problems):
+        return None
+    written = []
+    if any(each.where == records[0] for each in looked.problems):
+        with disk_errors(root / SESSION):
+            save_session(root, session_from_lines(looked.lines, root / JOURNAL))
+        written.append(SESSION)
+    # The manifest holds for the new session.json too where it has the bytes of the lost one.
+    if check_manifest(root, looked.known):
+        begin, end = looked.lines[0], looked.lines[-1]
+        facts = {**(begin.get("facts") or {}), "capture": end.get("capture")}
+        with disk_errors(root / MANIFEST):
+            write_manifest(root, facts)
+        written.append(MANIFEST)
+    # With a manifest again, files that the journal does not know are seen.
+    if written and (check_manifest(root, looked.known) or _unlike(root)):
+        return None
+    return looked.frames, written
+
+
+@dataclasses.dataclass(frozen=True)
+class _Looked:
+    """What a look at a finished session shows whose photographs are all whole."""
+
+    lines: Sequence[Line]
+    known: Mapping[str, str]
+    problems: Sequence[LightstageError]
+
+    @property
+    def frames(self) -> int:
+        return len(SessionState(self.lines).cameras) * len(self.lines[0]["sequence"])
+
+
+def _looked(root: Path) -> _Looked | None:
+    """A look at a session; None where it is not finished or photographs are not whole."""
     path = root / JOURNAL
     lines = read_journal(path)
     if lines[-1]["event"] != "end":
@@ -80,15 +123,21 @@ def whole_frames(root: Path) -> int | None:
     frames = SessionState(lines).frames()
     if damaged(root, frames):
         return None
-    problems = check_manifest(root, {kept.path: kept.sha256 for kept in frames})
-    try:
-        problems += disagreements(root, load_session(root).file)
-    except LightstageError as error:
-        problems.append(error)
+    known = {kept.path: kept.sha256 for kept in frames}
+    problems = [*check_manifest(root, known), *_unlike(root)]
     changed = [each for each in problems if each.where == str(path)]
     if changed:
         raise one_error(changed)
-    return None if problems else len(SessionState(lines).cameras) * len(lines[0]["sequence"])
+    return _Looked(lines, known, problems)
+
+
+def _unlike(root: Path) -> list[LightstageError]:
+    if not (root / SESSION).exists():
+        return [FormatError(root / SESSION, found="no such file", expected="the session's frames")]
+    try:
+        return disagreements(root, load_session(root).file)
+    except LightstageError as error:
+        return [error]
 
 
 def _gaps(lines: Sequence[Line], path: Path) -> list[LightstageError]:
@@ -101,7 +150,7 @@ def _gaps(lines: Sequence[Line], path: Path) -> list[LightstageError]:
 
 
 def _unlike_fields(root: Path, found: SessionFile, known: SessionFile) -> list[LightstageError]:
-    path = root / "session.json"
+    path = root / SESSION
     problems: list[LightstageError] = [
         _wrong(path, name, repr(_field(found, name)), f"{_field(known, name)!r} ({JOURNAL})")
         for name in OF_SESSION
@@ -116,7 +165,7 @@ def _unlike_fields(root: Path, found: SessionFile, known: SessionFile) -> list[L
 
 
 def _unlike_frames(root: Path, found: SessionFile, known: SessionFile) -> list[LightstageError]:
-    path = root / "session.json"
+    path = root / SESSION
     said = {(frame.pattern, frame.camera): frame for frame in found.frames}
     problems: list[LightstageError] = []
     for frame in known.frames:

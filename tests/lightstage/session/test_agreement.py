@@ -1,6 +1,7 @@
 """A session's files beside each other: what was changed is told by those that were not."""
 
 import json
+import stat
 import subprocess
 import sys
 
@@ -16,7 +17,7 @@ from lightstage.session import (
     accepted_findings,
     disagreements,
     read_journal,
-    whole_frames,
+    whole_session,
 )
 from lightstage.session.manifest import check_manifest, write_manifest
 
@@ -127,28 +128,25 @@ def test_another_rig_than_the_journals_is_an_error(session):
 
 
 def test_a_finished_session_is_whole_only_after_a_look_at_the_disk(session):
-    assert whole_frames(session) == 6
+    assert whole_session(session) == (6, [])
     photograph = session / "frames/x+/cam2.dng"
     data = photograph.read_bytes()
     photograph.write_bytes(data[:-1] + b"x")
-    assert whole_frames(session) is None
+    assert whole_session(session) is None
     photograph.unlink()
-    assert whole_frames(session) is None
-    photograph.write_bytes(data)
-    (session / "manifest.json").unlink()
-    assert whole_frames(session) is None
+    assert whole_session(session) is None
 
 
 def test_a_finished_session_with_an_edited_journal_is_refused_not_mended(session):
     path = session / "journal.jsonl"
     path.write_bytes(path.read_bytes().replace(b'"p1"', b'"p2"'))
     with pytest.raises(LightstageError, match=r"journal.jsonl: found another beginning"):
-        whole_frames(session)
+        whole_session(session)
 
 
-def test_resume_of_a_finished_session_says_that_it_is_whole_and_opens_no_device(session):
-    before = {path: path.read_bytes() for path in session.rglob("*") if path.is_file()}
-    done = subprocess.run(
+def resumed(session):
+    """`capture --resume` where there is no device."""
+    return subprocess.run(
         [
             *(sys.executable, "-m", "lightstage", "capture", "--resume", "--out", str(session)),
             *("--leds", "serial:///dev/none", "--cameras", "none.toml"),
@@ -157,9 +155,45 @@ def test_resume_of_a_finished_session_says_that_it_is_whole_and_opens_no_device(
         text=True,
         timeout=60,
     )
+
+
+def test_resume_of_a_finished_session_says_that_it_is_whole_and_opens_no_device(session):
+    before = {path: path.read_bytes() for path in session.rglob("*") if path.is_file()}
+    done = resumed(session)
     assert done.returncode == 0, done.stderr
     assert "finished and whole, 6 frames read back" in done.stdout
     assert before == {path: path.read_bytes() for path in session.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    "lost", [("session.json",), ("manifest.json",), ("session.json", "manifest.json")]
+)
+def test_resume_writes_lost_records_again_and_opens_no_device(session, lost):
+    session.chmod(0o700)
+    before = {name: (session / name).read_bytes() for name in lost}
+    journal = (session / "journal.jsonl").read_bytes()
+    for name in lost:
+        (session / name).unlink()
+    done = resumed(session)
+    assert done.returncode == 0, done.stderr
+    assert f"{' and '.join(lost)} written again" in done.stdout
+    assert whole_session(session) == (6, [])
+    assert (session / "journal.jsonl").read_bytes() == journal
+    for name in lost:
+        assert stat.S_IMODE((session / name).stat().st_mode) == 0o600
+        if name == "session.json":
+            assert (session / name).read_bytes() == before[name]
+        else:
+            again, was = json.loads((session / name).read_bytes()), json.loads(before[name])
+            assert again["files"] == was["files"]
+            assert again["journal"]["bytes"] == len(journal)
+
+
+def test_records_are_not_written_again_where_a_photograph_is_lost_too(session):
+    (session / "session.json").unlink()
+    (session / "frames/full/cam0.dng").unlink()
+    assert resumed(session).returncode == 2
+    assert not (session / "session.json").exists()
 
 
 def test_accepted_findings_stand_in_session_json_and_manifest(writer, fill):
