@@ -102,8 +102,13 @@ class KillTrial:
         self._stop_file = desk / "stop"
         self._config = write_text(desk / "config.toml", CONFIG)
 
-    def run(self, kills: Sequence[Kill]) -> Outcome:
+    def run(self, kills: Sequence[Kill], retake: str = "") -> Outcome:
         """Capture; die as told, each time in the capture that goes on; then end in peace.
+
+        Args:
+            kills: who dies when.
+            retake: a pattern that `lightstage retake` takes again of the finished session; then the
+                kills meet that command, and its second call ends in peace.
 
         Raises:
             SimError: the first step did not come, or a capture did not end.
@@ -111,8 +116,11 @@ class KillTrial:
         self._faults = []
         happened, dark_s = 0, 0.0
         with CodedStage(self.desk / "stage", self.rig) as stage:
+            if retake:
+                with self._capture(stage) as capture:
+                    self._end(capture)
             for number, each in enumerate(kills):
-                with self._capture(stage, stopping=True) as capture:
+                with self._capture(stage, retake, stopping=True) as capture:
                     stopped = self._stopped(capture, each)
                     if stopped is None:
                         if number == 0:
@@ -122,8 +130,8 @@ class KillTrial:
                         continue
                     happened += 1
                     dark_s = max(dark_s, self._kill(capture, stopped, each, stage))
-            if not self._finished():
-                with self._capture(stage) as capture:
+            if retake or not self._finished():
+                with self._capture(stage, retake) as capture:
                     self._end(capture)
                     if capture.returncode != 0:
                         self._faults.append(f"the capture did not end well: {self._said(capture)}")
@@ -133,18 +141,21 @@ class KillTrial:
 
     @contextlib.contextmanager
     def _capture(
-        self, stage: CodedStage, stopping: bool = False
+        self, stage: CodedStage, retake: str = "", stopping: bool = False
     ) -> Iterator[subprocess.Popen[bytes]]:
         """The command, new or going on; ended with all that is its own on every way out."""
+        does = (
+            ["retake", str(self.root), retake] if retake else ["capture", "--out", str(self.root)]
+        )
         command = [
-            *(sys.executable, "-m", "lightstage", "capture", "--out", str(self.root)),
+            *(sys.executable, "-m", "lightstage", *does),
             *("--leds", stage.device.url(2.0, 3), "--cameras", str(stage.cameras_path)),
             *("--config", str(self._config), "--unattended"),
         ]
         if self.delete:
             command.append("--delete-from-cameras")
         if (self.root / "journal.jsonl").exists():
-            command.append("--resume")
+            command += [] if retake else ["--resume"]
         else:
             command += ["--rig", str(stage.rig_path), "--sequence", ",".join(SEQUENCE)]
         environment = dict(os.environ)
@@ -248,7 +259,8 @@ class KillTrial:
             raise SimError("lightstage capture", found="no end", expected="one") from None
 
     def _finished(self) -> bool:
-        return any(line["event"] == "end" for line in self._journal())
+        lines = self._journal()
+        return bool(lines) and lines[-1]["event"] == "end"
 
     def _journal(self) -> list[dict[str, Any]]:
         path = self.root / "journal.jsonl"

@@ -8,6 +8,8 @@ import itertools
 
 import pytest
 
+from lightstage.formats.session import load_session
+from lightstage.session import read_journal
 from lightstage.steps import STEPS
 from sim.devices.kill_trial import DARK_S, KillTrial
 from sim.devices.kills import CAMERA_STEPS, DELETING, SEQUENCE, Kill, matrix
@@ -58,3 +60,28 @@ def test_one_killed_again_while_it_goes_on_does_no_worse(tmp_path, kills):
     outcome = KillTrial(tmp_path).run(kills)
     assert outcome.faults == ()
     assert outcome.killed == 2
+
+
+@pytest.mark.parametrize(
+    "kill",
+    [
+        Kill("line-half-written", "capture", event="retake"),
+        Kill("triggered", "all", "x+", "cam1"),
+        Kill("session-written", "capture"),
+    ],
+    ids=str,
+)
+def test_a_killed_retake_loses_nothing_and_its_second_call_finishes(tmp_path, kill):
+    trial = KillTrial(tmp_path)
+    outcome = trial.run([kill], retake="x+")
+    assert outcome.faults == ()
+    assert outcome.killed == 1
+    assert outcome.dark_after_s < DARK_S
+    lines = read_journal(trial.root / "journal.jsonl")
+    assert [line["event"] for line in lines].count("retake") >= 1
+    takes = {frame.path for frame in load_session(trial.root).file.frames if frame.pattern == "x+"}
+    assert len(takes) == len(trial.rig.cameras)
+    assert all(".take" in path for path in takes)
+    # The takes of before are still there.
+    there = {path.name for path in (trial.root / "frames/x+").iterdir()}
+    assert there >= {f"{camera.id}.dng" for camera in trial.rig.cameras}
