@@ -86,7 +86,7 @@ class Screen:
         width = options.max_width
         height = options.height or console.size.height
         with self.view.lock:
-            keys = self._keys()
+            keys = self._keys(width)
             below = [Text(QUESTION, "bold reverse"), *keys] if self.ask.question else keys
             # The head, the cameras that need somebody, and the keys are always in view.
             fixed = 4 + sum(_lines(console, options, part) for part in below)
@@ -280,7 +280,7 @@ class Screen:
         shown = fitting(items, room - len(gap), self.ask.scroll, console, options, not asked)
         return [*gap, *shown]
 
-    def _keys(self) -> list[RenderableType]:
+    def _keys(self, width: int) -> list[RenderableType]:
         lines: list[RenderableType] = []
         if self.ask.heard:
             lines.append(Text(f"> {self.ask.heard}", "bold"))
@@ -289,8 +289,13 @@ class Screen:
             for request in self.ask.keys:
                 key, words = KEYS[request]
                 words = ANSWERS.get(request, words) if self.ask.question else words
+                # A key and its words stay together: what does not fit begins a line of its own.
+                if line and line.cell_len + len(f" {key}  {words}") > width:
+                    lines.append(line)
+                    line = Text()
                 line.append(f" {key} ", "reverse bold")
                 line.append(f" {words}  ")
+            line.rstrip()
             lines.append(line)
         return lines
 

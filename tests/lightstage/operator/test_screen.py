@@ -76,6 +76,20 @@ def test_a_question_says_what_was_found_what_to_do_and_which_keys(busy, columns)
     assert "accept" not in text
 
 
+@pytest.mark.parametrize("columns", [40, 60, 61, 62, 72, 100])
+@pytest.mark.parametrize("asked", [True, False])
+def test_every_key_stands_with_its_words_on_one_line(busy, columns, asked):
+    busy.add("asked", pattern="y+")
+    question = [Said("problem", "photograph 1 is blurred", "Do something.")] if asked else []
+    keys = ("retake", "accept", "pause", "abort")
+    lines = picture(shown(busy.lines), Ask(question, keys), columns, 24)
+    assert len(lines) < 24
+    assert max(map(len, lines)) <= columns
+    retake = "take it again" if asked else "last pattern again"
+    for part in (f" r  {retake}", " a  accept as it is", " p  pause", " q  stop, dark at once"):
+        assert sum(part in line for line in lines) == 1, (part, lines)
+
+
 def test_very_many_findings_leave_room_for_cameras_and_keys(busy):
     findings = [Said("problem", f"photograph {i} is blurred", "Do something.") for i in range(90)]
     lines = picture(shown(busy.lines), Ask(findings, RUNNING), 60, 24)
