@@ -26,7 +26,7 @@ class ExposureTimes:
 
     def __init__(self, shutters: Iterable[str | None]) -> None:
         told = [exposure_s(text) for text in shutters if text is not None]
-        self._shutter_s = max((time_s for time_s, _ in filter(None, told)), default=0.0)
+        self._shutter_s = max((time_s for time_s, _ in filter(None, told)), default=None)
         self._longest_s: dict[str, float] = {}
         self._lock = threading.Lock()
 
@@ -38,15 +38,16 @@ class ExposureTimes:
     def usual_s(self, camera_ids: Collection[str]) -> float | None:
         """Longest that a normal exposure of these cameras takes.
 
-        Of a camera without an exposure so far, it is the longest of all cameras. None where no
-        camera has exposed yet: then nothing is known but the shutter time.
+        Of a camera without an exposure so far, it is the longest of all cameras; where no camera
+        has exposed yet, the longest shutter time that they were asked for. None where no camera
+        tells one either.
         """
         with self._lock:
             if not self._longest_s:
-                return None
+                return self._shutter_s
             of_all_s = max(self._longest_s.values())
             each_s = [self._longest_s.get(camera_id, of_all_s) for camera_id in camera_ids]
-        return max(self._shutter_s, *each_s)
+        return max(self._shutter_s or 0.0, *each_s)
 
 
 class LateCameras:

@@ -366,13 +366,20 @@ def test_a_grace_that_would_void_good_photographs_or_never_ends_is_refused(value
 
 def test_a_camera_without_an_exposure_is_waited_for_as_long_as_the_slowest_other_one_takes():
     times = ExposureTimes(["1/60", "2", "Bulb", None])
-    assert times.usual_s(["cam0"]) is None
+    assert times.usual_s(["cam0"]) == 2.0  # nothing else is known before the first exposure
     times.note("cam0", 0.5)
     assert times.usual_s(["cam0"]) == 2.0  # the shutter alone is open for so long
     times.note("cam1", 4.0)
     times.note("cam1", 3.0)
     assert times.usual_s(["cam0"]) == 2.0
     assert times.usual_s(["cam2"]) == times.usual_s(["cam0", "cam1"]) == 4.0
+
+
+def test_of_cameras_that_tell_no_shutter_time_the_first_exposure_is_waited_for():
+    times = ExposureTimes(["Bulb", None])
+    assert times.usual_s(["cam0"]) is None
+    times.note("cam0", 0.5)
+    assert times.usual_s(["cam0"]) == 0.5
 
 
 def test_a_camera_that_is_slow_but_within_the_grace_keeps_its_light(bench, monkeypatch):

@@ -22,6 +22,7 @@ from sim.devices import camera_body
 from sim.devices.faults import Fault, FaultLog, Story, read_fault_log
 from sim.devices.simulated_camera import SimulatedCamera, SimulatedCameras
 from sim.errors import SimError
+from tests.sim.devices.misbehaviour.conftest import SmallStage, make_rig
 
 PLAIN = [f"{pattern}/cam{i}" for pattern in ("full", "x+", "x-") for i in range(3)]
 
@@ -105,6 +106,29 @@ def test_a_camera_that_hangs_does_not_keep_the_person_lit_and_takes_its_pattern_
     assert ending.recovered() == ["cam1/DCIM_100SIM_DSC_0002.DNG"]
     triggers = [line["takes"] for line in ending.lines("trigger") if line["pattern"] == "x+"]
     assert [sorted(takes) for takes in triggers] == [["cam0", "cam1", "cam2"], ["cam1"]]
+
+
+@pytest.mark.parametrize("cameras", [1, 3])
+def test_cameras_that_all_hang_on_the_first_shot_keep_nobody_lit(tmp_path, cameras):
+    stage = SmallStage(tmp_path, make_rig(cameras))
+    deadlines = Deadlines(open_s=10.0, trigger_s=3.0, other_s=5.0)
+    stage.config = dataclasses.replace(stage.config, late_camera_grace_s=0.5, deadlines=deadlines)
+    faults = [Fault("hang", camera=camera.id, at=1) for camera in stage.rig.cameras]
+    ending = stage.capture(*faults, deadlines=deadlines)
+    assert ending.fine, ending.said
+    ids = [camera.id for camera in stage.rig.cameras]
+    warned, dark = ending.lines("waiting")
+    assert (warned["pattern"], warned["cameras"], warned["lit"]) == ("full", ids, True)
+    assert dark["lit"] is False
+    (lit, *_) = ending.lines("lit")
+    assert dark["elapsed_s"] - lit["elapsed_s"] < 2.0  # 0.5 and the shutter time; not 3
+    # The lights went out before a camera was ended, and of what shone then the device tells.
+    ended = [line for line in ending.lines("note") if "no answer within 3 s" in line["said"]]
+    assert len(ended) == cameras
+    assert dark["id"] < min(line["id"] for line in ended)
+    full, after = ending.shone[1:3]
+    assert full.counts.all()
+    assert not after.counts.any()
 
 
 def test_a_card_with_room_for_two_files_is_full_at_the_third_and_the_two_are_kept(stage):
