@@ -15,6 +15,7 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file, write_json
 from lightstage.patterns import pattern_levels
 from lightstage.session import SessionPlan, SessionWriter
+from lightstage.session.manifest import write_manifest
 
 PATTERNS = ["full", "x+", "x-"]
 
@@ -144,3 +145,60 @@ def test_an_interrupted_capture_is_told_from_no_session(session, tmp_path):
         check_session(session)
     with pytest.raises(FormatError, match="found no such folder, expected a session folder"):
         check_session(tmp_path / "none")
+
+
+def checked(root):
+    """The command `check`, as a user runs it."""
+    return subprocess.run(
+        [sys.executable, "-m", "lightstage", "check", str(root)], capture_output=True, text=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("lacks", "notes"),
+    [
+        ((), ["Hashes without"]),
+        (("manifest.json",), ["There is no manifest.json", "Hashes without"]),
+        (
+            ("journal.jsonl", "manifest.json"),
+            ["There is no journal.jsonl", "There is no manifest.json", "Hashes without"],
+        ),
+    ],
+)
+def test_check_says_what_the_files_that_a_session_has_do_not_prove(session, lacks, notes):
+    write_manifest(session)
+    for name in lacks:
+        (session / name).unlink()
+    done = checked(session)
+    assert done.returncode == 0, done.stderr
+    said = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
+    assert len(said) == len(notes)
+    for line, part in zip(said, notes, strict=True):
+        assert line.startswith(f"note: {part}")
+        assert line.endswith((" told.", " noticed."))
+
+
+@pytest.mark.parametrize(
+    "changed_along", [(), ("session.json",), ("session.json", "manifest.json")]
+)
+def test_check_tells_two_photographs_that_were_exchanged_on_the_disk(session, changed_along):
+    write_manifest(session)
+    names = ["frames/x+/cam0.dng", "frames/x+/cam1.dng"]
+    first, second = ((session / name).read_bytes() for name in names)
+    (session / names[0]).write_bytes(second)
+    (session / names[1]).write_bytes(first)
+    if "session.json" in changed_along:
+        for name in names:
+            rehash(session, name)
+    if "manifest.json" in changed_along:
+        value = json.loads((session / "manifest.json").read_text())
+        for name in value["files"]:
+            value["files"][name] = sha256_file(session / name)
+        write_json(session / "manifest.json", value)
+    done = checked(session)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    for name, camera in zip(names, ("cam0", "cam1"), strict=True):
+        told = f"frame x+ by {camera}, sha256: found" if changed_along else f"{name}, sha256: found"
+        assert told in done.stderr, done.stderr
