@@ -20,6 +20,7 @@ from lightstage.capture.session_run import config_of, unfinished
 from lightstage.errors import LightstageError
 from lightstage.formats.calibration_shots import read_shots
 from lightstage.formats.cameras import read_session_cameras
+from lightstage.formats.config import as_dict, read_toml
 from lightstage.formats.environment import read_lights
 from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import read_points_mm, read_points_px
@@ -400,6 +401,46 @@ def test_a_value_of_another_kind_is_taken_or_refused_by_the_files_name(whole, tm
             path.write_text(json.dumps(put(value, at, other)))
             said = read(reader, path)
             assert said is None or path.name in said or str(root) in said, (at, other, said)
+
+
+def as_toml(value):
+    """A value as TOML writes it, in one line."""
+    if isinstance(value, dict):
+        pairs = (f"{json.dumps(key)} = {as_toml(inner)}" for key, inner in value.items())
+        return f"{{{', '.join(pairs)}}}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(as_toml, value))}]"
+    return json.dumps(value)
+
+
+def simulators_files():
+    from sim.camera.flaws import CaptureFlaws, load_flaws
+    from sim.devices.faults import Story
+    from sim.people.table import TABLES, load_table
+
+    fault = {"name": "wrong-iso", "camera": "cam1", "at": 5, "until": 9, "value": "400"}
+    return {
+        "flaws": (
+            {"based_on": "ideal", **json.loads(json.dumps(as_dict(CaptureFlaws())))},
+            lambda path: load_flaws(str(path)),
+        ),
+        "story": ({"seed": 7, "fault": [fault]}, Story.read),
+        "people": (read_toml(TABLES / "balanced.toml"), lambda path: load_table(str(path))),
+    }
+
+
+@pytest.mark.parametrize("name", ["flaws", "story", "people"])
+def test_a_value_of_another_kind_in_a_simulators_toml_is_refused_by_the_files_name(tmp_path, name):
+    value, reader = simulators_files()[name]
+    path = tmp_path / f"{name}.toml"
+    for at in places(value):
+        for other in OTHERS:
+            if not at or other == "\ud800" or "null" in as_toml(other):
+                continue  # TOML has no such values
+            lines = put(value, at, other).items()
+            path.write_text("".join(f"{key} = {as_toml(inner)}\n" for key, inner in lines))
+            said = read(reader, path)
+            assert said is None or path.name in said, (at, other, said)
 
 
 def test_each_field_of_a_journals_lines_is_taken_or_refused_by_its_line(whole, tmp_path):

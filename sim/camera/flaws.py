@@ -163,7 +163,7 @@ def load_flaws(name_or_file: str) -> CaptureFlaws:
         )
     values = read_toml(path)
     base = values.pop("based_on", "ideal")
-    if base not in PRESETS:
+    if not isinstance(base, str) or base not in PRESETS:
         raise SimError(path, field="based_on", found=repr(base), expected=", ".join(PRESETS))
     flaws = make_config(CaptureFlaws, _merged(as_dict(PRESETS[base]), values), path)
     require_usable(flaws, path)

@@ -39,6 +39,7 @@ TOMLS = {
     "no UTF-8": b"a = '\xff'",
     "date": b"a = 2026-01-02",
     "an unknown key": b"nobody_knows_this = 1",
+    "a list for a name": b"based_on = []",
     "array of tables": b"[[safety]]\n[[checks]]\n[[solve]]\n[[people]]",
     **PLACES,
 }
