@@ -47,8 +47,8 @@ def make_config(cls: type[T], values: Mapping[str, Any], where: str | Path) -> T
         resolved[key] = _convert(hints[key], value, where, key)
     try:
         return cls(**resolved)
-    except ConfigError as error:  # the dataclass does not know which file its values are from
-        raise ConfigError(f"{where}: {error}") from None
+    except LightstageError as error:  # the dataclass does not know the file of its values
+        raise type(error)(f"{where}: {error}") from None
 
 
 def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:
