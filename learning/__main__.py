@@ -225,16 +225,25 @@ def infer(
             "takes it as in the head frame. Normals come out in the mesh's axes."
         ),
     ] = None,
+    refine: Annotated[
+        float | None,
+        typer.Option(
+            help="Seconds, at most, to find the texture's light and refine the albedo by it; 0 for "
+            "the network's own answer. 20 where not given, for whole-face networks alone."
+        ),
+    ] = None,
     as_json: bool = JsonFlag,
 ) -> None:
-    """Infer albedo and normals from a texture with light in it."""
+    """Infer albedo, normals and the light from a texture with light in it."""
     from learning.commands import infer_command
 
     with limited_access(group_of([texture.parent])), progress_bar("infer") as progress:
-        facts = infer_command(texture, mesh, checkpoint, out, head_pose, progress)
+        facts = infer_command(texture, mesh, checkpoint, out, head_pose, refine, progress)
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels in {facts['tiles']} tiles, "
-        f"{facts['seconds']:.1f} s" + "".join(f"; {note}" for note in facts["notes"]),
+        + ("" if facts["lamps"] is None else f"{facts['lamps']} lamps found, ")
+        + f"{facts['seconds']:.1f} s"
+        + "".join(f"; {note}" for note in facts["notes"]),
         facts,
         as_json,
     )

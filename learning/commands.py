@@ -42,7 +42,7 @@ from learning.whole.train import train_faces
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
-from lightstage.formats.environment import LightSet
+from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import read_mesh
 from lightstage.formats.processed import ProcessedFolder, write_map
@@ -52,6 +52,9 @@ from processing.dataset import open_store, read_head_pose
 
 DEFAULT_RIG_SCALE = 1080 / 6016
 """Without a rig, pictures are 720 x 1080 pixels."""
+REFINE_SECONDS = 20.0
+"""Of `infer`, at most, where nothing else is asked for; most textures take less."""
+LIGHT = "light.json"
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
 
 
@@ -239,10 +242,13 @@ def infer_command(
     checkpoint: Path | None,
     out: Path,
     head_pose: Path | None,
+    refine: float | None,
     progress: ProgressCallback,
 ) -> dict[str, Any]:
     """Infer the maps of a texture, with the shipped weights where none are named; the facts."""
     began = time.monotonic()
+    if refine is not None and not 0 <= refine <= 3600:
+        raise ConfigError("--refine", found=str(refine), expected="0 to 3600 seconds")
     about = read_checkpoint(checkpoint or shipped_weights())
     image = read_exr(texture, finite=True)
     if image.ndim != 3:
@@ -252,8 +258,16 @@ def infer_command(
     notes: list[str] = []
     if about.family == "whole_face":
         network, _ = load_whole_face(about.folder)
-        found = infer_whole_face(network, image, shape, pose, named)
+        seconds = REFINE_SECONDS if refine is None else refine
+        found = infer_whole_face(network, image, shape, pose, named, refine_seconds=seconds)
     else:
+        if refine:
+            raise ConfigError(
+                "--refine",
+                found=f"{refine:g}, with a network of patches",
+                expected="none, or a whole-face network",
+                hint="Leave --checkpoint out for the weights that are shipped.",
+            )
         generator, _ = load_generator(about.folder)
         image, notes = resampled_texture(image, about.texture_rows, texture)
         data = make_config(DataConfig, about.config.get("data", {}), about.folder)
@@ -261,12 +275,17 @@ def infer_command(
         found = infer(generator, data, image, shape, turned, progress, named)
     for name, values in found.maps.items():
         write_map(out / f"{name}.exr", name, values)
+    if found.light is not None:
+        write_lights(found.light, out / LIGHT)
+    else:
+        (out / LIGHT).unlink(missing_ok=True)
     rows, columns = image.shape[:2]
     return {
         "rows": rows,
         "columns": columns,
         "tiles": found.tiles,
         "step": about.step,
+        "lamps": None if found.light is None else len(found.light.rgb),
         "notes": [*notes, *found.notes],
         "seconds": time.monotonic() - began,
     }

@@ -32,6 +32,7 @@ from learning.networks.generator import OUT_CHANNELS, Generator
 from learning.render.shading import unit
 from learning.render.uv import rasterise, texel_surface
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
 DISAGREEMENT = 0.05
@@ -46,11 +47,13 @@ class Inferred:
         maps: diffuse_albedo, specular_albedo, diffuse_normal, specular_normal, confidence.
         tiles: how many.
         notes: what a user should know of the texture or the maps, a line each.
+        light: found in the texture, in the mesh's axes; None where none was sought.
     """
 
     maps: dict[str, np.ndarray]
     tiles: int
     notes: tuple[str, ...] = ()
+    light: LightSet | None = None
 
 
 def infer(

@@ -49,6 +49,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "network.columns": (16, 1024),
     "network.width": (2, 512),
     "network.halvings": (1, 6),
+    "network.modes": (1, 1000),
     "faces.held_out_subjects": (1, 1_000_000),
     "faces.shadow_sets": (1, 10_000),
     "faces.white_balance": (0, 1),

@@ -37,12 +37,34 @@ class WholeFaceConfig:
         columns: the same.
         width: channels at full size; each of the halvings doubles them.
         halvings: of the size.
+        modes: principal directions in which people's albedo differs, kept beside the weights.
     """
 
     rows: int = 96
     columns: int = 64
     width: int = 16
     halvings: int = 3
+    modes: int = 12
+
+
+@dataclasses.dataclass(frozen=True)
+class KnownPeople:
+    """What the people trained on have in common.
+
+    Attributes:
+        log_albedo: (1, 3, rows, columns), mean of the diffuse albedo's natural logarithm.
+        log_specular: (1, 1, rows, columns), the same of the specular albedo.
+        position_mm: (1, 3, rows, columns), mean.
+        modes: (modes, 3, rows, columns), principal components of the diffuse albedo's logarithm,
+            orthonormal; zero beyond those that so few people have.
+        deviations: (modes,), of the people along them.
+    """
+
+    log_albedo: Tensor
+    log_specular: Tensor
+    position_mm: Tensor
+    modes: Tensor
+    deviations: Tensor
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,6 +88,8 @@ class WholeFaceNetwork(nn.Module):
     mean_log_albedo: Tensor
     mean_log_specular: Tensor
     mean_position_mm: Tensor
+    albedo_modes: Tensor
+    mode_deviations: Tensor
     detail_shares: Tensor
 
     def __init__(self, config: WholeFaceConfig) -> None:
@@ -76,6 +100,8 @@ class WholeFaceNetwork(nn.Module):
         self.register_buffer("mean_log_albedo", torch.zeros(1, 3, *size))
         self.register_buffer("mean_log_specular", torch.zeros(1, 1, *size))
         self.register_buffer("mean_position_mm", torch.zeros(1, 3, *size))
+        self.register_buffer("albedo_modes", torch.zeros(config.modes, 3, *size))
+        self.register_buffer("mode_deviations", torch.zeros(config.modes))
         self.register_buffer("detail_shares", torch.zeros(BANDS))
         widths = [config.width * 2**level for level in range(config.halvings + 1)]
         self.first = _two(IN_CHANNELS, widths[0])
@@ -98,11 +124,13 @@ class WholeFaceNetwork(nn.Module):
             if layer.bias is not None:
                 nn.init.zeros_(layer.bias)
 
-    def set_mean(self, log_albedo: Tensor, log_specular: Tensor, position_mm: Tensor) -> None:
-        """Keep the mean person: (1, 3 | 1 | 3, rows, columns)."""
-        self.mean_log_albedo.copy_(log_albedo)
-        self.mean_log_specular.copy_(log_specular)
-        self.mean_position_mm.copy_(position_mm)
+    def keep(self, people: KnownPeople) -> None:
+        """Keep what the people trained on have in common."""
+        self.mean_log_albedo.copy_(people.log_albedo)
+        self.mean_log_specular.copy_(people.log_specular)
+        self.mean_position_mm.copy_(people.position_mm)
+        self.albedo_modes.copy_(people.modes)
+        self.mode_deviations.copy_(people.deviations)
 
     def forward(self, inputs: Tensor) -> WholeFace:
         """(B, 10, rows, columns) of `face_input` to what the face is made of."""

@@ -57,9 +57,8 @@ def bake_visibility(
     points = raster.interpolate(mesh.vertices)[covered]
     normals = raster.normals(mesh)[covered]
     out = np.zeros((len(position_mm), *covered.shape), np.float32)
-    out[:, covered] = _visible(
-        mesh.vertices, raster.triangles, points, normals, position_mm, distant, progress, cast_only
-    )
+    caster = ShadowCaster(mesh.vertices, raster.triangles, points, normals)
+    out[:, covered] = caster.seen(position_mm, distant, progress, cast_only)
     return out
 
 
@@ -75,15 +74,13 @@ def bake_grid(surface: PositionGrid, position_mm: np.ndarray) -> np.ndarray:
     """
     rows, columns = surface.covered.shape
     out = np.zeros((len(position_mm), rows, columns), np.float32)
-    out[:, surface.covered] = _visible(
+    caster = ShadowCaster(
         surface.position_mm.reshape(-1, 3),
         _grid_triangles(surface),
         surface.position_mm[surface.covered],
         surface.normal[surface.covered],
-        position_mm,
-        np.zeros(len(position_mm), bool),
-        quiet,
     )
+    out[:, surface.covered] = caster.seen(position_mm, np.zeros(len(position_mm), bool))
     return out
 
 
@@ -99,40 +96,47 @@ def _grid_triangles(surface: PositionGrid) -> np.ndarray:
     return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
-def _visible(
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    points: np.ndarray,
-    normals: np.ndarray,
-    position_mm: np.ndarray,
-    distant: np.ndarray,
-    progress: ProgressCallback,
-    cast_only: bool = False,
-) -> np.ndarray:
-    """(L, n) float32 for n points with their normals."""
-    scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        open3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
-        open3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
-    )
-    starts = (points + OFFSET_MM * normals).astype(np.float32)
-    lights = np.asarray(position_mm, np.float32).reshape(-1, 3)
-    reach = 4 * float(np.ptp(vertices, axis=0).max()) + 1.0
-    out = np.full((len(lights), len(starts)), float(cast_only), np.float32)
-    for index, light in enumerate(lights):
-        for first in range(0, len(starts), RAYS_AT_ONCE):
-            start = starts[first : first + RAYS_AT_ONCE]
-            if distant[index]:
-                direction = light / max(float(np.linalg.norm(light)), 1e-9) * reach
-                toward = np.broadcast_to(direction, start.shape).astype(np.float32)
-            else:
-                toward = light - start
-            facing = np.einsum("nk,nk->n", toward, normals[first : first + len(start)]) > 0
-            rays = np.concatenate([start[facing], toward[facing]], axis=1)
-            blocked = scene.test_occlusions(open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
-            out[index, first + np.flatnonzero(facing)] = ~blocked.numpy()
-            progress(index * len(starts) + first + len(start), len(lights) * len(starts))
-    return out
+class ShadowCaster:
+    """Points on a surface, and which of them see a light. The tree of triangles is built once."""
+
+    def __init__(
+        self, vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, normals: np.ndarray
+    ) -> None:
+        """A surface of (V, 3) vertices and (T, 3) triangles, and n points with their normals."""
+        self._scene = open3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(
+            open3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
+            open3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
+        )
+        self._starts = (points + OFFSET_MM * normals).astype(np.float32)
+        self._normals = normals
+        self._reach = 4 * float(np.ptp(vertices, axis=0).max()) + 1.0
+
+    def seen(
+        self,
+        position_mm: np.ndarray,
+        distant: np.ndarray,
+        progress: ProgressCallback = quiet,
+        cast_only: bool = False,
+    ) -> np.ndarray:
+        """(L, n) float32 of (L, 3) lights, as `bake_visibility`."""
+        starts, normals = self._starts, self._normals
+        lights = np.asarray(position_mm, np.float32).reshape(-1, 3)
+        out = np.full((len(lights), len(starts)), float(cast_only), np.float32)
+        for index, light in enumerate(lights):
+            for first in range(0, len(starts), RAYS_AT_ONCE):
+                start = starts[first : first + RAYS_AT_ONCE]
+                if distant[index]:
+                    direction = light / max(float(np.linalg.norm(light)), 1e-9) * self._reach
+                    toward = np.broadcast_to(direction, start.shape).astype(np.float32)
+                else:
+                    toward = light - start
+                facing = np.einsum("nk,nk->n", toward, normals[first : first + len(start)]) > 0
+                rays = np.concatenate([start[facing], toward[facing]], axis=1)
+                blocked = self._scene.test_occlusions(open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
+                out[index, first + np.flatnonzero(facing)] = ~blocked.numpy()
+                progress(index * len(starts) + first + len(start), len(lights) * len(starts))
+        return out
 
 
 def bake_environment(

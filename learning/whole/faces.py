@@ -12,7 +12,7 @@ from torch import Tensor
 from learning import augment
 from learning.encoding import shrink
 from learning.maps import from_batch, to_batch, typical_texel_mm
-from learning.networks.whole_face import WholeFaceConfig, face_input
+from learning.networks.whole_face import KnownPeople, WholeFaceConfig, face_input
 from learning.render.environments import (
     RandomLightConfig,
     random_environment,
@@ -30,6 +30,8 @@ FINER = 2
 """Faces are lit at so many times the network's resolution, so that edges of shadows are sharp."""
 LARGEST_ROWS = 1536
 """Rows at most at which the shares of detail are fitted: finer ones are told as one band."""
+LEAST_ALBEDO = 1e-3
+"""Albedo below which a logarithm says nothing more."""
 SHARPER = 4.0
 """How much sharper the edges of shadows are than the grid that they were baked on."""
 DOME_MM = 100_000.0 * even_directions(64)
@@ -145,18 +147,28 @@ class Faces:
             self.faces.append(self._face(maps, skin, rng))
             progress(done + 1, len(self._scans))
 
-    def mean_person(self) -> tuple[Tensor, Tensor, Tensor]:
-        """(1, 3 | 1 | 3, rows, columns) mean log albedo, mean log specular albedo, position."""
+    def in_common(self, modes: int) -> KnownPeople:
+        """What the people have in common, and the directions in which their albedo differs."""
         shrunk = [
             [shrink(face.maps[name], self._size) for face in self.faces]
             for name in ("diffuse_albedo", "specular_albedo", "position")
         ]
         diffuse, specular, position = (torch.cat(images) for images in shrunk)
-        least = 1e-3
-        return (
-            diffuse.clamp_min(least).log().mean(dim=0, keepdim=True),
-            specular.clamp_min(least).log().mean(dim=0, keepdim=True),
+        logarithm = diffuse.clamp_min(LEAST_ALBEDO).log()
+        mean = logarithm.mean(dim=0, keepdim=True)
+        beside = logarithm - mean
+        # A person of several scans counts several times; with one scan there is no direction.
+        _, size, directions = torch.linalg.svd(beside.flatten(1), full_matrices=False)
+        found = min(modes, len(beside) - 1)
+        kept, deviations = beside.new_zeros(modes, *beside.shape[1:]), beside.new_zeros(modes)
+        kept[:found] = directions[:found].unflatten(1, tuple(beside.shape[1:]))
+        deviations[:found] = size[:found] / len(beside) ** 0.5
+        return KnownPeople(
+            mean,
+            specular.clamp_min(LEAST_ALBEDO).log().mean(dim=0, keepdim=True),
             position.mean(dim=0, keepdim=True),
+            kept,
+            deviations,
         )
 
     def draw(self, count: int, rng: np.random.Generator) -> FaceBatch:
@@ -166,8 +178,14 @@ class Faces:
     def batch(self, chosen: list[int], rng: np.random.Generator) -> FaceBatch:
         """Light some scans at random; the same scan gives another pair each time."""
         texture, skin = self._lit([self.faces[index] for index in chosen], rng)
-        captured = torch.cat([self.faces[index].skin for index in chosen])
-        return self._photographed(texture, skin, captured, rng)
+        normal, captured = (
+            torch.cat(images)
+            for images in (
+                [self.faces[index].maps["shape_normal"] for index in chosen],
+                [self.faces[index].skin for index in chosen],
+            )
+        )
+        return self._photographed(texture, skin, normal, captured, rng)
 
     def draw_large(self, rng: np.random.Generator) -> LargePair:
         """A random scan, lit at its texture's own size (at most `LARGEST_ROWS`)."""
@@ -187,7 +205,7 @@ class Faces:
         texture, skin = self._lit([face], rng)
         low = shrink(texture, self._size)
         there = torch.ones_like(low[:, :1])
-        normal = unit(shrink(skin.diffuse_normal, self._size))
+        normal = unit(shrink(tensors["shape_normal"], self._size))
         position = shrink(skin.position_mm, self._size)
         return LargePair(
             from_batch(texture),
@@ -217,11 +235,16 @@ class Faces:
             return shade(skin, environment, self._options, seen).clamp_min(0), skin
 
     def _photographed(
-        self, texture: Tensor, skin: SkinMaps, captured: Tensor, rng: np.random.Generator
+        self,
+        texture: Tensor,
+        skin: SkinMaps,
+        normal: Tensor,
+        captured: Tensor,
+        rng: np.random.Generator,
     ) -> FaceBatch:
-        """At the network's size, with the flaws of photographs."""
+        """At the network's size, with the flaws of photographs and the shape's own normals."""
         config, size = self._config, self._size
-        normal = unit(shrink(skin.diffuse_normal, size))
+        normal = unit(shrink(normal, size))
         small = shrink(texture, size)
         surface = (shrink((skin.area > 0).to(texture), size) > 0.5).to(texture)
         balance = np.exp(rng.normal(0, config.white_balance, (len(small), 3, 1, 1)))
@@ -299,6 +322,7 @@ def _tensors(maps: dict[str, np.ndarray]) -> tuple[dict[str, Tensor], float, Tex
     surface = texel_surface(maps["position"], covered, smooth_px=1.0)
     texel_mm = typical_texel_mm(surface.area_mm2)
     tensors = {name: to_batch(image) for name, image in maps.items()}
+    tensors["shape_normal"] = to_batch(surface.normal)
     tensors["area"] = to_batch(surface.area_mm2 / texel_mm**2)
     tensors["edges"] = to_batch(surface.edges_mm / texel_mm)
     return tensors, texel_mm, surface

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,11 @@ from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
 from learning.render.uv import rasterise
 from learning.whole.detail import enlarged, with_detail
+from learning.whole.refine import Answer, refine
+from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
-FARTHEST_MM = 40.0
+FARTHEST_MM = 20.0
 """Mean distance of a head's texels from those of the mean person. Our people have 3 to 9 once they
 are aligned, a texture that is flipped or turned has 78 to 99."""
 LEAST_TEXELS = 100
@@ -38,6 +41,7 @@ def infer_whole_face(
     head_from_mesh: np.ndarray | None = None,
     named: tuple[str | Path, str | Path] = ("texture", "mesh"),
     shares: list[float] | None = None,
+    refine_seconds: float = 0.0,
 ) -> Inferred:
     """Infer a texture's reflectance.
 
@@ -50,6 +54,8 @@ def infer_whole_face(
             aligned rigidly with the mean person of those trained on, texel by texel.
         named: the texture's and the mesh's names in errors.
         shares: of each band of the texture's detail, 0..1; the network's own where None.
+        refine_seconds: time to find the texture's light and refine the answer by it (see
+            `learning.whole.refine`); 0 for the network's answer.
 
     Returns:
         Maps of the texture's size in the mesh's axes; zero where no surface is. Both normals are
@@ -77,38 +83,70 @@ def infer_whole_face(
     normal = raster.normals(mesh).astype(np.float32)
     shape = (size.rows, size.columns)
     low_position = _mean_over(to_batch(raster.interpolate(mesh.vertices)), to_batch(covered), shape)
-    known = _both_known(network, low_position, named[1])
-    if head_from_mesh is None:
-        head_from_mesh = _aligned(network, low_position, known)
-    rotation = torch.from_numpy(head_from_mesh[:, :3]).float()
-    offset_mm = torch.from_numpy(head_from_mesh[:, 3]).float()[:, None, None]
-    here = (low_position != 0).any(dim=1, keepdim=True)
-    low_position = (_turned(low_position, rotation) + offset_mm) * here
-    _require_layout(network, low_position, known, named[1])
+    head_from_mesh, low_position = _placed(network, low_position, head_from_mesh, named[1])
     photographed = covered & (texture.max(axis=2) > UNSEEN)
     seen = to_batch(photographed)
     small = _mean_over(to_batch(texture), seen, shape)
-    low_normal = _turned(unit(shrink(to_batch(normal), shape)), rotation)
+    low_normal = _turned(unit(shrink(to_batch(normal), shape)), head_from_mesh)
     shown = (shrink(seen, shape) > 0.5).float()
     with torch.inference_mode():
         said = network(face_input(small * shown, low_normal, low_position, shown))
-    diffuse = with_detail(
-        _image(said.diffuse_albedo.log()),
-        texture,
-        photographed,
-        _image(small),
-        network.detail_shares.tolist() if shares is None else shares,
-    )
-    specular = np.exp(enlarged(_image(said.specular_albedo.log())[..., 0], rows, columns))
+    log_albedo = _image(said.diffuse_albedo.log())
+    low_specular = np.exp(_image(said.specular_albedo.log())[..., 0])
+    trust = _trust(_image(said.deviation)[..., 0])
+    light = None
+    if refine_seconds > 0:
+        answer = Answer(_image(small), _image(shown)[..., 0] > 0, log_albedo, low_specular, trust)
+        placed = mesh.vertices @ head_from_mesh[:, :3].T + head_from_mesh[:, 3]
+        head = dataclasses.replace(mesh, vertices=placed)
+        refined = refine(network, answer, texture, photographed, head, raster, refine_seconds)
+        diffuse, light = refined.diffuse_albedo, _in_mesh_axes(refined.light, head_from_mesh)
+    else:
+        if shares is None:
+            shares = network.detail_shares.tolist()
+        diffuse = with_detail(log_albedo, texture, photographed, _image(small), shares)
+    specular = np.exp(enlarged(np.log(low_specular), rows, columns))
     deviation = enlarged(_image(said.deviation)[..., 0], rows, columns)
     maps = {
         "diffuse_albedo": diffuse * covered[..., None],
         "specular_albedo": specular * covered,
         "diffuse_normal": normal,
         "specular_normal": normal,
-        "confidence": photographed / (1 + (deviation / DISAGREEMENT) ** 2),
+        "confidence": photographed * _trust(deviation),
     }
-    return Inferred({n: m.astype(np.float32) for n, m in maps.items()}, 1, tuple(notes))
+    return Inferred({n: m.astype(np.float32) for n, m in maps.items()}, 1, tuple(notes), light)
+
+
+def _in_mesh_axes(light: LightSet, head_from_mesh: np.ndarray) -> LightSet:
+    """A light of the head frame for a mesh in its own axes, whose origin may be another."""
+    rotation, offset_mm = head_from_mesh[:, :3], head_from_mesh[:, 3]
+    place = np.linalg.solve(rotation, (light.position_mm - offset_mm).T).T
+    # Strength is told at the origin, and falls off with the square of the distance from there.
+    nearer = (light.position_mm**2).sum(axis=1) / np.maximum((place**2).sum(axis=1), 1e-9)
+    return dataclasses.replace(light, position_mm=place, rgb=light.rgb * nearer[:, None])
+
+
+def _trust(deviation: np.ndarray) -> np.ndarray:
+    """0..1, a half where the network expects an error of `DISAGREEMENT`."""
+    found: np.ndarray = 1 / (1 + (deviation / DISAGREEMENT) ** 2)
+    return found
+
+
+def _placed(
+    network: WholeFaceNetwork,
+    position_mm: Tensor,
+    head_from_mesh: np.ndarray | None,
+    where: str | Path,
+) -> tuple[np.ndarray, Tensor]:
+    """The mesh's pose, found where it is None, and (1, 3, h, w) positions in the head frame."""
+    known = _both_known(network, position_mm, where)
+    if head_from_mesh is None:
+        head_from_mesh = _aligned(network, position_mm, known)
+    offset_mm = torch.from_numpy(head_from_mesh[:, 3]).float()[:, None, None]
+    here = (position_mm != 0).any(dim=1, keepdim=True)
+    placed = (_turned(position_mm, head_from_mesh) + offset_mm) * here
+    _require_layout(network, placed, known, where)
+    return head_from_mesh, placed
 
 
 def _both_known(network: WholeFaceNetwork, position_mm: Tensor, where: str | Path) -> Tensor:
@@ -149,9 +187,9 @@ def _require_layout(
         )
 
 
-def _turned(vectors: Tensor, rotation: Tensor) -> Tensor:
-    """(1, 3, h, w) vectors under a (3, 3) rotation."""
-    return torch.einsum("ij,bjhw->bihw", rotation, vectors)
+def _turned(vectors: Tensor, head_from_mesh: np.ndarray) -> Tensor:
+    """(1, 3, h, w) vectors under the rotation of a pose."""
+    return torch.einsum("ij,bjhw->bihw", torch.from_numpy(head_from_mesh[:, :3]).float(), vectors)
 
 
 def _mean_over(image: Tensor, known: Tensor, size: tuple[int, int]) -> Tensor:

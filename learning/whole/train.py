@@ -138,7 +138,7 @@ def train_faces(
     scored = faces_of(held_out, whole, own)
     network = trainer.network
     if not run.first:
-        network.set_mean(*faces.mean_person())
+        network.keep(faces.in_common(config.network.modes))
     steps = run.steps(FaceLearner(trainer, faces), config.steps, progress)
     network.eval()
     network.detail_shares.copy_(torch.tensor(fit_shares(network, faces, config)))

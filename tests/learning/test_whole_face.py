@@ -100,7 +100,7 @@ def test_what_a_partial_pair_does_not_show_says_nothing(store_path: Path) -> Non
 def test_an_untrained_network_says_the_mean_person_of_any_texture(store_path: Path) -> None:
     faces = faces_of(store_path)
     network = WholeFaceNetwork(SIZE)
-    network.set_mean(*faces.mean_person())
+    network.keep(faces.in_common(network.config.modes))
     said = network(faces.draw(2, np.random.default_rng(0)).inputs)
     albedos = [shrink(face.maps["diffuse_albedo"], (48, 32)).log() for face in faces.faces]
     mean = torch.cat(albedos).mean(dim=0).exp()
@@ -142,7 +142,7 @@ def test_the_expected_error_changes_nothing_that_is_said(store_path: Path) -> No
 def test_losses_in_double_precision_are_those_of_a_plain_twin(store_path: Path) -> None:
     batch = faces_of(store_path).draw(2, np.random.default_rng(0))
     network = WholeFaceNetwork(SIZE)
-    network.set_mean(*faces_of(store_path).mean_person())
+    network.keep(faces_of(store_path).in_common(network.config.modes))
     said = network(batch.inputs)
     weight = batch.weight.double().numpy()
 
@@ -198,7 +198,7 @@ def test_a_network_that_is_right_scores_without_error(store_path: Path) -> None:
     faces.faces = faces.faces[:1]
 
     network = WholeFaceNetwork(SIZE)
-    network.set_mean(*faces.mean_person())
+    network.keep(faces.in_common(network.config.modes))
     score = score_faces(network, faces, 2, 0)
     # Of one person the mean person is the person.
     assert score.psnr_db > 50

@@ -1,0 +1,270 @@
+"""The light in a texture: a few lamps and light from everywhere, found through the renderer.
+
+Under known albedo a texture is linear in the lamps' colours, which non-negative least squares
+finds; where the lamps stand is searched, as shadows have no useful slope. A dome of lamps tells
+where to begin.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import torch
+from scipy.optimize import nnls
+
+from learning.maps import SHININESS, skin_maps_from
+from learning.render.environments import Environment
+from learning.render.light_dome import even_directions
+from learning.render.occlusion import ShadowCaster
+from learning.render.shading import ShadeOptions, direct
+from learning.render.uv import UvRaster
+from lightstage.formats.mesh import Mesh
+
+DOME_MM = 1000.0 * even_directions(128)
+"""Lamps all round; the light from everywhere is their mean."""
+MOST_LAMPS = 4
+NEAREST_MM, FARTHEST_MM = 500.0, 4000.0
+"""Lamps are searched between these distances; a farther one looks the same."""
+FIRST_STEP, LAST_STEP = 0.25, 0.015
+"""Of the search: a lamp's move over its distance, halved where no move helps."""
+ADDED_AT = 0.97
+"""Another lamp stays where the misfit falls below this share of that without it."""
+NEIGHBOURHOOD = 0.8
+"""Cosine within which lamps of the dome are taken for one."""
+FAINT = 0.02
+"""Share of the dome's light below which no lamp is sought."""
+HALF_AT = 0.1
+"""Deviation in natural logarithms at which a texel weighs half in the misfit."""
+DARK = 0.05
+"""Added to a texture's value before errors are weighed by it: dark texels are mostly noise."""
+ROBUST_ROUNDS = 4
+
+Lamps = tuple[tuple[float, float, float], ...]
+"""Where lamps stand, mm, head frame."""
+
+
+class LitSurface:
+    """The texels of a head, and what a lamp anywhere gives them."""
+
+    def __init__(self, mesh: Mesh, raster: UvRaster, camera_mm: np.ndarray) -> None:
+        """A head in the head frame, and from where its highlights are seen."""
+        covered = raster.covered
+        ones = np.ones(covered.shape, np.float32)
+        normal, position = raster.normals(mesh), raster.interpolate(mesh.vertices)
+        maps = {"diffuse_albedo": np.repeat(ones[..., None], 3, axis=2), "specular_albedo": ones}
+        maps |= {"diffuse_normal": normal, "specular_normal": normal, "position": position}
+        self.covered = covered
+        self._skin = skin_maps_from(maps, covered, SHININESS * ones, 0 * ones)
+        self._camera_mm = torch.from_numpy(np.asarray(camera_mm, np.float32))
+        self._caster = ShadowCaster(
+            mesh.vertices, raster.triangles, position[covered], normal[covered]
+        )
+        self._normal = normal[covered]
+
+    def seen(self, lamps_mm: np.ndarray) -> np.ndarray:
+        """(L, n) share of each of (L, 3) lamps that each texel sees."""
+        return self._caster.seen(lamps_mm, np.zeros(len(lamps_mm), bool))
+
+    def under(
+        self, lamps_mm: np.ndarray, seen: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(n, L) irradiance and (n, L) lobe of white lamps of strength 1, with cast shadows."""
+        if not len(lamps_mm):
+            nothing = np.zeros((len(self._normal), 0))
+            return nothing, nothing
+        visible = np.zeros((len(lamps_mm), 1, *self.covered.shape), np.float32)
+        visible[:, 0, self.covered] = self.seen(lamps_mm) if seen is None else seen
+        count = len(lamps_mm)
+        each = Environment(
+            torch.from_numpy(np.asarray(lamps_mm, np.float32))[:, None],
+            torch.ones(count, 1, 3),
+            torch.zeros(count, 3),
+            torch.zeros(count, 1, dtype=torch.bool),
+            self._camera_mm.expand(count, 3),
+        )
+        with torch.inference_mode():
+            found = direct(self._skin, each, ShadeOptions(), torch.from_numpy(visible))
+        irradiance, lobe = (x[:, 0].numpy()[:, self.covered].T.astype(float) for x in found[:2])
+        return irradiance, lobe
+
+    def openness(self) -> np.ndarray:
+        """(n,) share of even light from all round that reaches a texel, weighted by the cosine."""
+        cosine = np.clip(self._normal @ (DOME_MM / np.linalg.norm(DOME_MM[0])).T, 0, None)
+        return (self.seen(DOME_MM).T * cosine).sum(axis=1) / np.maximum(cosine.sum(axis=1), 1e-6)
+
+
+@dataclasses.dataclass(frozen=True)
+class Light:
+    """Lamps and light from everywhere.
+
+    Attributes:
+        lamps_mm: where the lamps stand, head frame.
+        rgb: (L + 1, 3) of the lamps and, last, of the light from everywhere; units as
+            `learning.render.environments`.
+        misfit: 0 where all texels fit; a texel that is off by `HALF_AT` adds log 2.
+    """
+
+    lamps_mm: Lamps
+    rgb: np.ndarray
+    misfit: float
+
+
+class LightFit:
+    """A texture, and the search for its light."""
+
+    def __init__(self, surface: LitSurface, texture: np.ndarray, weight: np.ndarray) -> None:
+        """A head's n texels: (n, 3) linear texture, (n,) how much each counts.
+
+        `openness` is (n,), see `LitSurface.openness`.
+        """
+        self._surface, self._texture, self._weight = surface, texture, weight
+        self.openness = surface.openness()
+        self._known: dict[tuple[float, float, float], tuple[np.ndarray, np.ndarray]] = {}
+        self._dome = surface.under(DOME_MM)
+
+    def find(
+        self, albedo: np.ndarray, specular: np.ndarray, begin: Light | None, until: float
+    ) -> Light:
+        """Find the light under which a skin gives the texture.
+
+        Args:
+            albedo: (n, 3) diffuse.
+            specular: (n,) specular albedo.
+            begin: an earlier answer, whose lamps are moved; else they are sought one by one.
+            until: monotonic seconds at which the search stops with what it has.
+        """
+        skin = (albedo, specular)
+        if begin is not None:
+            return self._moved(skin, begin.lamps_mm, LAST_STEP * 4, until)
+        best = self._lit(skin, ())
+        peaks = self._solved(skin, *self._with_ambient(*self._dome), steady=1e-3)[0][:-1].sum(
+            axis=1
+        )
+        direction = DOME_MM / np.linalg.norm(DOME_MM[0])
+        floor = FAINT * peaks.sum()
+        for _ in range(MOST_LAMPS):
+            for lamp in best.lamps_mm:
+                toward = np.asarray(lamp) / np.linalg.norm(lamp)
+                peaks = np.where(direction @ toward > NEIGHBOURHOOD, 0, peaks)
+            if peaks.max() <= floor or time.monotonic() > until:
+                break
+            near = direction @ direction[peaks.argmax()] > NEIGHBOURHOOD
+            toward = (peaks * near) @ direction
+            place = 1000 * toward / np.linalg.norm(toward)
+            more = (*best.lamps_mm, (float(place[0]), float(place[1]), float(place[2])))
+            found = self._moved(skin, more, FIRST_STEP, until)
+            if found.misfit > ADDED_AT * best.misfit:
+                break
+            best = found
+        return best
+
+    def under(self, light: Light) -> tuple[np.ndarray, np.ndarray]:
+        """(n, 3) irradiance of a light, ambient light included, and (n, 3) lobe."""
+        irradiance, lobe = self._columns(light.lamps_mm)
+        return irradiance @ light.rgb, lobe @ light.rgb
+
+    def _moved(
+        self, skin: tuple[np.ndarray, np.ndarray], lamps: Lamps, step: float, until: float
+    ) -> Light:
+        """Move lamps, one at a time, as long as the misfit falls."""
+        best = self._lit(skin, lamps)
+        while step > LAST_STEP and lamps:
+            before = best
+            for index in range(len(lamps)):
+                for moved in _moves(best.lamps_mm, index, step):
+                    if time.monotonic() > until:
+                        return best
+                    found = self._lit(skin, moved)
+                    if found.misfit < best.misfit - 1e-5:
+                        best = found
+                        break
+            if best is before:
+                step /= 2
+        return best
+
+    def _lit(self, skin: tuple[np.ndarray, np.ndarray], lamps: Lamps) -> Light:
+        rgb, misfit = self._solved(skin, *self._columns(lamps))
+        return Light(lamps, rgb, misfit)
+
+    def _columns(self, lamps: Lamps) -> tuple[np.ndarray, np.ndarray]:
+        missing = [lamp for lamp in lamps if lamp not in self._known]
+        if missing:
+            irradiance, lobe = self._surface.under(np.array(missing))
+            for index, lamp in enumerate(missing):
+                self._known[lamp] = irradiance[:, index], lobe[:, index]
+        none = np.zeros((len(self._texture), 0))
+        found = [np.column_stack([none, *(self._known[p][i] for p in lamps)]) for i in (0, 1)]
+        return self._with_ambient(found[0], found[1])
+
+    def _with_ambient(
+        self, irradiance: np.ndarray, lobe: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        nothing = np.zeros(len(lobe))
+        return np.column_stack([irradiance, self.openness]), np.column_stack([lobe, nothing])
+
+    def _solved(
+        self,
+        skin: tuple[np.ndarray, np.ndarray],
+        irradiance: np.ndarray,
+        lobe: np.ndarray,
+        steady: float = 1e-6,
+    ) -> tuple[np.ndarray, float]:
+        """(L, 3) colours of lamps, not negative, and the misfit; texels far off lose weight."""
+        albedo, specular = skin
+        shine = specular[:, None] * lobe
+        rows = albedo[:, None, :] * irradiance[:, :, None] + shine[:, :, None]
+        scale = 1 / (self._texture.mean(axis=1) + DARK)
+        known = np.log(np.maximum(self._texture, 1e-3))
+        weight = self._weight
+        for _ in range(ROBUST_ROUNDS):
+            root = np.sqrt(weight) * scale
+            rgb = np.stack(
+                [_steady_nnls(rows[:, :, c], self._texture[:, c], root, steady) for c in range(3)],
+                axis=1,
+            )
+            made = np.einsum("nlc,lc->nc", rows, rgb)
+            off = np.abs((np.log(np.maximum(made, 1e-3)) - known).mean(axis=1))
+            spread = max(1.5 * 1.4826 * _median(off, self._weight), 0.05)
+            weight = self._weight / (1 + (off / spread) ** 2)
+        total = max(float(self._weight.sum()), 1e-9)
+        return rgb, float((self._weight * np.log1p((off / HALF_AT) ** 2)).sum() / total)
+
+
+def _steady_nnls(
+    rows: np.ndarray, right: np.ndarray, root: np.ndarray, steady: float
+) -> np.ndarray:
+    """Non-negative least squares through the normal equations, with a small Tikhonov term."""
+    weighted = rows * root[:, None]
+    normal = weighted.T @ weighted
+    size = max(float(np.trace(normal)) / len(normal), 1e-30)
+    lower = np.linalg.cholesky(normal + steady * size * np.eye(len(normal)))
+    projected = np.linalg.solve(lower, weighted.T @ (right * root))
+    found: np.ndarray = nnls(lower.T, projected, maxiter=100 * len(normal))[0]
+    return found
+
+
+def _median(values: np.ndarray, weight: np.ndarray) -> float:
+    """Of the values that count at all."""
+    some = values[weight > 0]
+    return float(np.median(some)) if some.size else 0.0
+
+
+def _moves(lamps: Lamps, index: int, step: float) -> list[Lamps]:
+    """The lamps with one of them moved sideways, up, down, away or nearer."""
+    place = np.array(lamps[index])
+    distance = float(np.linalg.norm(place))
+    toward = place / distance
+    side = np.cross(toward, (0.0, 1.0, 0.1))
+    side /= max(float(np.linalg.norm(side)), 1e-6)
+    up = np.cross(toward, side)
+    found = []
+    for turn in (side, -side, up, -up):
+        moved = toward + step * turn
+        found.append(distance * moved / np.linalg.norm(moved))
+    found += [place * (1 + 2 * step), place / (1 + 2 * step)]
+    near = [p for p in found if NEAREST_MM <= float(np.linalg.norm(p)) <= FARTHEST_MM]
+    return [
+        (*lamps[:index], (float(p[0]), float(p[1]), float(p[2])), *lamps[index + 1 :]) for p in near
+    ]

@@ -1,0 +1,243 @@
+"""Refinement of a network's answer through the renderer: light and skin found in turns.
+
+The network says the person's tone; the shape says where each light falls. In turns, the lamps are
+found under which the skin gives the texture (`learning.whole.light`), and the skin among those that
+people have (the modes kept beside the network's weights) that gives the texture under these lamps.
+The texture over its own light then shows what the modes do not have.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import cv2
+import numpy as np
+
+from learning.encoding import shrink
+from learning.maps import from_batch, to_batch
+from learning.networks.whole_face import BANDS, DARKEST, WholeFaceNetwork
+from learning.render.uv import UvRaster, rasterise
+from learning.whole.detail import enlarged, with_detail
+from learning.whole.light import Light, LightFit, LitSurface
+from lightstage.formats.environment import LightSet
+from lightstage.formats.mesh import Mesh
+
+CAMERA_MM = np.array([0.0, 0.0, 1100.0])
+"""From where a photograph's highlights are taken to be seen: in front of the face."""
+ROUNDS = 8
+SETTLED = 0.003
+"""A round that changes no texel's albedo by more than this share is the last."""
+TOGETHER = 40.0
+"""So many texels err as one: the light that is not modelled is smooth."""
+UNSURE = 0.3
+"""Share of people's variance that the network leaves open."""
+MARKS_SHARE = 0.7
+"""Part of a difference from the modes, at the network's size, that is taken for the skin's own."""
+WIDEST_MARK = 1 / 6
+"""Standard deviation of what is wider than a mark, of a texture's rows; it is taken for light."""
+DARK_LIGHT = 0.02
+"""Irradiance below which nothing is divided by it."""
+LEAST_LIGHT = 0.15
+"""Share of the median irradiance below which a texel's own albedo is not told by the texture."""
+EDGE_SHARE = 1 / 384
+"""Distance within which light must not change, of a texture's rows: 4 of 1536."""
+STEEP = 1.35
+"""Ratio of irradiance within that distance that is an edge."""
+LARGEST_ROWS = 1536
+"""Light is followed at so many rows at most, and enlarged for larger textures."""
+SHARES = [1.0] * BANDS
+"""Of each band of the texture's detail, once its light is gone."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Refined:
+    """A texture without its light.
+
+    Attributes:
+        diffuse_albedo: (rows, columns, 3) linear.
+        light: lamps and light from everywhere, in the head frame.
+        rounds: how often light and skin were found.
+    """
+
+    diffuse_albedo: np.ndarray
+    light: LightSet
+    rounds: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Answer:
+    """What a network found of a texture, at its own size.
+
+    Attributes:
+        texture: (h, w, 3) what it saw.
+        seen: (h, w) bool, photographed.
+        log_albedo: (h, w, 3) natural logarithm.
+        specular: (h, w).
+        trust: (h, w) 0..1.
+    """
+
+    texture: np.ndarray
+    seen: np.ndarray
+    log_albedo: np.ndarray
+    specular: np.ndarray
+    trust: np.ndarray
+
+
+def refine(
+    network: WholeFaceNetwork,
+    answer: Answer,
+    texture: np.ndarray,
+    photographed: np.ndarray,
+    mesh: Mesh,
+    raster: UvRaster,
+    seconds: float,
+) -> Refined:
+    """Take the light out of a texture, beginning with a network's answer.
+
+    Args:
+        network: with its modes.
+        answer: its own.
+        texture: (rows, columns, 3) linear.
+        photographed: (rows, columns) bool.
+        mesh: in the head frame.
+        raster: the texture's.
+        seconds: to search, at most; the result is that of the last whole round.
+    """
+    until = time.monotonic() + seconds
+    low = rasterise(mesh, *answer.seen.shape)
+    here = low.covered
+    weight = (answer.seen & here)[here] * answer.trust[here] ** 2
+    skin = _Skin(network, answer, here, weight)
+    fit = LightFit(LitSurface(mesh, low, CAMERA_MM), answer.texture[here].astype(float), weight)
+    light, rounds = None, 0
+    while rounds < ROUNDS:
+        rounds += 1
+        light = fit.find(skin.albedo(), answer.specular[here], light, until)
+        change = skin.move_to(answer.texture[here], *fit.under(light), answer.specular[here])
+        if change < SETTLED or time.monotonic() > until:
+            break
+    assert light is not None
+    low_albedo = np.exp(answer.log_albedo)
+    low_albedo[here] = skin.albedo()
+    unlit, known = _without_light(texture, photographed, mesh, raster, light, answer, fit, here)
+    size = answer.seen.shape
+    weight_low = _shrunk(known.astype(np.float32), size)
+    mean = _shrunk(unlit * known[..., None], size) / np.maximum(weight_low, 1e-3)[..., None]
+    small = np.where((weight_low > 0.5)[..., None], mean, low_albedo)
+    log_albedo = np.log(low_albedo)
+    log_albedo += MARKS_SHARE * _marks(np.log(small) - log_albedo, weight_low > 0.5)
+    albedo = with_detail(log_albedo, unlit, known, small, SHARES)
+    return Refined(albedo, _light_set(light), rounds)
+
+
+class _Skin:
+    """A skin among those that people have: a network's answer, brought to the modes."""
+
+    def __init__(
+        self, network: WholeFaceNetwork, answer: Answer, here: np.ndarray, weight: np.ndarray
+    ) -> None:
+        modes = network.albedo_modes.permute(2, 3, 1, 0).numpy()[here].astype(float)
+        deviations = network.mode_deviations.numpy().astype(float)
+        used = deviations > 1e-3 * deviations.max()
+        self._modes, self._variance = modes[..., used], deviations[used] ** 2
+        self._mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()[here].astype(float)
+        self._weight = weight
+        beside = answer.log_albedo[here] - self._mean
+        self._said = self._ridge(
+            beside, weight, 100 * self._variance, np.zeros(len(deviations[used]))
+        )
+        self._found = self._said
+
+    def albedo(self) -> np.ndarray:
+        """(n, 3) linear."""
+        return np.exp(np.clip(self._mean + self._modes @ self._found, -7, 0))
+
+    def move_to(
+        self, texture: np.ndarray, irradiance: np.ndarray, lobe: np.ndarray, specular: np.ndarray
+    ) -> float:
+        """Find the skin that gives a texture under a light; returns the mean change, a share."""
+        before = self._modes @ self._found
+        lit = (irradiance.mean(axis=1) > DARK_LIGHT) * self._weight
+        unlit = (texture - specular[:, None] * lobe) / np.maximum(irradiance, DARK_LIGHT)
+        beside = np.log(np.clip(unlit, DARKEST, 1.0)) - self._mean
+        for _ in range(3):
+            off = np.abs(beside - self._modes @ self._found).mean(axis=1)
+            some = off[lit > 0]
+            spread = max(1.4826 * float(np.median(some)) if some.size else 0.0, 0.03)
+            weight = lit / (1 + (off / (2 * spread)) ** 2) / (spread**2 * TOGETHER)
+            self._found = self._ridge(beside, weight, UNSURE * self._variance, self._said)
+        return float(np.abs(self._modes @ self._found - before).mean())
+
+    def _ridge(
+        self, beside: np.ndarray, weight: np.ndarray, variance: np.ndarray, centre: np.ndarray
+    ) -> np.ndarray:
+        """Modes that give (n, 3) weighted logarithms, with a normal prior."""
+        normal = np.einsum("n,nck,ncl->kl", weight, self._modes, self._modes)
+        right = np.einsum("n,nck,nc->k", weight, self._modes, beside) + centre / variance
+        found: np.ndarray = np.linalg.solve(normal + np.diag(1 / variance), right)
+        return found
+
+
+def _without_light(
+    texture: np.ndarray,
+    photographed: np.ndarray,
+    mesh: Mesh,
+    raster: UvRaster,
+    light: Light,
+    answer: Answer,
+    fit: LightFit,
+    here: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, columns, 3) a texture over its light, and where that says something of the skin."""
+    rows, columns = photographed.shape
+    if rows > LARGEST_ROWS:
+        raster = rasterise(mesh, LARGEST_ROWS, round(columns * LARGEST_ROWS / rows))
+    size = raster.covered.shape
+    surface = LitSurface(mesh, raster, CAMERA_MM)
+    given, shine = surface.under(np.array(light.lamps_mm).reshape(-1, 3))
+    openness = np.zeros(here.shape)
+    openness[here] = fit.openness
+    openness = enlarged(openness, *size)[raster.covered]
+    irradiance, lobe = np.zeros((*size, 3)), np.zeros((*size, 3))
+    irradiance[raster.covered] = given @ light.rgb[:-1] + openness[:, None] * light.rgb[-1]
+    lobe[raster.covered] = shine @ light.rgb[:-1]
+    level = irradiance.mean(axis=2).astype(np.float32)
+    steep = _steep(level, raster.covered)
+    known = raster.covered & ~steep & (level > LEAST_LIGHT * np.median(level[raster.covered]))
+    if size != (rows, columns):
+        irradiance, lobe = (enlarged(image, rows, columns) for image in (irradiance, lobe))
+        known = enlarged(known.astype(np.float32), rows, columns) > 0.999
+    specular = enlarged(answer.specular, rows, columns)[..., None]
+    unlit = np.clip((texture - specular * lobe) / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0)
+    return unlit.astype(np.float32), known & photographed
+
+
+def _marks(beside: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(h, w, 3) what a texture shows beside a skin, less what is wider than a mark is."""
+    weight = known.astype(np.float32)
+    sigma = WIDEST_MARK * known.shape[0]
+    wide = cv2.GaussianBlur((beside * weight[..., None]).astype(np.float32), (0, 0), sigma)
+    spread = cv2.GaussianBlur(weight, (0, 0), sigma)
+    found: np.ndarray = (beside - wide / np.maximum(spread, 1e-3)[..., None]) * weight[..., None]
+    return found
+
+
+def _steep(level: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """Where light changes within a few texels: edges of shadows, which are never quite in place."""
+    reach = max(1, round(EDGE_SHARE * level.shape[0]))
+    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    most = cv2.dilate(np.where(covered, level, 0), kernel)
+    least = cv2.erode(np.where(covered, level, np.float32(np.inf)), kernel)
+    found: np.ndarray = most > STEEP * np.maximum(least, DARK_LIGHT)
+    return found
+
+
+def _shrunk(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(rows, columns[, c]) as means over larger texels."""
+    return from_batch(shrink(to_batch(image), size))
+
+
+def _light_set(light: Light) -> LightSet:
+    places = np.array(light.lamps_mm).reshape(-1, 3)
+    return LightSet("found in the texture", places, light.rgb[:-1], light.rgb[-1])

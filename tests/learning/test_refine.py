@@ -1,0 +1,116 @@
+"""Refinement through the renderer: people not trained on, marks, edges of shadows."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from learning.checkpoint import load_whole_face, shipped_weights
+from learning.infer import Inferred
+from learning.maps import load_head
+from learning.relight import lit_texture, shadows_of
+from learning.whole.infer import infer_whole_face
+from learning.whole.refine import _marks, _steep
+from lightstage.formats.environment import LightSet
+from lightstage.formats.mesh import Mesh, read_mesh
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.template import default_template_path, load_template
+from processing.colour import srgb_from_linear
+from sim.people.dataset import make_plan, write_people
+from sim.people.table import load_table
+
+LAMP = LightSet(
+    "one hard lamp", np.array([[800.0, 500.0, 700.0]]), np.full((1, 3), 1.0), np.full(3, 0.05)
+)
+CAMERA_MM = np.array([0.0, 0.0, 1100.0])
+
+
+@pytest.fixture(scope="module")
+def people(tmp_path_factory: pytest.TempPathFactory) -> list[ProcessedFolder]:
+    folder = tmp_path_factory.mktemp("held_out")
+    write_people(make_plan(folder, load_table("balanced"), 2, 1, 900, 192), jobs=1)
+    return [ProcessedFolder(path.parent) for path in sorted(folder.glob("*/report.json"))]
+
+
+def photographed(person: ProcessedFolder) -> tuple[Mesh, np.ndarray, np.ndarray, np.ndarray]:
+    """A person's mesh, texture under the lamp, true albedo and skin."""
+    mesh = read_mesh(person.registered_mesh)
+    head = load_head(person.root / "atlas", mesh, load_template(default_template_path()))
+    texture = lit_texture(head, LAMP, CAMERA_MM, seen=shadows_of(head, LAMP))
+    true = person.read_atlas("diffuse_albedo")
+    return mesh, texture, true, person.read_atlas("confidence") > 0
+
+
+def psnr_db(found: np.ndarray, true: np.ndarray, skin: np.ndarray, gain: bool) -> float:
+    if gain:
+        found = found * (found * true)[skin].sum(axis=0) / (found**2)[skin].sum(axis=0)
+    error = srgb_from_linear(np.minimum(found, 1)) - srgb_from_linear(true)
+    return float(-10 * np.log10((error[skin] ** 2).mean()))
+
+
+def test_refinement_takes_a_hard_lamps_shadows_out_and_finds_the_lamp(
+    people: list[ProcessedFolder],
+) -> None:
+    network, _ = load_whole_face(shipped_weights())
+    gains, raws = [], []
+    for person in people:
+        mesh, texture, true, skin = photographed(person)
+        plain = infer_whole_face(network, texture, mesh).maps["diffuse_albedo"]
+        found = infer_whole_face(network, texture, mesh, refine_seconds=60)
+        refined = found.maps["diffuse_albedo"]
+        both = (refined, plain)
+        gains.append(np.subtract(*(psnr_db(x, true, skin, True) for x in both)))
+        raws.append(np.subtract(*(psnr_db(x, true, skin, False) for x in both)))
+        assert found.light is not None
+        strongest = found.light.position_mm[found.light.rgb.sum(axis=1).argmax()]
+        cosine = strongest @ LAMP.position_mm[0] / np.linalg.norm(strongest)
+        assert cosine / np.linalg.norm(LAMP.position_mm[0]) > np.cos(np.radians(15))
+    assert np.mean(gains) > 3
+    assert np.mean(raws) > 0
+
+
+def test_a_head_that_is_moved_gives_the_same_albedo_and_its_light_moves_with_it(
+    people: list[ProcessedFolder],
+) -> None:
+    network, _ = load_whole_face(shipped_weights())
+    mesh, texture, _, skin = photographed(people[0])
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    moved = dataclasses.replace(mesh, vertices=mesh.vertices @ turn.T + [300, -20, 50])
+
+    def found(shape: Mesh) -> Inferred:
+        return infer_whole_face(network, texture, shape, refine_seconds=60)
+
+    here, there = found(mesh), found(moved)
+    difference = np.abs(here.maps["diffuse_albedo"] - there.maps["diffuse_albedo"])[skin]
+    assert np.median(difference) < 2e-3
+    assert here.light is not None
+    assert there.light is not None
+    place = here.light.position_mm[0] @ turn.T + [300, -20, 50]
+    np.testing.assert_allclose(there.light.position_mm[0], place, atol=60)
+    # Light of the same strength on the head, told at another origin.
+    same = here.light.rgb[0] * (here.light.position_mm[0] ** 2).sum() / (place**2).sum()
+    np.testing.assert_allclose(there.light.rgb[0], same, rtol=0.1)
+
+
+def test_a_mark_is_skin_and_a_slope_over_the_face_is_light() -> None:
+    rows, columns = np.mgrid[0:96, 0:64]
+    mark = np.exp(-((rows - 40) ** 2 + (columns - 30) ** 2) / 18)[..., None] * np.ones(3)
+    slope = (rows / 96.0)[..., None] * np.ones(3)
+    known = np.ones((96, 64), bool)
+    assert _marks(mark, known)[40, 30, 0] > 0.85
+    assert np.abs(_marks(slope, known)[24:-24]).max() < 0.1
+    nothing = _marks(slope, np.zeros((96, 64), bool))
+    assert not nothing.any()
+
+
+def test_an_edge_of_a_shadow_is_left_out_and_a_slow_fall_is_not() -> None:
+    level = np.linspace(1.0, 0.5, 384, dtype=np.float32)[:, None] * np.ones((1, 256), np.float32)
+    covered = np.ones(level.shape, bool)
+    assert not _steep(level, covered).any()
+    level[:, 100:] *= 0.3
+    found = _steep(level, covered)
+    assert found[:, 99:101].all()
+    assert not found[:, :96].any()
+    assert not found[:, 104:].any()
