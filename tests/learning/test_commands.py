@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from learning.__main__ import main
-from lightstage.formats.environment import LightSet, write_lights
+from lightstage.formats.environment import LightSet, read_lights, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 from lightstage.formats.processed import ProcessedFolder
@@ -189,6 +189,13 @@ def test_whole_faces_are_the_default_and_infer_keeps_a_textures_size(
     base = ["infer", "--mesh", people[1].registered_mesh, "--texture", odd]
     assert run(monkeypatch, *base, "--out", tmp_path / "maps", "--checkpoint", run_folder) == 0
     assert read_exr(tmp_path / "maps" / "diffuse_albedo.exr").shape == (72, 56, 3)
+    assert np.isfinite(read_lights(tmp_path / "maps" / "light.json").ambient_rgb).all()
+    # Without refinement no light is known, and none of an earlier call stays.
+    again = [*base, "--out", tmp_path / "maps", "--checkpoint", run_folder, "--refine", "0"]
+    assert run(monkeypatch, *again) == 0
+    assert not (tmp_path / "maps" / "light.json").exists()
+    assert run(monkeypatch, *base, "--out", tmp_path / "nan", "--refine", "nan") == 2
+    assert "--refine: found nan, expected 0 to 3600 seconds" in capsys.readouterr().err
     # The shipped weights know our template's layout, and a ball's is another.
     large = write_exr(tmp_path / "large.exr", np.tile(texture, (2, 2, 1)))
     other = ["infer", "--mesh", people[1].registered_mesh, "--texture", large]
