@@ -190,7 +190,13 @@ def train(
         typer.Option(help="`modern`: whole faces; `paper`; `demo`: the paper's networks, narrow."),
     ] = "modern",
     config: Annotated[Path | None, typer.Option(help="TOML that overrides the preset.")] = None,
-    seconds: Annotated[float | None, typer.Option(help="Time to train in this call.")] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            help="Time for the steps of this call, instead of the preset's number of them; reading "
+            "the people and scoring come besides."
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the preset's.")] = None,
     resume: Annotated[bool, typer.Option(help="Go on from the run's checkpoint.")] = False,
     as_json: bool = JsonFlag,

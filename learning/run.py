@@ -24,6 +24,8 @@ from lightstage.formats.values import parse_json
 from processing.dataset import Store
 
 METRICS = "metrics.jsonl"
+MOST_TOLD = 4
+"""Values that differ from those a run began with, at most, that a message names."""
 
 
 class Learner(Protocol):
@@ -165,6 +167,13 @@ def begin(
     """
     began, first = time.monotonic(), 0
     if resume:
+        if not (out / INDEX).exists():
+            raise CheckpointError(
+                out,
+                found="no run",
+                expected=f"a run with its {INDEX}",
+                hint="Leave --resume out to begin one, or name the --out of the run to go on with.",
+            )
         checkpoint = read_checkpoint(out)
         _check_same(checkpoint, config, store)
         load(checkpoint)
@@ -236,6 +245,14 @@ def _steps(
 
 def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
     where = checkpoint.folder / INDEX
+    if checkpoint.family != config.family:
+        raise CheckpointError(
+            where,
+            field="family",
+            found=f"{checkpoint.family}, as the run began",
+            expected=f"{config.family}, the preset's that was asked for",
+            hint="Resume with the --preset that the run began with, or choose another --out.",
+        )
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")
     # Before the shading could be chosen it was `physical`.
     begun = {"shading": "physical", **checkpoint.config}
@@ -244,11 +261,13 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
         name: values for name, values in _differences(begun, wanted).items() if name != "seconds"
     }
     if differing:
+        told = list(differing)[:MOST_TOLD]
+        more = f" and {len(differing) - len(told)} more" if len(differing) > len(told) else ""
         raise CheckpointError(
             where,
-            field=", ".join(differing),
-            found=", ".join(str(now) for _, now in differing.values()) + " now",
-            expected=", ".join(str(then) for then, _ in differing.values()) + ", as the run began",
+            field=", ".join(told) + more,
+            found=", ".join(str(differing[name][1]) for name in told) + " now",
+            expected=", ".join(str(differing[name][0]) for name in told) + ", as the run began",
             hint="Resume with the same --preset, --config and --seed.",
         )
     if checkpoint.data_fingerprint != store.fingerprint:

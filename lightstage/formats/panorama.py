@@ -74,6 +74,9 @@ def _read_hdr(path: Path) -> np.ndarray:
     read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if read is None or read.dtype != np.float32 or read.ndim != 3:
         raise FormatError(
-            path, found="something else", expected="a whole Radiance HDR picture (RGBE)"
+            path,
+            found="something else",
+            expected="a whole Radiance HDR picture (RGBE)",
+            hint="A light set is .json; a picture of light is .hdr or .exr, latitude-longitude.",
         )
     return np.asarray(read)[:, :, ::-1]

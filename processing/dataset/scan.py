@@ -163,9 +163,17 @@ def _require_processed(root: Path) -> None:
     elif (root / "report.json").is_file():
         found = "a processed folder without an atlas"
         hint = "Run `lightstage-processing atlas SESSION --out OUT` first."
+    elif holds_scans(root):
+        found = "a folder of processed folders"
+        hint = f"Name those in it: {root}/*"
     else:
         found = "a folder of something else"
     raise DatasetError(root, found=found, expected="a processed folder with atlas/", hint=hint)
+
+
+def holds_scans(folder: Path) -> bool:
+    """True where a folder's own folders are processed ones, as `lightstage-sim dataset` leaves."""
+    return any(folder.glob("*/atlas"))
 
 
 def read_head_pose(path: Path) -> np.ndarray:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ import zarr
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import LightstageError, one_error
 from lightstage.formats.files import atomic_folder, check_schema, read_json, write_json
-from processing.dataset.scan import CHANNELS, DatasetError, ScanEntry, read_scan
+from processing.dataset.scan import CHANNELS, DatasetError, ScanEntry, holds_scans, read_scan
 from processing.dataset.statistics import Statistics
 
 SCHEMA = "lightstage.realfacedb/1"
@@ -155,6 +156,14 @@ def open_store(path: Path) -> Store:
             which holds patches and no maps.
     """
     file = path / "dataset.json"
+    if not file.exists() and holds_scans(path):
+        raise DatasetError(
+            path,
+            found="a folder of processed folders",
+            expected="a store",
+            hint="Gather them first: lightstage-processing dataset build "
+            f"{shlex.quote(str(path))}/* --out STORE",
+        )
     value = read_json(file)
     check_schema(file, value, SCHEMA)
     if value.get("kind") != "store":

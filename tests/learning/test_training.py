@@ -36,6 +36,8 @@ from learning.render.shading import ShadeOptions, shade, unit
 from learning.run import split
 from learning.score import score
 from learning.train import Trainer, train
+from learning.whole.config import WholeTrainConfig
+from learning.whole.train import train_faces
 from lightstage.errors import ConfigError
 from processing.dataset import open_store
 
@@ -423,7 +425,7 @@ def test_resuming_goes_on_as_if_never_interrupted(store_path: Path, tmp_path: Pa
 
 def test_a_run_is_neither_overwritten_nor_mixed(store_path: Path, tmp_path: Path) -> None:
     store = open_store(store_path)
-    with pytest.raises(Exception, match=r"checkpoint\.json: found no such file"):
+    with pytest.raises(CheckpointError, match=r"run: found no run.*Leave --resume out"):
         train(store, tmp_path / "run", TINY, resume=True)
     run_interrupted(store_path, tmp_path / "run", TINY, 1)
     with pytest.raises(CheckpointError, match="a run that is there already"):
@@ -433,6 +435,13 @@ def test_a_run_is_neither_overwritten_nor_mixed(store_path: Path, tmp_path: Path
     said = "generator.width, learning_rate: found 16, 1.0 now, expected 8, 0.002, as the run began"
     with pytest.raises(CheckpointError, match=said):
         train(store, tmp_path / "run", changed, resume=True)
+    many = dataclasses.replace(
+        changed, beta1=0.1, beta2=0.2, epochs=2, map_weight=1.0, render_weight=1.0
+    )
+    with pytest.raises(CheckpointError, match=r"beta1, beta2, .* and \d more: found"):
+        train(store, tmp_path / "run", many, resume=True)
+    with pytest.raises(CheckpointError, match="family: found patches, as the run began"):
+        train_faces(store, tmp_path / "run", WholeTrainConfig(), resume=True)
     other = dataclasses.replace(store, fingerprint="0" * 64)
     with pytest.raises(CheckpointError, match="data_fingerprint"):
         train(other, tmp_path / "run", TINY, resume=True)

@@ -250,6 +250,17 @@ def test_what_is_no_processed_folder_is_refused_by_name(
         build_store([good, root], tmp_path / "out" / "store")
 
 
+def test_a_folder_of_processed_folders_is_told_with_what_to_name(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    people = tmp_path / "my people"
+    make_processed(people / "one")
+    with pytest.raises(LightstageError, match=r"a folder of processed folders.*my people/\*"):
+        build_store([people], tmp_path / "store")
+    with pytest.raises(LightstageError, match=r"expected a store.* build '.*my people'/\* --out"):
+        open_store(people)
+
+
 def test_a_folder_without_the_map_of_skin_is_refused(tmp_path: Path, make_processed: Make) -> None:
     root = make_processed(tmp_path / "a")
     ProcessedFolder(root).atlas_path("skin").unlink()

@@ -178,6 +178,8 @@ def test_other_and_broken_files_are_refused(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"not a picture")
         with pytest.raises(FormatError, match="something else"):
             load_panorama(tmp_path / name)
+    with pytest.raises(FormatError, match=r"A light set is \.json"):
+        load_panorama(tmp_path / "e.hdr")
     with pytest.raises(FormatError, match=r"\.exr or \.hdr"):
         load_panorama(tmp_path / "e.png")
     with pytest.raises(FormatError, match="no such file"):
