@@ -20,6 +20,8 @@ export PYTHONDONTWRITEBYTECODE :=
 demo: $(READY) ## the main job on the simulated stage; ends with build/demo/report.html
 	$(BIN)/python -m demo.run --out build/demo
 
+# One thread a worker: two of each were a tenth slower.
+test: export OMP_NUM_THREADS := 1
 test: $(READY) ## all tests
 	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 8
 

@@ -94,17 +94,21 @@ def infer_whole_face(
     log_albedo = _image(said.diffuse_albedo.log())
     low_specular = np.exp(_image(said.specular_albedo.log())[..., 0])
     trust = _trust(_image(said.deviation)[..., 0])
-    light = None
+    refined = None
     if refine_seconds > 0:
         answer = Answer(_image(small), _image(shown)[..., 0] > 0, log_albedo, low_specular, trust)
         placed = mesh.vertices @ head_from_mesh[:, :3].T + head_from_mesh[:, 3]
         head = dataclasses.replace(mesh, vertices=placed)
         refined = refine(network, answer, texture, photographed, head, raster, refine_seconds)
-        diffuse, light = refined.diffuse_albedo, _in_mesh_axes(refined.light, head_from_mesh)
-    else:
+        if refined is None:
+            notes = [*notes, f"no light explains {named[0]}: the network's answer, not refined"]
+    light = None if refined is None else _in_mesh_axes(refined.light, head_from_mesh)
+    if refined is None:
         if shares is None:
             shares = network.detail_shares.tolist()
         diffuse = with_detail(log_albedo, texture, photographed, _image(small), shares)
+    else:
+        diffuse = refined.diffuse_albedo
     specular = np.exp(enlarged(np.log(low_specular), rows, columns))
     deviation = enlarged(_image(said.deviation)[..., 0], rows, columns)
     maps = {

@@ -139,26 +139,33 @@ class LightFit:
         if begin is not None:
             return self._moved(skin, begin.lamps_mm, LAST_STEP * 4, until)
         best = self._lit(skin, ())
-        peaks = self._solved(skin, *self._with_ambient(*self._dome), steady=1e-3)[0][:-1].sum(
-            axis=1
-        )
-        direction = DOME_MM / np.linalg.norm(DOME_MM[0])
-        floor = FAINT * peaks.sum()
-        for _ in range(MOST_LAMPS):
-            for lamp in best.lamps_mm:
-                toward = np.asarray(lamp) / np.linalg.norm(lamp)
-                peaks = np.where(direction @ toward > NEIGHBOURHOOD, 0, peaks)
-            if peaks.max() <= floor or time.monotonic() > until:
+        sought = self._peaks(skin)
+        for count in range(1, len(sought) + 1):
+            if time.monotonic() > until:
                 break
+            # Of two lamps at opposite sides one alone may be no better than none.
+            whole = len(best.lamps_mm) == count - 1
+            before = best.lamps_mm if whole else sought[: count - 1]
+            found = self._moved(skin, (*before, sought[count - 1]), FIRST_STEP, until)
+            if found.misfit <= ADDED_AT * best.misfit:
+                best = found
+        return best
+
+    def _peaks(self, skin: tuple[np.ndarray, np.ndarray]) -> Lamps:
+        """Where the light of a dome of lamps is strongest, `MOST_LAMPS` places at most."""
+        rgb, _ = self._solved(skin, *self._with_ambient(*self._dome), steady=1e-3)
+        peaks = rgb[:-1].sum(axis=1)
+        distance = np.linalg.norm(DOME_MM[0])
+        direction = DOME_MM / distance
+        floor = FAINT * peaks.sum()
+        found: Lamps = ()
+        while len(found) < MOST_LAMPS and peaks.max() > floor:
             near = direction @ direction[peaks.argmax()] > NEIGHBOURHOOD
             toward = (peaks * near) @ direction
-            place = 1000 * toward / np.linalg.norm(toward)
-            more = (*best.lamps_mm, (float(place[0]), float(place[1]), float(place[2])))
-            found = self._moved(skin, more, FIRST_STEP, until)
-            if found.misfit > ADDED_AT * best.misfit:
-                break
-            best = found
-        return best
+            place = distance * toward / np.linalg.norm(toward)
+            found = (*found, (float(place[0]), float(place[1]), float(place[2])))
+            peaks = np.where(near, 0, peaks)
+        return found
 
     def under(self, light: Light) -> tuple[np.ndarray, np.ndarray]:
         """(n, 3) irradiance of a light, ambient light included, and (n, 3) lobe."""

@@ -36,6 +36,8 @@ MARKS_SHARE = 0.7
 """Part of a difference from the modes, at the network's size, that is taken for the skin's own."""
 WIDEST_MARK = 1 / 6
 """Standard deviation of what is wider than a mark, of a texture's rows; it is taken for light."""
+LARGEST_MISFIT = 1.0
+"""Of a light that explains a texture: our people's have 0.2 to 0.6, a wrong one 2."""
 DARK_LIGHT = 0.02
 """Irradiance below which nothing is divided by it."""
 LEAST_LIGHT = 0.15
@@ -57,12 +59,10 @@ class Refined:
     Attributes:
         diffuse_albedo: (rows, columns, 3) linear.
         light: lamps and light from everywhere, in the head frame.
-        rounds: how often light and skin were found.
     """
 
     diffuse_albedo: np.ndarray
     light: LightSet
-    rounds: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,7 +92,7 @@ def refine(
     mesh: Mesh,
     raster: UvRaster,
     seconds: float,
-) -> Refined:
+) -> Refined | None:
     """Take the light out of a texture, beginning with a network's answer.
 
     Args:
@@ -102,7 +102,10 @@ def refine(
         photographed: (rows, columns) bool.
         mesh: in the head frame.
         raster: the texture's.
-        seconds: to search, at most; the result is that of the last whole round.
+        seconds: to search, at most; what is found by then is used.
+
+    Returns:
+        None where no light explains the texture.
     """
     until = time.monotonic() + seconds
     low = rasterise(mesh, *answer.seen.shape)
@@ -110,14 +113,14 @@ def refine(
     weight = (answer.seen & here)[here] * answer.trust[here] ** 2
     skin = _Skin(network, answer, here, weight)
     fit = LightFit(LitSurface(mesh, low, CAMERA_MM), answer.texture[here].astype(float), weight)
-    light, rounds = None, 0
-    while rounds < ROUNDS:
-        rounds += 1
+    light = None
+    for _ in range(ROUNDS):
         light = fit.find(skin.albedo(), answer.specular[here], light, until)
         change = skin.move_to(answer.texture[here], *fit.under(light), answer.specular[here])
         if change < SETTLED or time.monotonic() > until:
             break
-    assert light is not None
+    if light is None or light.misfit > LARGEST_MISFIT:
+        return None
     low_albedo = np.exp(answer.log_albedo)
     low_albedo[here] = skin.albedo()
     unlit, known = _without_light(texture, photographed, mesh, raster, light, answer, fit, here)
@@ -128,7 +131,7 @@ def refine(
     log_albedo = np.log(low_albedo)
     log_albedo += MARKS_SHARE * _marks(np.log(small) - log_albedo, weight_low > 0.5)
     albedo = with_detail(log_albedo, unlit, known, small, SHARES)
-    return Refined(albedo, _light_set(light), rounds)
+    return Refined(albedo, _light_set(light))
 
 
 class _Skin:

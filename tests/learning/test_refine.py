@@ -94,6 +94,20 @@ def test_a_head_that_is_moved_gives_the_same_albedo_and_its_light_moves_with_it(
     np.testing.assert_allclose(there.light.rgb[0], same, rtol=0.1)
 
 
+def test_where_no_light_explains_a_texture_the_networks_answer_stays_and_is_told(
+    people: list[ProcessedFolder],
+) -> None:
+    network, _ = load_whole_face(shipped_weights())
+    mesh, _, true, _ = photographed(people[0])
+    stripes = (np.arange(192) // 8 % 2)[:, None, None] * 0.9 + 0.05
+    texture = (stripes * np.ones_like(true)).astype(np.float32)
+    found = infer_whole_face(network, texture, mesh, refine_seconds=60)
+    assert found.light is None
+    assert "no light explains" in found.notes[-1]
+    plain = infer_whole_face(network, texture, mesh)
+    np.testing.assert_array_equal(found.maps["diffuse_albedo"], plain.maps["diffuse_albedo"])
+
+
 def test_a_mark_is_skin_and_a_slope_over_the_face_is_light() -> None:
     rows, columns = np.mgrid[0:96, 0:64]
     mark = np.exp(-((rows - 40) ** 2 + (columns - 30) ** 2) / 18)[..., None] * np.ones(3)

@@ -97,6 +97,24 @@ def test_what_a_partial_pair_does_not_show_says_nothing(store_path: Path) -> Non
     assert float(batch.weight.min()) == 1.0
 
 
+def test_what_people_have_in_common_is_their_mean_and_directions_at_right_angles(
+    store_path: Path,
+) -> None:
+    faces = faces_of(store_path)
+    known = faces.in_common(5)
+    directions = known.modes.flatten(1)
+    found = int((known.deviations > 0).sum())
+    assert 1 <= found <= len(faces.faces) - 1
+    square = directions[:found] @ directions[:found].T
+    torch.testing.assert_close(square, torch.eye(found), atol=1e-4, rtol=0)
+    assert not bool(directions[len(faces.faces) - 1 :].any())
+    # Each person is the mean and a sum of the directions.
+    albedo = shrink(faces.faces[0].maps["diffuse_albedo"], (48, 32)).clamp_min(1e-3)
+    beside = (albedo.log() - known.log_albedo).flatten()
+    torch.testing.assert_close((directions @ beside) @ directions, beside, atol=1e-3, rtol=0)
+    assert float(known.deviations[0]) >= float(known.deviations[1])
+
+
 def test_an_untrained_network_says_the_mean_person_of_any_texture(store_path: Path) -> None:
     faces = faces_of(store_path)
     network = WholeFaceNetwork(SIZE)
