@@ -42,6 +42,8 @@ DARK_LIGHT = 0.02
 """Irradiance below which nothing is divided by it."""
 LEAST_LIGHT = 0.15
 """Share of the median irradiance below which a texel's own albedo is not told by the texture."""
+MOST_SHINE = 0.35
+"""Share of a texture's value, in any channel, above which a highlight hides the skin."""
 EDGE_SHARE = 1 / 384
 """Distance within which light must not change, of a texture's rows: 4 of 1536."""
 STEEP = 1.35
@@ -198,22 +200,23 @@ def _without_light(
         raster = rasterise(mesh, LARGEST_ROWS, round(columns * LARGEST_ROWS / rows))
     size = raster.covered.shape
     surface = LitSurface(mesh, raster, CAMERA_MM)
-    given, shine = surface.under(np.array(light.lamps_mm).reshape(-1, 3))
+    given, lobes = surface.under(np.array(light.lamps_mm).reshape(-1, 3))
     openness = np.zeros(here.shape)
     openness[here] = fit.openness
     openness = enlarged(openness, *size)[raster.covered]
     irradiance, lobe = np.zeros((*size, 3)), np.zeros((*size, 3))
     irradiance[raster.covered] = given @ light.rgb[:-1] + openness[:, None] * light.rgb[-1]
-    lobe[raster.covered] = shine @ light.rgb[:-1]
+    lobe[raster.covered] = lobes @ light.rgb[:-1]
     level = irradiance.mean(axis=2).astype(np.float32)
     steep = _steep(level, raster.covered)
     known = raster.covered & ~steep & (level > LEAST_LIGHT * np.median(level[raster.covered]))
     if size != (rows, columns):
         irradiance, lobe = (enlarged(image, rows, columns) for image in (irradiance, lobe))
         known = enlarged(known.astype(np.float32), rows, columns) > 0.999
-    specular = enlarged(answer.specular, rows, columns)[..., None]
-    unlit = np.clip((texture - specular * lobe) / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0)
-    return unlit.astype(np.float32), known & photographed
+    shine = enlarged(answer.specular, rows, columns)[..., None] * lobe
+    unlit = np.clip((texture - shine) / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0)
+    matt = (shine < MOST_SHINE * texture).all(axis=2)
+    return unlit.astype(np.float32), known & photographed & matt
 
 
 def _marks(beside: np.ndarray, known: np.ndarray) -> np.ndarray:
