@@ -2,8 +2,9 @@
 
 Ten simulated people whose seed the training did not use, each under four lights (in front, one hard
 lamp, coloured, from behind), lit by rays at the texture's own size. Raw errors, and those after the
-best gain for each channel, which nobody knows of a real person. `--checkpoint RUN` and `--people
-FOLDER` (of `lightstage-sim dataset`) measure others.
+best gain for each channel, which nobody knows of a real person. `--checkpoint RUN` measures another
+network; `--people FOLDER` measures other heads: those of `lightstage-sim dataset`, or the folder
+that `lightstage-processing run` made of a real one, whose atlas then is the truth.
 """
 
 from __future__ import annotations
@@ -103,10 +104,15 @@ def main() -> None:
             if asked.people
             else people(Path(made))
         )
-        measure(folders, asked.checkpoint)
+        title = "Learning, shipped whole-face network"
+        if asked.checkpoint:
+            title = f"Learning, whole-face network of {asked.checkpoint.name}"
+        if asked.people:
+            title += f", heads of {asked.people.name}"
+        measure(title, folders, asked.checkpoint)
 
 
-def measure(folders: list[Path], checkpoint: Path | None) -> None:
+def measure(title: str, folders: list[Path], checkpoint: Path | None) -> None:
     """Print and record the table."""
     from learning.checkpoint import load_whole_face, shipped_weights
     from learning.commands import REFINE_SECONDS
@@ -114,7 +120,7 @@ def measure(folders: list[Path], checkpoint: Path | None) -> None:
     from learning.networks.whole_face import BANDS
     from learning.relight import lit_texture, shadows_of
     from learning.whole.detail import enlarged
-    from learning.whole.infer import infer_whole_face
+    from learning.whole.infer import in_mesh_axes, infer_whole_face
     from lightstage.formats.mesh import read_mesh
     from lightstage.formats.template import default_template_path, load_template
     from processing.dataset import read_head_pose
@@ -136,10 +142,11 @@ def measure(folders: list[Path], checkpoint: Path | None) -> None:
         true = folder.read_atlas("diffuse_albedo")
         skin = folder.read_atlas("confidence") > 0
         rows, columns = skin.shape
-        for kind, lights in LIGHTS.items():
-            # The people's meshes lie in world axes that are the head's, up to a small pose.
+        camera_mm = np.linalg.solve(pose[:, :3], CAMERA_MM - pose[:, 3])
+        for kind, in_head in LIGHTS.items():
+            lights = in_mesh_axes(in_head, pose)
             seen = shadows_of(head, lights)
-            texture = lit_texture(head, lights, CAMERA_MM, seen=seen)
+            texture = lit_texture(head, lights, camera_mm, seen=seen)
             began = time.perf_counter()
             alone = infer_whole_face(network, texture, mesh, pose)
             between = time.perf_counter()
@@ -184,18 +191,19 @@ def measure(folders: list[Path], checkpoint: Path | None) -> None:
     misses, shines = np.concatenate(specular, axis=1)
     deciles = _by_decile(*np.concatenate(trust, axis=1))
     record(
-        "Learning, shipped whole-face network",
+        title,
         ["diffuse albedo", "PSNR dB", "after the best gain a channel", "detail in patches"],
         table,
-        f"{len(folders)} people held out x {len(LIGHTS)} lights at {rows} rows; refined (network "
-        f"alone) by light: {by_light}. The strongest lamp is found to {np.median(turned):.1f} "
-        f"degrees in the median, {np.percentile(turned, 90):.0f} at the 90th percentile. "
+        f"Heads that were not trained on: {len(folders)}, under {len(LIGHTS)} lights at {rows} "
+        f"rows; refined (network alone) by light: {by_light}. The strongest lamp is found to "
+        f"{np.median(turned):.1f} degrees in the median, {np.percentile(turned, 90):.0f} at the "
+        "90th percentile. "
         f"Specular albedo RMSE {np.sqrt((misses**2).mean()):.4f}, "
         f"{np.sqrt((misses**2).mean()) / shines.std():.2f} of the best constant's. Mean error by "
         f"decile of confidence, least first: {deciles}. Seconds a texture: network "
         f"{np.median(seconds['network']):.1f}, refined {np.median(seconds['refined']):.1f} (at "
         f"most {max(seconds['refined']):.1f}). "
-        f"Network of {about.step} steps. Simulated people, no real ones.",
+        f"Network of {about.step} steps.",
     )
 
 

@@ -102,7 +102,7 @@ def infer_whole_face(
         refined = refine(network, answer, texture, photographed, head, raster, refine_seconds)
         if refined is None:
             notes = [*notes, f"no light explains {named[0]}: the network's answer, not refined"]
-    light = None if refined is None else _in_mesh_axes(refined.light, head_from_mesh)
+    light = None if refined is None else in_mesh_axes(refined.light, head_from_mesh)
     if refined is None:
         if shares is None:
             shares = network.detail_shares.tolist()
@@ -121,7 +121,7 @@ def infer_whole_face(
     return Inferred({n: m.astype(np.float32) for n, m in maps.items()}, 1, tuple(notes), light)
 
 
-def _in_mesh_axes(light: LightSet, head_from_mesh: np.ndarray) -> LightSet:
+def in_mesh_axes(light: LightSet, head_from_mesh: np.ndarray) -> LightSet:
     """A light of the head frame for a mesh in its own axes, whose origin may be another."""
     rotation, offset_mm = head_from_mesh[:, :3], head_from_mesh[:, 3]
     place = np.linalg.solve(rotation, (light.position_mm - offset_mm).T).T

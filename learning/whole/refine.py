@@ -36,8 +36,9 @@ MARKS_SHARE = 0.7
 """Part of a difference from the modes, at the network's size, that is taken for the skin's own."""
 WIDEST_MARK = 1 / 6
 """Standard deviation of what is wider than a mark, of a texture's rows; it is taken for light."""
-LARGEST_MISFIT = 1.0
-"""Of a light that explains a texture: our people's have 0.2 to 0.6, a wrong one 2."""
+LARGEST_MISFIT = 1.5
+"""Of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's 0.8 to 1.2
+(refinement is nearer to the truth than the network under each of six lights), a wrong one's 2."""
 DARK_LIGHT = 0.02
 """Irradiance below which nothing is divided by it."""
 LEAST_LIGHT = 0.15
