@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import OpenEXR
@@ -14,6 +15,11 @@ from lightstage.failures import free_bytes
 from lightstage.formats.files import atomic_path
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
+OTHER_LAYOUT = 0x1A
+"""Bits of the version's second byte: tiles, deep pixels, several parts [OpenEXRLayout]."""
+BLOCK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
+"""Lines of one block, by the header's number of the compression [OpenEXRLayout]."""
+LONGEST_NAME = 255
 FULL_BYTES = 2**20
 """A disk with less room than this after a picture was written may have been full before its end."""
 
@@ -134,6 +140,13 @@ def _stored(path: Path) -> np.ndarray:
         begins = handle.read(len(MAGIC))
     if begins != MAGIC:
         raise FormatError(path, found="something else", expected="an OpenEXR picture")
+    if _is_cut(path):
+        raise FormatError(
+            path,
+            found=f"an OpenEXR picture that ends after {path.stat().st_size} bytes",
+            expected="all of its lines",
+            hint="Was it cut short? Copy or render it again.",
+        )
     try:
         with OpenEXR.File(str(path)) as file:
             channels = file.channels()
@@ -151,6 +164,45 @@ def _stored(path: Path) -> np.ndarray:
         raise FormatError(path, found=f"channels {names}", expected="R G B or Y")
     found: np.ndarray = pixels[key]
     return found[:, :, :3] if found.ndim == 3 else found
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether a scan-line picture ends before all of its blocks of lines.
+
+    OpenEXR would say so too, but prints lines of its own to the terminal beside. It is asked where
+    the header is damaged or of another layout.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as handle:
+        if size < 8 or handle.read(8)[5] & OTHER_LAYOUT:
+            return size < 8
+        header: dict[bytes, bytes] = {}
+        while name := _text(handle):
+            _text(handle)
+            header[name] = handle.read(int.from_bytes(handle.read(4), "little"))
+        if handle.tell() >= size:
+            return True
+        window, compression = header.get(b"dataWindow", b""), header.get(b"compression", b"")
+        if len(window) != 16 or len(compression) != 1 or compression[0] >= len(BLOCK_LINES):
+            return False
+        _, top, _, bottom = np.frombuffer(window, "<i4").tolist()
+        blocks = -(-(bottom - top + 1) // BLOCK_LINES[compression[0]])
+        if blocks < 1:
+            return False
+        table = handle.read(8 * min(blocks, size))
+        starts = np.frombuffer(table[: len(table) // 8 * 8], "<u8").tolist()
+        if len(starts) < blocks or not all(starts):
+            return True
+        handle.seek(min(max(starts) + 4, size))
+        return max(starts) + 8 + int.from_bytes(handle.read(4), "little") > size
+
+
+def _text(handle: BinaryIO) -> bytes:
+    """The next zero-terminated string of a header, cut at the longest that there may be."""
+    found = b""
+    while (byte := handle.read(1)) not in (b"", b"\0") and len(found) < LONGEST_NAME:
+        found += byte
+    return found
 
 
 def require_finite(image: np.ndarray, where: str | Path) -> None:

@@ -1,5 +1,6 @@
 """OpenEXR maps: exact round trips, and NaN or damage refused."""
 
+import contextlib
 import os
 
 import numpy as np
@@ -86,12 +87,41 @@ def test_a_missing_empty_or_foreign_file_is_refused(tmp_path):
             read_exr(tmp_path / "a.exr")
 
 
-@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
-def test_a_truncated_file_is_refused(tmp_path, share):
-    path = write_exr(tmp_path / "a.exr", np.random.default_rng(0).uniform(0, 1, (90, 60, 3)))
+KINDS = ["NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "DWAA", "DWAB"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("order", ["INCREASING_Y", "DECREASING_Y"])
+def test_files_of_other_programs_are_read_whole_and_refused_cut(tmp_path, kind, order, capfd):
+    pixels = np.random.default_rng(0).uniform(0, 1, (300, 20, 3)).astype(np.float32)
+    header = {
+        "compression": getattr(OpenEXR, f"{kind}_COMPRESSION"),
+        "type": OpenEXR.scanlineimage,
+        "lineOrder": getattr(OpenEXR, order),
+        "dataWindow": (np.array([4, -7], np.int32), np.array([23, 292], np.int32)),
+    }
+    path = tmp_path / "a.exr"
+    with OpenEXR.File(header, {"RGB": pixels}) as file:
+        file.write(str(path))
+    assert np.abs(read_exr(path) - pixels).mean() < 0.02
     data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(FormatError, match=r"a.exr: found .*expected a whole OpenEXR file"):
+    for share in (0.0, 0.001, 0.02, 0.3, 0.7, 0.99):
+        path.write_bytes(data[: max(4, int(share * len(data)))])
+        with pytest.raises(FormatError, match=r"a.exr: found an OpenEXR picture that ends after"):
+            read_exr(path)
+    path.write_bytes(data[:-1])
+    with pytest.raises(FormatError, match="expected all of its lines"):
+        read_exr(path)
+    assert capfd.readouterr() == ("", "")
+
+
+@given(st.integers(0, 400), st.integers(0, 255))
+def test_a_damaged_header_is_read_or_refused(tmp_path_factory, place, byte):
+    path = write_exr(tmp_path_factory.mktemp("exr") / "a.exr", np.ones((40, 6, 3)))
+    data = bytearray(path.read_bytes())
+    data[min(place, len(data) - 1)] = byte
+    path.write_bytes(data)
+    with contextlib.suppress(FormatError):
         read_exr(path)
 
 
