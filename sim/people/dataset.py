@@ -7,12 +7,13 @@ import dataclasses
 import fcntl
 import functools
 import hashlib
+import itertools
 import json
 import multiprocessing
 import os
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -127,7 +128,7 @@ def write_people(plan: Plan, jobs: int = 0, progress: ProgressCallback = quiet) 
 
     Args:
         plan: who.
-        jobs: processes; 0 for as many as cores and memory allow.
+        jobs: processes, 1 for this one alone; 0 for as many as cores and memory allow.
         progress: of scans.
 
     Returns:
@@ -142,14 +143,10 @@ def write_people(plan: Plan, jobs: int = 0, progress: ProgressCallback = quiet) 
             progress(kept, plan.scans)
         made = 0
         jobs = min(jobs or workers(plan.rows), max(1, len(todo)))
-        # Forking a process whose libraries run threads can hang; a fresh one cannot.
-        context = multiprocessing.get_context("spawn")
         try:
-            with ProcessPoolExecutor(jobs, context, _calm, (jobs,)) as pool:
-                write = functools.partial(_write_person, plan)
-                for count in pool.map(write, *zip(*todo, strict=True)) if todo else ():
-                    made += count
-                    progress(kept + made, plan.scans)
+            for count in _counts(plan, todo, jobs):
+                made += count
+                progress(kept + made, plan.scans)
         except BrokenProcessPool:
             raise SimError(
                 plan.out,
@@ -218,8 +215,21 @@ def _person_seed(seed: int, index: int) -> int:
     return int.from_bytes(hashlib.sha256(text).digest()[:8], "big") % SEED_LIMIT
 
 
+def _counts(plan: Plan, todo: Sequence[tuple[Person, tuple[str, ...]]], jobs: int) -> Iterator[int]:
+    """Write everybody; yields each person's number of scans."""
+    write = functools.partial(_write_person, plan)
+    if jobs == 1:
+        # A fresh process would spend seconds on reading the libraries again.
+        yield from itertools.starmap(write, todo)
+        return
+    # Forking a process whose libraries run threads can hang; a fresh one cannot.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, context, _calm, (jobs,)) as pool:
+        yield from pool.map(write, *zip(*todo, strict=True))
+
+
 def _write_person(plan: Plan, person: Person, expressions: tuple[str, ...]) -> int:
-    """One person's scans, in a process of their own; returns how many."""
+    """One person's scans; returns how many."""
     for subject in person_expressions(
         person.name, person.seed, expressions, plan.rows, person.traits
     ):
