@@ -81,11 +81,7 @@ def save_checkpoint(
     """
     files = {}
     for role, named in tensors.items():
-        path = folder / f"{role}-{step:07d}.safetensors"
-        with atomic_path(path) as beside:
-            save_file({name: value.contiguous() for name, value in named.items()}, beside)
-            # safetensors makes its files the owner's alone, whatever the user's umask says.
-            beside.chmod(0o666 & ~_umask())
+        path = save_tensors(folder / f"{role}-{step:07d}.safetensors", named)
         files[role] = {"name": path.name, "sha256": sha256_file(path)}
     index = folder / INDEX
     value = {"schema": SCHEMA, "step": step, **about, "code_version": code_version()}
@@ -96,6 +92,15 @@ def save_checkpoint(
     for path in (*old, *(path for name in (*names, INDEX) for path in leftovers(folder, name))):
         path.unlink()
     return index
+
+
+def save_tensors(path: Path, named: dict[str, Tensor]) -> Path:
+    """Write tensors by their names; returns `path`."""
+    with atomic_path(path) as beside:
+        save_file({name: value.contiguous() for name, value in named.items()}, beside)
+        # safetensors makes its files the owner's alone, whatever the user's umask says.
+        beside.chmod(0o666 & ~_umask())
+    return path
 
 
 def _umask() -> int:

@@ -16,8 +16,9 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from torch import Tensor
 
-from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpoint
+from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpoint, save_tensors
 from learning.errors import CheckpointError, TrainingError
+from learning.guard import LEAP, Guard
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.config import as_dict
 from lightstage.formats.values import parse_json
@@ -31,12 +32,18 @@ MOST_TOLD = 4
 class Learner(Protocol):
     """A network in training."""
 
+    watched: ClassVar[str]
+    """The loss that the guard watches."""
+
     def step(self, number: int, done: float) -> dict[str, float]:
         """Take step `number` of a training of which the share `done` (0..1) is past; the losses.
 
         All randomness follows from the seed and `number`, so that a training that was interrupted
         goes on as if it had not been.
         """
+
+    def batch(self, number: int) -> dict[str, Tensor]:
+        """What step `number` was fed with."""
 
     def tensors(self) -> dict[str, dict[str, Tensor]]:
         """All state, by the checkpoint's roles."""
@@ -96,24 +103,23 @@ class Run:
     def steps(self, learner: Learner, total: int, progress: ProgressCallback = quiet) -> int:
         """Train until the steps or the seconds are used up; returns the steps done in all.
 
-        A checkpoint is saved every `save_seconds`, and when the training is interrupted.
+        A checkpoint is saved every `save_seconds`, and when the training is interrupted. Where the
+        losses go astray, the step's batch is kept in `stopped-STEP.safetensors`.
 
         Raises:
-            TrainingError: losses that are not finite.
+            TrainingError: losses that are not finite, or that leapt and stay high.
         """
         finished, saved = self.first, time.monotonic()
+        guard = Guard()
         try:
             for step, done in _steps(self.first, total, self.config.seconds, progress):
                 losses = learner.step(step, done)
                 finished = step + 1
                 if not all(map(math.isfinite, losses.values())):
-                    raise TrainingError(
-                        self.out,
-                        field=f"step {step}",
-                        found=f"losses {losses}",
-                        expected="finite ones",
-                        hint="Lower learning_rate; the last checkpoint is kept.",
-                    )
+                    raise self._astray(learner, step, f"losses {losses}", "finite ones")
+                if guard.leapt(losses[learner.watched]):
+                    found = f"{learner.watched} {LEAP:g} times as large as it was before"
+                    raise self._astray(learner, step, found, "a loss that falls")
                 if step % self.config.log_steps == 0:
                     self.log({"step": step, **losses})
                 if time.monotonic() - saved > self.config.save_seconds:
@@ -123,6 +129,19 @@ class Run:
             save_checkpoint(self.out, finished, learner.tensors(), self.about)
             raise
         return finished
+
+    def _astray(self, learner: Learner, step: int, found: str, expected: str) -> TrainingError:
+        kept = self.out / f"stopped-{step:07d}.safetensors"
+        self.out.mkdir(parents=True, exist_ok=True)
+        save_tensors(kept, learner.batch(step))
+        return TrainingError(
+            self.out,
+            field=f"step {step}",
+            found=found,
+            expected=expected,
+            hint=f"Lower learning_rate and begin in another --out. {kept.name} holds the batch; "
+            "the last checkpoint is kept.",
+        )
 
     def end(
         self, learner: Learner, steps: int, examples: int, score: ScoreT

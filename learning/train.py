@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -113,17 +114,26 @@ class Trainer:
 class PatchLearner:
     """The networks, fed with random patches."""
 
+    watched: ClassVar[str] = "maps"
+
     def __init__(self, trainer: Trainer, data: PatchData) -> None:
         """Train `trainer` on `data`."""
         self._trainer, self._data = trainer, data
 
     def step(self, number: int, done: float) -> dict[str, float]:
         """See `Learner`."""
-        config = self._trainer.config
-        rng = np.random.default_rng([config.seed, 2, number])
+        rng = self._rng(number)
         rate = self._trainer.set_rate(done)
-        losses = self._trainer.step(self._data.draw(config.batch, rng), rng)
+        losses = self._trainer.step(self._data.draw(self._trainer.config.batch, rng), rng)
         return {"learning_rate": rate, **losses}
+
+    def batch(self, number: int) -> dict[str, Tensor]:
+        """See `Learner`."""
+        drawn = self._data.draw(self._trainer.config.batch, self._rng(number))
+        return {name: getattr(drawn, name) for name in ("inputs", "target", "covered", "texture")}
+
+    def _rng(self, number: int) -> np.random.Generator:
+        return np.random.default_rng([self._trainer.config.seed, 2, number])
 
     def tensors(self) -> dict[str, dict[str, Tensor]]:
         """See `Learner`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -74,15 +75,24 @@ class WholeFaceTrainer:
 class FaceLearner:
     """The network, fed with random faces."""
 
+    watched: ClassVar[str] = "diffuse"
+
     def __init__(self, trainer: WholeFaceTrainer, faces: Faces) -> None:
         """Train `trainer` on `faces`."""
         self._trainer, self._faces = trainer, faces
 
     def step(self, number: int, done: float) -> dict[str, float]:
         """See `Learner`."""
+        return self._trainer.step(self._drawn(number), number, done)
+
+    def batch(self, number: int) -> dict[str, Tensor]:
+        """See `Learner`."""
+        drawn = self._drawn(number)
+        return {f.name: getattr(drawn, f.name) for f in dataclasses.fields(drawn)}
+
+    def _drawn(self, number: int) -> FaceBatch:
         config = self._trainer.config
-        rng = np.random.default_rng([config.seed, 2, number])
-        return self._trainer.step(self._faces.draw(config.batch, rng), number, done)
+        return self._faces.draw(config.batch, np.random.default_rng([config.seed, 2, number]))
 
     def tensors(self) -> dict[str, dict[str, Tensor]]:
         """See `Learner`."""

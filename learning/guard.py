@@ -1,0 +1,32 @@
+"""A training's guard: whether a loss leapt and stays high."""
+
+from __future__ import annotations
+
+import collections
+import math
+import statistics
+
+BEGINNING = 4
+"""Steps whose mean tells what the loss was before the training."""
+WINDOW = 50
+"""Steps whose mean is compared: one batch may be five times as hard as the next."""
+LEAP = 5.0
+"""Ratio to the lowest mean so far that no noise of batches has: theirs was at most 2.7."""
+
+
+class Guard:
+    """Compares the mean of the last steps with the lowest mean there was."""
+
+    def __init__(self) -> None:
+        """Nothing is known yet."""
+        self._last: collections.deque[float] = collections.deque(maxlen=WINDOW)
+        self._lowest = math.inf
+
+    def leapt(self, loss: float) -> bool:
+        """Take one step's loss; whether the loss has leapt and stays high."""
+        self._last.append(loss)
+        if len(self._last) not in (BEGINNING, WINDOW):
+            return False
+        mean = statistics.fmean(self._last)
+        self._lowest = min(self._lowest, mean)
+        return mean > LEAP * self._lowest
