@@ -49,6 +49,10 @@ EDGE_SHARE = 1 / 384
 """Distance within which light must not change, of a texture's rows: 4 of 1536."""
 STEEP = 1.35
 """Ratio of irradiance within that distance that is an edge."""
+NEAR_SHARE = 1 / 96
+"""Distance from such an edge, of a texture's rows, within which the real edge may lie."""
+MISPLACED = 1.4
+"""Ratio to the skin found so far, near an edge, that is the edge's place in error and no mark."""
 LARGEST_ROWS = 1536
 """Light is followed at so many rows at most, and enlarged for larger textures."""
 SHARES = [1.0] * BANDS
@@ -126,7 +130,9 @@ def refine(
         return None
     low_albedo = np.exp(answer.log_albedo)
     low_albedo[here] = skin.albedo()
-    unlit, known = _without_light(texture, photographed, mesh, raster, light, answer, fit, here)
+    unlit, known = _without_light(
+        texture, photographed, mesh, raster, light, answer, low_albedo, fit, here
+    )
     size = answer.seen.shape
     weight_low = _shrunk(known.astype(np.float32), size)
     mean = _shrunk(unlit * known[..., None], size) / np.maximum(weight_low, 1e-3)[..., None]
@@ -192,6 +198,7 @@ def _without_light(
     raster: UvRaster,
     light: Light,
     answer: Answer,
+    low_albedo: np.ndarray,
     fit: LightFit,
     here: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -216,8 +223,10 @@ def _without_light(
         known = enlarged(known.astype(np.float32), rows, columns) > 0.999
     shine = enlarged(answer.specular, rows, columns)[..., None] * lobe
     unlit = np.clip((texture - shine) / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0)
+    unlit = unlit.astype(np.float32)
     matt = (shine < MOST_SHINE * texture).all(axis=2)
-    return unlit.astype(np.float32), known & photographed & matt
+    skin = np.exp(enlarged(np.log(low_albedo), rows, columns))
+    return unlit, known & photographed & matt & ~_misplaced(unlit / skin, steep)
 
 
 def _marks(beside: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -237,6 +246,23 @@ def _steep(level: np.ndarray, covered: np.ndarray) -> np.ndarray:
     most = cv2.dilate(np.where(covered, level, 0), kernel)
     least = cv2.erode(np.where(covered, level, np.float32(np.inf)), kernel)
     found: np.ndarray = most > STEEP * np.maximum(least, DARK_LIGHT)
+    return found
+
+
+def _misplaced(ratio: np.ndarray, steep: np.ndarray) -> np.ndarray:
+    """Near edges, where a texture over its light is far from the skin: lit here, in shadow there.
+
+    Args:
+        ratio: (rows, columns, 3) of the texture over its light to the skin found so far.
+        steep: (h, w) bool, edges, of as many texels or fewer.
+    """
+    rows, columns = ratio.shape[:2]
+    reach = max(1, round(NEAR_SHARE * steep.shape[0]))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    near = cv2.resize(cv2.dilate(steep.astype(np.uint8), disc), (columns, rows)) > 0
+    # Over a few texels, so that single hairs and pores stay.
+    off = cv2.GaussianBlur(np.log(ratio).mean(axis=2), (0, 0), max(1.0, rows / 768))
+    found: np.ndarray = near & (np.abs(off) > np.log(MISPLACED))
     return found
 
 

@@ -12,7 +12,7 @@ from learning.infer import Inferred
 from learning.maps import load_head
 from learning.relight import lit_texture, shadows_of
 from learning.whole.infer import infer_whole_face
-from learning.whole.refine import _marks, _steep
+from learning.whole.refine import _marks, _misplaced, _steep
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder
@@ -128,3 +128,28 @@ def test_an_edge_of_a_shadow_is_left_out_and_a_slow_fall_is_not() -> None:
     assert found[:, 99:101].all()
     assert not found[:, :96].any()
     assert not found[:, 104:].any()
+
+
+def test_a_lit_patch_where_shadow_was_expected_is_no_mark_and_a_mole_is() -> None:
+    """Near a shadow's edge what differs much is its place in error; far from it, a mark."""
+    rows, columns = 384, 256
+    steep = np.zeros((rows, columns), bool)
+    steep[200:203, :128] = True
+    ratio = np.ones((rows, columns, 3), np.float32)
+    ratio[196:200, 20:100] = 0.2
+    ratio[300:312, 180:192] = 0.2
+    ratio[201, 60] = 0.5
+    found = _misplaced(ratio, steep)
+    assert found[197:199, 24:96].all()
+    assert not found[290:320].any()
+    assert not found[:, 140:].any()
+    # A smaller difference is detail, near an edge too.
+    assert not _misplaced(np.full_like(ratio, 1.3), steep).any()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_edges_in_light_of_any_strength_leave_a_mask(scale: float) -> None:
+    level = np.full((96, 64), scale, np.float32)
+    level[:, 32:] = 0
+    steep = _steep(level, np.ones((96, 64), bool))
+    assert _misplaced(np.full((96, 64, 3), scale, np.float32), steep).shape == (96, 64)
