@@ -6,6 +6,9 @@ import dataclasses
 
 import numpy as np
 
+LEAST_FREE = 10
+"""Highlights beyond those that lamps' and photographs' own levels take, to tell their error."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Flux:
@@ -34,7 +37,8 @@ def intensities(flux: Flux, count: int) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         (count, 3) natural logarithms, median 0 in each channel; NaN where unknown. (count,) their
-        standard errors; infinite where unknown.
+        standard errors; infinite where unknown. All are unknown where hardly a lamp is seen twice,
+        as nothing then tells how far one highlight is off.
     """
     usable = np.isfinite(flux.intensity).all(axis=1) & (flux.intensity > 0).all(axis=1)
     lamp, group = flux.lamp[usable], flux.group[usable]
@@ -47,12 +51,26 @@ def intensities(flux: Flux, count: int) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(30):
         of_group = _medians(log - of_lamp[lamp], group, len(of_group))
         of_lamp = _medians(log - of_group[group], lamp, count)
-    left = log - of_lamp[lamp] - of_group[group]
     seen = np.bincount(lamp, minlength=count)
-    spread_ = 1.4826 * float(np.median(np.abs(left)))
-    level[seen > 0] = of_lamp[seen > 0] - np.median(of_lamp[seen > 0], axis=0)
-    sigma[seen > 0] = 1.25 * max(spread_, 1e-3) / np.sqrt(seen[seen > 0])
+    spread_ = _spread(log - of_lamp[lamp] - of_group[group], lamp, group, seen)
+    if np.isfinite(spread_):
+        level[seen > 0] = of_lamp[seen > 0] - np.median(of_lamp[seen > 0], axis=0)
+        sigma[seen > 0] = 1.25 * max(spread_, 1e-3) / np.sqrt(seen[seen > 0])
     return level, sigma
+
+
+def _spread(left: np.ndarray, lamp: np.ndarray, group: np.ndarray, seen: np.ndarray) -> float:
+    """Standard deviation of one highlight's logarithm; infinite where too few tell.
+
+    A lamp's only highlight fits itself, so that lamps count which were seen at least twice.
+    """
+    twice = seen[lamp] > 1
+    fitted = len(np.unique(lamp[twice])) + len(np.unique(group[twice])) - 1
+    free = int(twice.sum()) - fitted
+    if free < LEAST_FREE:
+        return float(np.inf)
+    shrunk = np.sqrt(free / twice.sum())
+    return 1.4826 * float(np.median(np.abs(left[twice]))) / shrunk
 
 
 def _medians(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:

@@ -171,10 +171,11 @@ def expected_gains(
     log = np.where(told[:, None], known_log, 0.0)
     known = np.hypot(np.where(told, known_sigma, 0.0), config.highlight_sigma)
     usual = config.gain_sigma**2
-    if told.any():
-        # Lamps that differ by more than their highlights' errors are a stage of unlike lamps.
-        spread = 1.4826 * float(np.median(np.abs(log[told] - np.median(log[told], axis=0))))
-        usual = max(usual, spread**2 - float(np.median(known[told])) ** 2)
+    # How unlike a stage's lamps are shows where highlights err less than lamps usually differ.
+    sharp = told & (known < 2 * config.gain_sigma)
+    if sharp.any():
+        spread = 1.4826 * float(np.median(np.abs(log[sharp] - np.median(log[sharp], axis=0))))
+        usual = max(usual, spread**2 - float(np.median(known[sharp])) ** 2)
     share = np.where(told, usual / (usual + known**2), 0.0)
     return log * share[:, None], np.where(told, known * np.sqrt(share), np.sqrt(usual))
 

@@ -22,6 +22,7 @@ from processing.calibration.flux import Flux, intensities
 from processing.calibration.grey_ball import (
     GreyConfig,
     Readings,
+    expected_gains,
     lamp_readings,
     nominal_weights,
     solve_gains,
@@ -177,6 +178,36 @@ def test_pictures_of_anything_give_finite_highlights_or_none(
     found = find_highlights(Picture(rgb, valid, RIG.cameras[0]), 3.0, 0.05, 5.0)
     assert np.isfinite(found.place_px).all()
     assert len(found.flux) == len(found.place_px)
+
+
+def test_lamps_seen_once_each_are_not_known_however_well_they_fit_themselves() -> None:
+    rng = np.random.default_rng(3)
+    lamp, group = np.arange(60), np.repeat(np.arange(4), 15)
+    light = np.exp(0.6 * rng.normal(size=(60, 3)))
+    log, sigma = intensities(Flux(lamp, group, light), 80)
+    assert np.isnan(log).all()
+    assert np.isinf(sigma).all()
+
+
+@pytest.mark.parametrize("noise", [0.003, 0.05, 0.5])
+def test_the_error_of_an_intensity_is_told_where_few_lamps_are_seen_twice(noise: float) -> None:
+    rng = np.random.default_rng(4)
+    lamp = np.concatenate([np.arange(100), np.arange(40)])
+    group = rng.integers(0, 5, 140)
+    light = np.exp(noise * rng.normal(size=(140, 1)) + np.zeros((140, 3)))
+    log, sigma = intensities(Flux(lamp, group, light), 100)
+    off = np.abs(log - np.median(log, axis=0)).mean(axis=1) / sigma
+    assert 0.35 < np.median(off) < 1.4
+
+
+def test_highlights_that_err_much_say_nothing_of_how_unlike_lamps_are() -> None:
+    config = GreyConfig()
+    log = 0.6 * np.random.default_rng(5).normal(size=(168, 3))
+    _, prior = expected_gains(log, np.full(168, 0.6), config)
+    assert prior.max() <= config.gain_sigma
+    # Where each is known to 1 %, the same spread is the lamps' own.
+    found, _ = expected_gains(log, np.full(168, 0.01), config)
+    assert np.abs(found - log).max() < 0.01
 
 
 def test_intensities_come_out_of_highlights_of_unlike_photographs() -> None:

@@ -48,3 +48,15 @@ def test_a_simulated_target_becomes_calibration_shots_that_hold(tmp_path, tiny_r
         text=True,
     )
     assert "1 of 6 kinds hold" in listed.stdout
+
+
+def test_a_target_too_small_in_the_pictures_is_one_error_and_what_to_do(tmp_path, tiny_rig):
+    rig = save_rig(tiny_rig, tmp_path / "rig.json")
+    options = ["mirror", "--out", str(tmp_path / "LAB"), "--rig", str(rig), "--scale", "1"]
+    done = subprocess.run(
+        [sys.executable, "-m", "sim", "calibrate", *options], capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("Error: ") == 1
+    assert "pose 1 did not do in 6 takes" in done.stderr
+    assert done.stderr.endswith("a larger --scale where targets are too small in the pictures.\n")
