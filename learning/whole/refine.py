@@ -226,7 +226,8 @@ def _without_light(
     unlit = unlit.astype(np.float32)
     matt = (shine < MOST_SHINE * texture).all(axis=2)
     skin = np.exp(enlarged(np.log(low_albedo), rows, columns))
-    return unlit, known & photographed & matt & ~_misplaced(unlit / skin, steep)
+    known &= photographed & matt
+    return unlit, known & ~_misplaced(unlit / skin, steep, known)
 
 
 def _marks(beside: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -249,12 +250,14 @@ def _steep(level: np.ndarray, covered: np.ndarray) -> np.ndarray:
     return found
 
 
-def _misplaced(ratio: np.ndarray, steep: np.ndarray) -> np.ndarray:
+def _misplaced(ratio: np.ndarray, steep: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Near edges, where a texture over its light is far from the skin: lit here, in shadow there.
 
     Args:
         ratio: (rows, columns, 3) of the texture over its light to the skin found so far.
         steep: (h, w) bool, edges, of as many texels or fewer.
+        known: (rows, columns) bool, where the ratio says something. Its median there is the
+            person's tone.
     """
     rows, columns = ratio.shape[:2]
     reach = max(1, round(NEAR_SHARE * steep.shape[0]))
@@ -262,7 +265,8 @@ def _misplaced(ratio: np.ndarray, steep: np.ndarray) -> np.ndarray:
     near = cv2.resize(cv2.dilate(steep.astype(np.uint8), disc), (columns, rows)) > 0
     # Over a few texels, so that single hairs and pores stay.
     off = cv2.GaussianBlur(np.log(ratio).mean(axis=2), (0, 0), max(1.0, rows / 768))
-    found: np.ndarray = near & (np.abs(off) > np.log(MISPLACED))
+    tone = np.median(off[known]) if known.any() else 0.0
+    found: np.ndarray = near & (np.abs(off - tone) > np.log(MISPLACED))
     return found
 
 

@@ -139,12 +139,15 @@ def test_a_lit_patch_where_shadow_was_expected_is_no_mark_and_a_mole_is() -> Non
     ratio[196:200, 20:100] = 0.2
     ratio[300:312, 180:192] = 0.2
     ratio[201, 60] = 0.5
-    found = _misplaced(ratio, steep)
+    everywhere = np.ones((rows, columns), bool)
+    found = _misplaced(ratio, steep, everywhere)
     assert found[197:199, 24:96].all()
     assert not found[290:320].any()
     assert not found[:, 140:].any()
     # A smaller difference is detail, near an edge too.
-    assert not _misplaced(np.full_like(ratio, 1.3), steep).any()
+    assert not _misplaced(np.full_like(ratio, 1.3), steep, everywhere).any()
+    # And so is a person who is lighter than was thought.
+    assert np.array_equal(_misplaced(2 * ratio, steep, everywhere), found)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
@@ -152,4 +155,9 @@ def test_edges_in_light_of_any_strength_leave_a_mask(scale: float) -> None:
     level = np.full((96, 64), scale, np.float32)
     level[:, 32:] = 0
     steep = _steep(level, np.ones((96, 64), bool))
-    assert _misplaced(np.full((96, 64, 3), scale, np.float32), steep).shape == (96, 64)
+    ratio = np.full((96, 64, 3), scale, np.float32)
+    assert not _misplaced(ratio, steep, ~steep).any()
+    nothing_known = _misplaced(ratio, steep, np.zeros((96, 64), bool))
+    # Light that is dark everywhere has no edges.
+    assert nothing_known.any() == (scale > 1)
+    assert not nothing_known[:, 48:].any()
