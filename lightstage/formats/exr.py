@@ -16,9 +16,9 @@ from lightstage.formats.files import atomic_path
 
 MAGIC = bytes((0x76, 0x2F, 0x31, 0x01))
 OTHER_LAYOUT = 0x1A
-"""Bits of the version's second byte: tiles, deep pixels, several parts [OpenEXRLayout]."""
+"""Bits of the version's second byte: tiles, deep pixels, several parts [OpenEXR24]."""
 BLOCK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
-"""Lines of one block, by the header's number of the compression [OpenEXRLayout]."""
+"""Lines of one block, by the header's number of the compression [OpenEXR24]."""
 LONGEST_NAME = 255
 FULL_BYTES = 2**20
 """A disk with less room than this after a picture was written may have been full before its end."""
