@@ -167,11 +167,6 @@ class LightFit:
             peaks = np.where(near, 0, peaks)
         return found
 
-    def under(self, light: Light) -> tuple[np.ndarray, np.ndarray]:
-        """(n, 3) irradiance of a light, ambient light included, and (n, 3) lobe."""
-        irradiance, lobe = self._columns(light.lamps_mm)
-        return irradiance @ light.rgb, lobe @ light.rgb
-
     def _moved(
         self, skin: tuple[np.ndarray, np.ndarray], lamps: Lamps, step: float, until: float
     ) -> Light:
@@ -192,10 +187,11 @@ class LightFit:
         return best
 
     def _lit(self, skin: tuple[np.ndarray, np.ndarray], lamps: Lamps) -> Light:
-        rgb, misfit = self._solved(skin, *self._columns(lamps))
+        rgb, misfit = self._solved(skin, *self.columns(lamps))
         return Light(lamps, rgb, misfit)
 
-    def _columns(self, lamps: Lamps) -> tuple[np.ndarray, np.ndarray]:
+    def columns(self, lamps: Lamps) -> tuple[np.ndarray, np.ndarray]:
+        """(n, L + 1) irradiance and lobe of lamps of strength 1, light from everywhere last."""
         missing = [lamp for lamp in lamps if lamp not in self._known]
         if missing:
             irradiance, lobe = self._surface.under(np.array(missing))

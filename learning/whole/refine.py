@@ -20,6 +20,7 @@ from learning.networks.whole_face import BANDS, DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged, with_detail
 from learning.whole.light import Light, LightFit, LitSurface
+from learning.whole.together import UNSURE, Explained, KnownSkin, explain
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
@@ -28,10 +29,6 @@ CAMERA_MM = np.array([0.0, 0.0, 1100.0])
 ROUNDS = 8
 SETTLED = 0.003
 """A round that changes no texel's albedo by more than this share is the last."""
-TOGETHER = 40.0
-"""So many texels err as one: the light that is not modelled is smooth."""
-UNSURE = 0.3
-"""Share of people's variance that the network leaves open."""
 MARKS_SHARE = 0.7
 """Part of a difference from the modes, at the network's size, that is taken for the skin's own."""
 WIDEST_MARK = 1 / 6
@@ -118,18 +115,25 @@ def refine(
     low = rasterise(mesh, *answer.seen.shape)
     here = low.covered
     weight = (answer.seen & here)[here] * answer.trust[here] ** 2
-    skin = _Skin(network, answer, here, weight)
-    fit = LightFit(LitSurface(mesh, low, CAMERA_MM), answer.texture[here].astype(float), weight)
-    light = None
+    colours = answer.texture[here].astype(float)
+    skin = known_skin(network, answer, here, weight)
+    fit = LightFit(LitSurface(mesh, low, CAMERA_MM), colours, weight)
+    light: Light | None = None
+    found = Explained(skin.said, np.zeros((0, 3)), 1.0, np.diag(UNSURE * skin.variance))
     for _ in range(ROUNDS):
-        light = fit.find(skin.albedo(), answer.specular[here], light, until)
-        change = skin.move_to(answer.texture[here], *fit.under(light), answer.specular[here])
+        before = skin.albedo(found.along)
+        light = fit.find(before, found.gloss * skin.specular, light, until)
+        begin = dataclasses.replace(found, rgb=light.rgb)
+        found = explain(colours, weight, *fit.columns(light.lamps_mm), skin, begin)
+        light = dataclasses.replace(light, rgb=found.rgb)
+        change = np.abs(np.log(skin.albedo(found.along) / before)).mean()
         if change < SETTLED or time.monotonic() > until:
             break
     if light is None or light.misfit > LARGEST_MISFIT:
         return None
     low_albedo = np.exp(answer.log_albedo)
-    low_albedo[here] = skin.albedo()
+    low_albedo[here] = skin.albedo(found.along)
+    answer = dataclasses.replace(answer, specular=found.gloss * answer.specular)
     unlit, known = _without_light(
         texture, photographed, mesh, raster, light, answer, low_albedo, fit, here
     )
@@ -143,52 +147,21 @@ def refine(
     return Refined(albedo, _light_set(light))
 
 
-class _Skin:
-    """A skin among those that people have: a network's answer, brought to the modes."""
-
-    def __init__(
-        self, network: WholeFaceNetwork, answer: Answer, here: np.ndarray, weight: np.ndarray
-    ) -> None:
-        modes = network.albedo_modes.permute(2, 3, 1, 0).numpy()[here].astype(float)
-        deviations = network.mode_deviations.numpy().astype(float)
-        used = deviations > 1e-3 * deviations.max()
-        self._modes, self._variance = modes[..., used], deviations[used] ** 2
-        self._mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()[here].astype(float)
-        self._weight = weight
-        beside = answer.log_albedo[here] - self._mean
-        self._said = self._ridge(
-            beside, weight, 100 * self._variance, np.zeros(len(deviations[used]))
-        )
-        self._found = self._said
-
-    def albedo(self) -> np.ndarray:
-        """(n, 3) linear."""
-        return np.exp(np.clip(self._mean + self._modes @ self._found, -7, 0))
-
-    def move_to(
-        self, texture: np.ndarray, irradiance: np.ndarray, lobe: np.ndarray, specular: np.ndarray
-    ) -> float:
-        """Find the skin that gives a texture under a light; returns the mean change, a share."""
-        before = self._modes @ self._found
-        lit = (irradiance.mean(axis=1) > DARK_LIGHT) * self._weight
-        unlit = (texture - specular[:, None] * lobe) / np.maximum(irradiance, DARK_LIGHT)
-        beside = np.log(np.clip(unlit, DARKEST, 1.0)) - self._mean
-        for _ in range(3):
-            off = np.abs(beside - self._modes @ self._found).mean(axis=1)
-            some = off[lit > 0]
-            spread = max(1.4826 * float(np.median(some)) if some.size else 0.0, 0.03)
-            weight = lit / (1 + (off / (2 * spread)) ** 2) / (spread**2 * TOGETHER)
-            self._found = self._ridge(beside, weight, UNSURE * self._variance, self._said)
-        return float(np.abs(self._modes @ self._found - before).mean())
-
-    def _ridge(
-        self, beside: np.ndarray, weight: np.ndarray, variance: np.ndarray, centre: np.ndarray
-    ) -> np.ndarray:
-        """Modes that give (n, 3) weighted logarithms, with a normal prior."""
-        normal = np.einsum("n,nck,ncl->kl", weight, self._modes, self._modes)
-        right = np.einsum("n,nck,nc->k", weight, self._modes, beside) + centre / variance
-        found: np.ndarray = np.linalg.solve(normal + np.diag(1 / variance), right)
-        return found
+def known_skin(
+    network: WholeFaceNetwork, answer: Answer, here: np.ndarray, weight: np.ndarray
+) -> KnownSkin:
+    """The skins that people have: a network's answer, brought to the directions that it keeps."""
+    modes = network.albedo_modes.permute(2, 3, 1, 0).numpy()[here].astype(float)
+    deviations = network.mode_deviations.numpy().astype(float)
+    used = deviations > 1e-3 * deviations.max()
+    modes, variance = modes[..., used], deviations[used] ** 2
+    mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()[here].astype(float)
+    beside = answer.log_albedo[here] - mean
+    # A ridge regression with people's own variance as the prior, hardly felt.
+    normal = np.einsum("n,nck,ncl->kl", weight, modes, modes) + np.diag(0.01 / variance)
+    right = np.einsum("n,nck,nc->k", weight, modes, beside)
+    said: np.ndarray = np.linalg.solve(normal, right)
+    return KnownSkin(mean, modes, variance, said, answer.specular[here].astype(float))
 
 
 def _without_light(
