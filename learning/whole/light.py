@@ -68,9 +68,18 @@ class LitSurface:
         return self._caster.seen(lamps_mm, np.zeros(len(lamps_mm), bool))
 
     def under(
-        self, lamps_mm: np.ndarray, seen: np.ndarray | None = None
+        self,
+        lamps_mm: np.ndarray,
+        shininess: float = SHININESS,
+        seen: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(n, L) irradiance and (n, L) lobe of white lamps of strength 1, with cast shadows."""
+        """(n, L) irradiance and (n, L) lobe of white lamps of strength 1, with cast shadows.
+
+        Args:
+            lamps_mm: (L, 3).
+            shininess: Blinn-Phong's exponent of the lobe.
+            seen: of `seen`, where it is known already.
+        """
         if not len(lamps_mm):
             nothing = np.zeros((len(self._normal), 0))
             return nothing, nothing
@@ -84,8 +93,10 @@ class LitSurface:
             torch.zeros(count, 1, dtype=torch.bool),
             self._camera_mm.expand(count, 3),
         )
+        exponent = torch.full_like(self._skin.shininess, shininess)
+        skin = dataclasses.replace(self._skin, shininess=exponent)
         with torch.inference_mode():
-            found = direct(self._skin, each, ShadeOptions(), torch.from_numpy(visible))
+            found = direct(skin, each, ShadeOptions(), torch.from_numpy(visible))
         irradiance, lobe = (x[:, 0].numpy()[:, self.covered].T.astype(float) for x in found[:2])
         return irradiance, lobe
 
@@ -117,11 +128,14 @@ class LightFit:
     def __init__(self, surface: LitSurface, texture: np.ndarray, weight: np.ndarray) -> None:
         """A head's n texels: (n, 3) linear texture, (n,) how much each counts.
 
-        `openness` is (n,), see `LitSurface.openness`.
+        `openness` is (n,), see `LitSurface.openness`; `shininess` of its highlights may be changed.
         """
         self._surface, self._texture, self._weight = surface, texture, weight
-        self.openness = surface.openness()
-        self._known: dict[tuple[float, float, float], tuple[np.ndarray, np.ndarray]] = {}
+        self.openness, self.shininess = surface.openness(), SHININESS
+        self._seen: dict[tuple[float, float, float], np.ndarray] = {}
+        self._known: dict[
+            tuple[tuple[float, float, float], float], tuple[np.ndarray, np.ndarray]
+        ] = {}
         self._dome = surface.under(DOME_MM)
 
     def find(
@@ -192,13 +206,18 @@ class LightFit:
 
     def columns(self, lamps: Lamps) -> tuple[np.ndarray, np.ndarray]:
         """(n, L + 1) irradiance and lobe of lamps of strength 1, light from everywhere last."""
-        missing = [lamp for lamp in lamps if lamp not in self._known]
+        unseen = [lamp for lamp in lamps if lamp not in self._seen]
+        if unseen:
+            self._seen.update(zip(unseen, self._surface.seen(np.array(unseen)), strict=True))
+        missing = [lamp for lamp in lamps if (lamp, self.shininess) not in self._known]
         if missing:
-            irradiance, lobe = self._surface.under(np.array(missing))
+            seen = np.stack([self._seen[lamp] for lamp in missing])
+            irradiance, lobe = self._surface.under(np.array(missing), self.shininess, seen)
             for index, lamp in enumerate(missing):
-                self._known[lamp] = irradiance[:, index], lobe[:, index]
+                self._known[lamp, self.shininess] = irradiance[:, index], lobe[:, index]
         none = np.zeros((len(self._texture), 0))
-        found = [np.column_stack([none, *(self._known[p][i] for p in lamps)]) for i in (0, 1)]
+        each = [self._known[lamp, self.shininess] for lamp in lamps]
+        found = [np.column_stack([none, *(parts[i] for parts in each)]) for i in (0, 1)]
         return self._with_ambient(found[0], found[1])
 
     def _with_ambient(

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from learning.encoding import shrink
-from learning.maps import from_batch, to_batch
+from learning.maps import SHININESS, from_batch, to_batch
 from learning.networks.whole_face import BANDS, DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged, with_detail
@@ -33,6 +33,11 @@ MARKS_SHARE = 0.7
 """Part of a difference from the modes, at the network's size, that is taken for the skin's own."""
 WIDEST_MARK = 1 / 6
 """Standard deviation of what is wider than a mark, of a texture's rows; it is taken for light."""
+SHININESS_STEP = 1.25
+"""Ratio of the exponents of highlights that are tried one after the other."""
+SHININESS_SPREAD = 0.5
+"""Standard deviation of the exponent's logarithm among people, about `SHININESS`."""
+SHININESS_RANGE = (6.0, 120.0)
 LARGEST_MISFIT = 1.5
 """Of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's 0.8 to 1.2
 (refinement is nearer to the truth than the network under each of six lights), a wrong one's 2."""
@@ -119,12 +124,12 @@ def refine(
     skin = known_skin(network, answer, here, weight)
     fit = LightFit(LitSurface(mesh, low, CAMERA_MM), colours, weight)
     light: Light | None = None
-    found = Explained(skin.said, np.zeros((0, 3)), 1.0, np.diag(UNSURE * skin.variance))
+    found = Explained(skin.said, np.zeros((0, 3)), 1.0, UNSURE * np.eye(len(skin.said)))
     for _ in range(ROUNDS):
         before = skin.albedo(found.along)
         light = fit.find(before, found.gloss * skin.specular, light, until)
         begin = dataclasses.replace(found, rgb=light.rgb)
-        found = explain(colours, weight, *fit.columns(light.lamps_mm), skin, begin)
+        found = _explained(fit, light, colours, weight, skin, begin)
         light = dataclasses.replace(light, rgb=found.rgb)
         change = np.abs(np.log(skin.albedo(found.along) / before)).mean()
         if change < SETTLED or time.monotonic() > until:
@@ -147,21 +152,48 @@ def refine(
     return Refined(albedo, _light_set(light))
 
 
+def _explained(
+    fit: LightFit,
+    light: Light,
+    colours: np.ndarray,
+    weight: np.ndarray,
+    skin: KnownSkin,
+    begin: Explained,
+) -> Explained:
+    """Skin and lamps together, and the width of the highlights by which they fit best."""
+
+    def under(shininess: float) -> tuple[float, Explained]:
+        fit.shininess = shininess
+        found = explain(colours, weight, *fit.columns(light.lamps_mm), skin, begin)
+        beside = np.log(shininess / SHININESS) / SHININESS_SPREAD
+        return found.cost + beside**2, found
+
+    best, (cost, found) = fit.shininess, under(fit.shininess)
+    for step in (SHININESS_STEP, 1 / SHININESS_STEP):
+        while SHININESS_RANGE[0] <= best * step <= SHININESS_RANGE[1]:
+            other, tried = under(best * step)
+            if other >= cost:
+                break
+            best, cost, found = best * step, other, tried
+    fit.shininess = best
+    return found
+
+
 def known_skin(
     network: WholeFaceNetwork, answer: Answer, here: np.ndarray, weight: np.ndarray
 ) -> KnownSkin:
     """The skins that people have: a network's answer, brought to the directions that it keeps."""
-    modes = network.albedo_modes.permute(2, 3, 1, 0).numpy()[here].astype(float)
     deviations = network.mode_deviations.numpy().astype(float)
     used = deviations > 1e-3 * deviations.max()
-    modes, variance = modes[..., used], deviations[used] ** 2
+    modes = network.albedo_modes.permute(2, 3, 1, 0).numpy()[here].astype(float)
+    modes = modes[..., used] * deviations[used]
     mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()[here].astype(float)
     beside = answer.log_albedo[here] - mean
     # A ridge regression with people's own variance as the prior, hardly felt.
-    normal = np.einsum("n,nck,ncl->kl", weight, modes, modes) + np.diag(0.01 / variance)
+    normal = np.einsum("n,nck,ncl->kl", weight, modes, modes) + 0.01 * np.eye(modes.shape[2])
     right = np.einsum("n,nck,nc->k", weight, modes, beside)
     said: np.ndarray = np.linalg.solve(normal, right)
-    return KnownSkin(mean, modes, variance, said, answer.specular[here].astype(float))
+    return KnownSkin(mean, modes, said, answer.specular[here].astype(float))
 
 
 def _without_light(
@@ -181,7 +213,7 @@ def _without_light(
         raster = rasterise(mesh, LARGEST_ROWS, round(columns * LARGEST_ROWS / rows))
     size = raster.covered.shape
     surface = LitSurface(mesh, raster, CAMERA_MM)
-    given, lobes = surface.under(np.array(light.lamps_mm).reshape(-1, 3))
+    given, lobes = surface.under(np.array(light.lamps_mm).reshape(-1, 3), fit.shininess)
     openness = np.zeros(here.shape)
     openness[here] = fit.openness
     openness = enlarged(openness, *size)[raster.covered]

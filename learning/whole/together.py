@@ -8,15 +8,18 @@ colour, and people's skin differs in few directions. A Gauss-Newton step sees bo
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
 from learning.networks.whole_face import DARKEST
 from learning.whole.light import DARK
 
+ROUNDS = 3
+"""So often it is measured anew how far texels are off."""
 STEPS = 30
 SETTLED = 1e-3
-"""A step that moves no logarithm by more than this is the last."""
+"""A step that moves no unknown by more than this is the last."""
 TOGETHER = 40.0
 """So many texels err as one: what is not modelled is smooth."""
 UNSURE = 0.3
@@ -41,15 +44,13 @@ class KnownSkin:
 
     Attributes:
         mean: (n, 3) natural logarithm of the mean person's diffuse albedo.
-        modes: (n, 3, K) directions in which people differ.
-        variance: (K,) of people along them.
-        said: (K,) the network's answer.
+        modes: (n, 3, K) directions in which people differ, each one standard deviation long.
+        said: (K,) the network's answer, in standard deviations.
         specular: (n,) specular albedo.
     """
 
     mean: np.ndarray
     modes: np.ndarray
-    variance: np.ndarray
     said: np.ndarray
     specular: np.ndarray
 
@@ -63,16 +64,18 @@ class Explained:
     """A texture's skin and light.
 
     Attributes:
-        along: (K,) of the skin.
+        along: (K,) of the skin, in standard deviations of people.
         rgb: (L, 3) of the lamps.
         gloss: factor on the specular albedo.
         covariance: (K, K) of `along`, as far as the texture tells.
+        cost: what the squared errors and the distance from what was known before add up to.
     """
 
     along: np.ndarray
     rgb: np.ndarray
     gloss: float
     covariance: np.ndarray
+    cost: float = math.inf
 
 
 def explain(
@@ -113,14 +116,23 @@ def explain(
         ),
         begin,
     )
-    values, damping = problem.start(), 1e-3
+    values = problem.start()
+    for _ in range(ROUNDS):
+        problem.look(values)
+        values, cost, normal = _descended(problem, values)
+    return problem.answer(values, np.linalg.inv(normal), cost)
+
+
+def _descended(problem: _Problem, values: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """Damped Gauss-Newton steps as long as the cost falls [Marquardt1963]."""
+    damping = 1e-3
     cost, normal, right = problem.linear(values)
     for _ in range(STEPS):
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), right)
         tried = values + np.clip(step, -1.0, 1.0)
-        new_cost, new_normal, new_right = problem.linear(tried)
-        if new_cost <= cost:
-            values, cost, normal, right = tried, new_cost, new_normal, new_right
+        new = problem.linear(tried)
+        if new[0] <= cost:
+            values, (cost, normal, right) = tried, new
             damping = max(damping / 5, 1e-6)
             if np.abs(step).max() < SETTLED:
                 break
@@ -128,7 +140,7 @@ def explain(
             damping *= 8
             if damping > 1e6:
                 break
-    return problem.answer(values, np.linalg.inv(normal))
+    return values, cost, normal
 
 
 class _Problem:
@@ -148,14 +160,14 @@ class _Problem:
         self._irradiance, self._lobe, self._skin, self._begin = irradiance, lobe, skin, begin
         brightest = max(float(begin.rgb.max(initial=0.0)), 1e-6)
         self._strength = np.log(np.maximum(begin.rgb, FAINTEST * brightest))
-        self._far: float | None = None
+        self._far = FAR * LEAST_SPREAD
 
     def start(self) -> np.ndarray:
         """The unknowns to begin with."""
         gloss = np.log(self._begin.gloss)
         return np.concatenate([self._begin.along, self._strength.ravel(), [gloss]])
 
-    def answer(self, values: np.ndarray, covariance: np.ndarray) -> Explained:
+    def answer(self, values: np.ndarray, covariance: np.ndarray, cost: float) -> Explained:
         """What values of the unknowns mean."""
         along, strength, gloss = self._parts(values)
         faint = self._begin.rgb <= 0
@@ -165,7 +177,24 @@ class _Problem:
             np.where(faint, 0.0, np.exp(strength)),
             float(np.exp(gloss)),
             covariance[:count, :count],
+            cost,
         )
+
+    def look(self, values: np.ndarray) -> None:
+        """Measure from where on a texel counts as far off."""
+        along, strength, gloss = self._parts(values)
+        rgb = np.exp(strength)
+        made = self._skin.albedo(along) * (self._irradiance @ rgb)
+        made += np.exp(gloss) * self._skin.specular[:, None] * (self._lobe @ rgb)
+        counts, square = self._squares(self._known - np.log(np.maximum(made, DARKEST)))
+        some = np.sqrt(square[counts > 0])
+        spread = 1.4826 * float(np.median(some)) if some.size else 0.0
+        self._far = FAR * max(spread, LEAST_SPREAD)
+
+    def _squares(self, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) how much each texel counts, and how far it is off, squared."""
+        counts = self._trust.sum(axis=1)
+        return counts, (self._trust * off**2).sum(axis=1) / np.maximum(counts, 1e-12)
 
     def linear(self, values: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """The cost, and the normal equations of a Gauss-Newton step from there."""
@@ -175,14 +204,9 @@ class _Problem:
         albedo = self._skin.albedo(along)
         shine = np.exp(gloss) * self._skin.specular[:, None] * self._lobe
         matt, mirrored = albedo * (self._irradiance @ rgb), shine @ rgb
-        made = np.maximum(matt + mirrored, DARKEST)
-        off = self._known - np.log(made)
-        counts = self._trust.sum(axis=1)
-        square = (self._trust * off**2).sum(axis=1) / np.maximum(counts, 1e-12)
-        if self._far is None:
-            # Kept, so that the costs of two steps can be compared.
-            some = np.sqrt(square[counts > 0])
-            self._far = FAR * max(1.4826 * float(np.median(some)), LEAST_SPREAD)
+        made = np.maximum(matt + mirrored, FAINTEST * DARKEST)
+        off = self._known - np.log(np.maximum(made, DARKEST))
+        counts, square = self._squares(off)
         # Cauchy's cost, and the weights that its slope has.
         scale = (FAR / self._far) ** 2 / TOGETHER
         ratio = square / self._far**2
@@ -210,11 +234,10 @@ class _Problem:
         """The same with what is known before."""
         along, strength, gloss = self._parts(values)
         count, lamps = len(along), len(strength)
-        spread = UNSURE * self._skin.variance
         beside = along - self._skin.said
-        cost += float((beside**2 / spread).sum()) + (gloss / GLOSS) ** 2
-        normal[range(count), range(count)] += 1 / spread
-        right[:count] -= beside / spread
+        cost += float((beside**2).sum()) / UNSURE + (gloss / GLOSS) ** 2
+        normal[range(count), range(count)] += 1 / UNSURE
+        right[:count] -= beside / UNSURE
         normal[-1, -1] += 1 / GLOSS**2
         right[-1] -= gloss / GLOSS**2
         # Of each lamp: how far its channels are from their mean, and that from where it began.
