@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import torch
+import torch.nn.functional as functional
 from torch import Tensor
 
 MELANIN = (0.71, 1.0, 1.95)
@@ -21,12 +22,15 @@ class AugmentConfig:
     Attributes:
         melanin: standard deviation of the added absorbance (natural logarithm, at 550 nm).
         haemoglobin: the same of blood's.
+        pattern: of melanin and of blood that differ from place to place of a face, as the share
+            of `melanin` and `haemoglobin`.
         shininess: smallest and largest exponent.
         translucency: smallest and largest.
     """
 
     melanin: float = 0.3
     haemoglobin: float = 0.08
+    pattern: float = 0.0
     shininess: tuple[float, float] = (12.0, 60.0)
     translucency: tuple[float, float] = (0.2, 0.8)
 
@@ -39,11 +43,17 @@ class Variation:
         gain: of red, green and blue diffuse albedo.
         shininess: Blinn-Phong's exponent.
         translucency: 0..1.
+        pattern: (1, 3, 6, 4) absorbance that is added over the face; None for none.
     """
 
     gain: tuple[float, float, float]
     shininess: float
     translucency: float
+    pattern: Tensor | None = None
+
+
+PATCHES = (6, 4)
+"""Places of a face, rows and columns, between which a pattern is smooth: some 40 mm apart."""
 
 
 def draw(rng: np.random.Generator, config: AugmentConfig) -> Variation:
@@ -52,11 +62,15 @@ def draw(rng: np.random.Generator, config: AugmentConfig) -> Variation:
     absorbance += rng.normal(0, config.haemoglobin) * np.array(HAEMOGLOBIN)
     red, green, blue = np.exp(-absorbance).tolist()
     low, high = np.log(config.shininess)
-    return Variation(
-        (red, green, blue),
-        float(np.exp(rng.uniform(low, high))),
-        float(rng.uniform(*config.translucency)),
-    )
+    shininess = float(np.exp(rng.uniform(low, high)))
+    translucency = float(rng.uniform(*config.translucency))
+    pattern = None
+    if config.pattern > 0:
+        spread = config.pattern * np.array([config.melanin, config.haemoglobin])
+        amount = rng.normal(size=(*PATCHES, 2)) * spread
+        values = amount @ np.array([MELANIN, HAEMOGLOBIN])
+        pattern = torch.from_numpy(values.transpose(2, 0, 1)[None].astype(np.float32))
+    return Variation((red, green, blue), shininess, translucency, pattern)
 
 
 def recolour(albedo: Tensor, variation: Variation, skin: Tensor) -> Tensor:
@@ -65,4 +79,9 @@ def recolour(albedo: Tensor, variation: Variation, skin: Tensor) -> Tensor:
     Only where `skin`, (B, 1, h, w) bool, is: the whites of eyes and hair keep their colours.
     """
     gain = albedo.new_tensor(variation.gain).view(1, 3, 1, 1)
+    if variation.pattern is not None:
+        absorbance = functional.interpolate(
+            variation.pattern.to(albedo), albedo.shape[2:], mode="bicubic", align_corners=False
+        )
+        gain = gain * torch.exp(-absorbance)
     return torch.where(skin, (albedo * gain).clamp(0, 1), albedo)

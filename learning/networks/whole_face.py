@@ -24,6 +24,10 @@ DARKEST = 1e-3
 """Linear value below which a colour's logarithm says nothing more."""
 POSITION_MM = 100.0
 """Positions are told in this unit, so that they are about as large as normals are."""
+UNSURE = 0.3
+"""Share of people's variance that a network leaves open, until its errors were measured."""
+RIDGE = 0.01
+"""Of people's prior, beside the texels' weights of 1."""
 DEVIATION = (0.003, 0.5)
 """Bounds of the expected error, sRGB-encoded."""
 
@@ -90,6 +94,7 @@ class WholeFaceNetwork(nn.Module):
     mean_position_mm: Tensor
     albedo_modes: Tensor
     mode_deviations: Tensor
+    mode_doubt: Tensor
     detail_shares: Tensor
 
     def __init__(self, config: WholeFaceConfig) -> None:
@@ -102,6 +107,7 @@ class WholeFaceNetwork(nn.Module):
         self.register_buffer("mean_position_mm", torch.zeros(1, 3, *size))
         self.register_buffer("albedo_modes", torch.zeros(config.modes, 3, *size))
         self.register_buffer("mode_deviations", torch.zeros(config.modes))
+        self.register_buffer("mode_doubt", UNSURE * torch.eye(config.modes))
         self.register_buffer("detail_shares", torch.zeros(BANDS))
         widths = [config.width * 2**level for level in range(config.halvings + 1)]
         self.first = _two(IN_CHANNELS, widths[0])
@@ -131,6 +137,23 @@ class WholeFaceNetwork(nn.Module):
         self.mean_position_mm.copy_(people.position_mm)
         self.albedo_modes.copy_(people.modes)
         self.mode_deviations.copy_(people.deviations)
+
+    def along_modes(self, beside: Tensor, weight: Tensor) -> Tensor:
+        """Where albedos lie along the modes, in people's standard deviations.
+
+        Args:
+            beside: (n, 3, rows, columns) natural logarithms less the mean person's.
+            weight: (1, rows, columns), how much a texel counts.
+
+        Returns:
+            (n, modes), by a ridge regression that hardly feels people's variance; 0 along modes
+            that so few people have.
+        """
+        modes = (self.albedo_modes * self.mode_deviations.view(-1, 1, 1, 1)).flatten(1).double()
+        counts = weight.expand(3, -1, -1).reshape(-1).double()
+        normal = (modes * counts) @ modes.T + RIDGE * torch.eye(len(modes), dtype=torch.float64)
+        right = (modes * counts) @ beside.flatten(1).double().T
+        return torch.linalg.solve(normal, right).T.to(beside)
 
     def forward(self, inputs: Tensor) -> WholeFace:
         """(B, 10, rows, columns) of `face_input` to what the face is made of."""

@@ -45,6 +45,9 @@ class RandomLightConfig:
             diffuser that faces the camera.
         ambient_share: least and most of that from everywhere.
         tint: standard deviation of the logarithm of each light's red, green and blue.
+        ambient_tint: the same of the light from everywhere.
+        behind: how far behind the face lights may stand: the cosine of the angle to straight
+            behind, at most.
         camera_mm: distance of the camera in front of the face.
         position_spread: of the target's distance, at most, for the environments around it.
         camera_spread: the same for the camera.
@@ -56,6 +59,8 @@ class RandomLightConfig:
     exposure: tuple[float, float] = (0.6, 1.1)
     ambient_share: tuple[float, float] = (0.0, 0.5)
     tint: float = 0.1
+    ambient_tint: float = 0.0
+    behind: float = 0.2
     camera_mm: float = 1100.0
     position_spread: float = 0.5
     camera_spread: float = 0.25
@@ -98,11 +103,11 @@ def stack(environments: list[Environment]) -> Environment:
 def random_lights(rng: np.random.Generator, config: RandomLightConfig) -> np.ndarray:
     """Places of one to `lights` point lights: (n, 3) mm.
 
-    Directions are uniform over the sphere's part with z > -0.2, so that some light comes from
+    Directions are uniform over the sphere's part with z > -`behind`, so that some light comes from
     slightly behind, as in a room.
     """
     count = int(rng.integers(1, config.lights + 1))
-    height = rng.uniform(-0.2, 1.0, count)
+    height = rng.uniform(-config.behind, 1.0, count)
     turn = rng.uniform(0, 2 * np.pi, count)
     flat = np.sqrt(1 - height**2)
     direction = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
@@ -135,10 +140,13 @@ def random_environment(
     facing = np.maximum(position_mm[:, 2] / distance, 0.3)
     strength = (exposure - ambient) * share / float((share * facing).sum())
     rgb = strength[:, None] * np.exp(rng.normal(0, config.tint, (len(position_mm), 3)))
+    around = ambient * np.exp(rng.normal(0, config.ambient_tint, 3))
     return Environment(
         torch.from_numpy(position_mm.astype(np.float32))[None],
         torch.from_numpy(rgb.astype(np.float32))[None],
-        torch.full((1, 3), 1.0 if ambient_multiplies else float(ambient)),
+        torch.ones(1, 3)
+        if ambient_multiplies
+        else torch.from_numpy(around.astype(np.float32))[None],
         torch.zeros(1, len(position_mm), dtype=torch.bool),
         torch.tensor([[0.0, 0.0, config.camera_mm]]),
     )

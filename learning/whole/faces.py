@@ -47,6 +47,8 @@ class FacesConfig:
         shadow_sets: sets of lights of each scan whose shadows are baked.
         white_balance: standard deviation of the logarithm of the photograph's red, green and blue.
         noise: standard deviation of the logarithm of a texel.
+        ggx_share: part of the batches that are shaded with facets and Fresnel's rise (see
+            `learning.render.shading`) instead of as the training is configured.
         partial_share: part of the pairs of which only the side toward some camera is shown.
         beside_skin: weight of eyes, hair and what was not captured, where skin has 1.
     """
@@ -55,6 +57,7 @@ class FacesConfig:
     shadow_sets: int = 24
     white_balance: float = 0.05
     noise: float = 0.02
+    ggx_share: float = 0.0
     partial_share: float = 0.3
     beside_skin: float = 0.1
 
@@ -231,8 +234,11 @@ class Faces:
             [_padded(f.visibility[s], count) for f, s in zip(faces, sets, strict=True)]
         )
         skin = _joined([_skin_maps(face, augment.draw(rng, self._variation)) for face in faces])
+        options = self._options
+        if rng.random() < self._config.ggx_share:
+            options = ShadeOptions("ggx")
         with torch.no_grad():
-            return shade(skin, environment, self._options, seen).clamp_min(0), skin
+            return shade(skin, environment, options, seen).clamp_min(0), skin
 
     def _photographed(
         self,

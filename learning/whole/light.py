@@ -40,6 +40,9 @@ HALF_AT = 0.1
 DARK = 0.05
 """Added to a texture's value before errors are weighed by it: dark texels are mostly noise."""
 ROBUST_ROUNDS = 4
+MODE = "physical"
+F0 = 0.028
+AMBIENT_SHINE = 0.0
 
 Lamps = tuple[tuple[float, float, float], ...]
 """Where lamps stand, mm, head frame."""
@@ -96,8 +99,11 @@ class LitSurface:
         exponent = torch.full_like(self._skin.shininess, shininess)
         skin = dataclasses.replace(self._skin, shininess=exponent)
         with torch.inference_mode():
-            found = direct(skin, each, ShadeOptions(), torch.from_numpy(visible))
-        irradiance, lobe = (x[:, 0].numpy()[:, self.covered].T.astype(float) for x in found[:2])
+            found = direct(skin, each, ShadeOptions(MODE), torch.from_numpy(visible))
+            lobe_all = found[1] if found[2] is None else found[1] + found[2] / F0
+        irradiance, lobe = (
+            x[:, 0].numpy()[:, self.covered].T.astype(float) for x in (found[0], lobe_all)
+        )
         return irradiance, lobe
 
     def openness(self) -> np.ndarray:
@@ -223,8 +229,9 @@ class LightFit:
     def _with_ambient(
         self, irradiance: np.ndarray, lobe: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        nothing = np.zeros(len(lobe))
-        return np.column_stack([irradiance, self.openness]), np.column_stack([lobe, nothing])
+        return np.column_stack([irradiance, self.openness]), np.column_stack(
+            [lobe, AMBIENT_SHINE * self.openness]
+        )
 
     def _solved(
         self,

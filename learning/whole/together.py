@@ -1,4 +1,4 @@
-"""Skin and light solved together: a texture is explained by a person's tone and by its lamps at once.
+"""Skin and light solved together: a texture is explained by a person's tone and its lamps at once.
 
 Solved in turns, skin and light hardly move along the valley in which a darker skin under a brighter
 light looks the same. What tells them apart is small: a highlight has the light's own strength and

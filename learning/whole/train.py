@@ -20,11 +20,13 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.run import TrainResult, begin, split
 from learning.whole.config import WholeTrainConfig
 from learning.whole.detail import Shares, bands, enlarged
-from learning.whole.faces import FaceBatch, Faces, FacesConfig
+from learning.whole.faces import LEAST_ALBEDO, FaceBatch, Faces, FacesConfig
 from learning.whole.score import FaceScore, score_faces
 from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
 
+LEAST_DOUBT = 1e-3
+"""Added to the variance of the network's error, so that it is never taken for certain."""
 WARM_UP_STEPS = 50
 """Steps in which the rate rises, as Adam's means of gradients settle."""
 
@@ -152,6 +154,7 @@ def train_faces(
     steps = run.steps(FaceLearner(trainer, faces), config.steps, progress)
     network.eval()
     network.detail_shares.copy_(torch.tensor(fit_shares(network, faces, config)))
+    network.mode_doubt.copy_(measured_doubt(network, faces, config))
     result = score_faces(network, scored, config.score_lights, config.seed)
     return run.end(FaceLearner(trainer, faces), steps, len(faces.faces), result)
 
@@ -170,3 +173,25 @@ def fit_shares(network: WholeFaceNetwork, faces: Faces, config: WholeTrainConfig
         wanted = np.log(np.maximum(pair.diffuse_albedo, 1e-3)) - enlarged(low, rows, columns)
         shares.add(bands(pair.texture, pair.covered, small), wanted, pair.skin)
     return shares.solve()
+
+
+def measured_doubt(network: WholeFaceNetwork, faces: Faces, config: WholeTrainConfig) -> Tensor:
+    """(modes, modes) mean square of the network's error along the modes, in people's deviations.
+
+    Over people trained on, in lights that they were not trained in. It is what refinement takes
+    the network's answer for.
+    """
+    rng = np.random.default_rng([config.seed, 5])
+    errors = []
+    for _ in range(max(1, config.doubt_faces // config.batch)):
+        pair = faces.draw(config.batch, rng)
+        with torch.inference_mode():
+            said = network(pair.inputs).diffuse_albedo.log()
+        true = pair.diffuse_albedo.clamp_min(LEAST_ALBEDO).log()
+        known = (said - network.mean_log_albedo, true - network.mean_log_albedo, pair.weight)
+        for said_one, true_one, weight in zip(*known, strict=True):
+            found = network.along_modes(torch.stack([said_one, true_one]), weight)
+            errors.append(found[0] - found[1])
+    each = torch.stack(errors)
+    # A direction that so few people have is known no better than people differ in it.
+    return each.T @ each / len(each) + LEAST_DOUBT * torch.eye(len(each[0]))
