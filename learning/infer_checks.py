@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from learning.errors import MapsError
+from learning.map_checks import looks_encoded
 from lightstage.formats.mesh import Mesh
 
 UNSEEN = 1e-4
@@ -24,6 +26,14 @@ DARKEST = 0.005
 """A texture whose 95th percentile is darker than this was exposed for something else."""
 MOST_BLACK, SAID_BLACK = 0.95, 0.5
 """Share of a surface's texels that were not photographed: refused above, said above."""
+ASPECT_OFF = 0.02
+"""Share by which rows over columns may differ: sizes are whole numbers."""
+LEAST_LIKENESS, MORE_LIKE = 0.1, 0.1
+"""Correlation with the mean person's brows, eyes and lips that a face upside down has at least once
+it is turned over, and how much more than as it is. Upright ones have 0.02 to 0.8, and less when
+they are turned over, by 0.05 to 0.5."""
+SURROUNDINGS = 1 / 12
+"""Standard deviation of the blur that tells a pattern from light, of the rows."""
 MOST_TEXELS = 2**28
 """Texels of a texture, at most: ten times the published 6144 x 4096."""
 
@@ -61,6 +71,57 @@ def require_size(rows: int, columns: int, where: str | Path) -> None:
         )
 
 
+def require_aspect(rows: int, columns: int, like: tuple[int, int], where: str | Path) -> None:
+    """MapsError where a texture is not as high for its width as those trained on, (h, w)."""
+    high, wide = like
+    if not abs(rows * wide / (columns * high) - 1) <= ASPECT_OFF:
+        raise MapsError(
+            where,
+            found=f"{rows} x {columns} texels",
+            expected=f"rows : columns = {high} : {wide}, as the textures trained on",
+            hint="Is it part of an atlas, or another template's? Texels would lie elsewhere on "
+            "the head.",
+        )
+
+
+def require_upright(texture: np.ndarray, pattern: np.ndarray, where: str | Path) -> None:
+    """MapsError where a texture shows a face's pattern only with its rows in reverse order.
+
+    Light changes slowly over a face, and brows, eyes and lips do not: compared are the two as they
+    are beside their surroundings.
+
+    Args:
+        texture: (h, w, 3) linear, at the network's size; 0 where it was not photographed.
+        pattern: (h, w, 3) natural logarithm of the mean person's albedo; 0 where no surface is.
+        where: what to name in an error.
+    """
+    shown = (texture.max(axis=2) > UNSEEN) & (pattern != 0).any(axis=2)
+    logarithm, mean = np.log(np.maximum(texture, UNSEEN)).mean(axis=2), pattern.mean(axis=2)
+    upright = _likeness(logarithm, mean, shown)
+    over = _likeness(logarithm[::-1], mean, shown[::-1])
+    if over > max(LEAST_LIKENESS, upright + MORE_LIKE):
+        raise MapsError(
+            where,
+            found=f"a face upside down: like others by {over:.2f} turned over, by {upright:.2f} "
+            "as it is (correlation)",
+            expected="row 0 at the top of the texture, as the mesh has it",
+            hint="Was it read or written with v pointing down? Reverse its rows.",
+        )
+
+
+def _likeness(image: np.ndarray, pattern: np.ndarray, shown: np.ndarray) -> float:
+    """Correlation of two (h, w) pictures, each beside its blurred surroundings."""
+    known = (shown & (pattern != 0)).astype(np.float32)
+    sigma = SURROUNDINGS * len(image)
+    weight = np.maximum(cv2.GaussianBlur(known, (0, 0), sigma), 1e-3)
+    beside = []
+    for values in (image, pattern):
+        values = (values * known).astype(np.float32)
+        beside.append((values - cv2.GaussianBlur(values, (0, 0), sigma) / weight) * known)
+    norms = np.linalg.norm(beside[0]) * np.linalg.norm(beside[1])
+    return float((beside[0] * beside[1]).sum() / max(norms, 1e-12))
+
+
 def look_through(texture: np.ndarray, covered: np.ndarray, where: str | Path) -> list[str]:
     """Look through a texture's exposure and its black texels.
 
@@ -95,6 +156,11 @@ def look_through(texture: np.ndarray, covered: np.ndarray, where: str | Path) ->
             f"{DARKEST:g}, where 1 is a white diffuser in the light",
             hint="Multiply the texture by one number, so that lit skin is about 0.1 to 0.6.",
         )
+    notes = []
     if black > SAID_BLACK:
-        return [f"{100 * black:.0f} % of the surface was not photographed; its confidence is 0"]
-    return []
+        notes.append(
+            f"{100 * black:.0f} % of the surface was not photographed; its confidence is 0"
+        )
+    if looks_encoded(texture, covered):
+        notes.append(f"{where} looks like an 8-bit sRGB picture; linear light is expected")
+    return notes

@@ -9,6 +9,7 @@ colour for all of the face; an untrained one says the mean person.
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar
 
 import torch
 import torch.nn.functional as functional
@@ -88,6 +89,9 @@ class WholeFace:
 
 class WholeFaceNetwork(nn.Module):
     """10 channels of a lit face to its albedo, beside the mean person's that it keeps."""
+
+    ADDED: ClassVar = ("mode_doubt",)
+    """Buffers that checkpoints of before do not have."""
 
     mean_log_albedo: Tensor
     mean_log_specular: Tensor

@@ -13,13 +13,20 @@ from torch import Tensor
 from learning.encoding import shrink
 from learning.errors import MapsError
 from learning.infer import DISAGREEMENT, Inferred
-from learning.infer_checks import UNSEEN, look_through, require_head, require_size
+from learning.infer_checks import (
+    UNSEEN,
+    look_through,
+    require_aspect,
+    require_head,
+    require_size,
+    require_upright,
+)
 from learning.maps import to_batch
 from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
 from learning.render.uv import rasterise
 from learning.whole.detail import enlarged, with_detail
-from learning.whole.refine import Answer, refine
+from learning.whole.refine import Answer, Refined, refine
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
@@ -76,6 +83,7 @@ def infer_whole_face(
             expected=f"at least {size.rows} x {size.columns}, which the network sees",
         )
     require_size(rows, columns, named[0])
+    require_aspect(rows, columns, (size.rows, size.columns), named[0])
     require_head(mesh, named[1])
     raster = rasterise(mesh, rows, columns)
     covered = raster.covered
@@ -87,6 +95,8 @@ def infer_whole_face(
     photographed = covered & (texture.max(axis=2) > UNSEEN)
     seen = to_batch(photographed)
     small = _mean_over(to_batch(texture), seen, shape)
+    pattern = network.mean_log_albedo * (network.mean_position_mm != 0).any(dim=1, keepdim=True)
+    require_upright(_image(small), _image(pattern), named[0])
     low_normal = _turned(unit(shrink(to_batch(normal), shape)), head_from_mesh)
     shown = (shrink(seen, shape) > 0.5).float()
     with torch.inference_mode():
@@ -94,14 +104,16 @@ def infer_whole_face(
     log_albedo = _image(said.diffuse_albedo.log())
     low_specular = np.exp(_image(said.specular_albedo.log())[..., 0])
     trust = _trust(_image(said.deviation)[..., 0])
-    refined = None
+    refined: Refined | None = None
     if refine_seconds > 0:
         answer = Answer(_image(small), _image(shown)[..., 0] > 0, log_albedo, low_specular, trust)
         placed = mesh.vertices @ head_from_mesh[:, :3].T + head_from_mesh[:, 3]
         head = dataclasses.replace(mesh, vertices=placed)
-        refined = refine(network, answer, texture, photographed, head, raster, refine_seconds)
-        if refined is None:
-            notes = [*notes, f"no light explains {named[0]}: the network's answer, not refined"]
+        found = refine(network, answer, texture, photographed, head, raster, refine_seconds)
+        if isinstance(found, str):
+            notes = [*notes, f"{named[0]} was not refined, the network's answer stands: {found}"]
+        else:
+            refined = found
     light = None if refined is None else in_mesh_axes(refined.light, head_from_mesh)
     if refined is None:
         if shares is None:

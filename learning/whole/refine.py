@@ -20,7 +20,7 @@ from learning.networks.whole_face import BANDS, DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged, with_detail
 from learning.whole.light import Light, LightFit, LitSurface
-from learning.whole.together import UNSURE, Explained, KnownSkin, explain
+from learning.whole.together import Explained, KnownSkin, explain
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
@@ -38,8 +38,8 @@ SHININESS_STEP = 1.25
 SHININESS_SPREAD = 0.5
 """Standard deviation of the exponent's logarithm among people, about `SHININESS`."""
 SHININESS_RANGE = (6.0, 120.0)
-LARGEST_MISFIT = 1.5
-"""Of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's 0.8 to 1.2
+LARGEST_MISFIT = 1.7
+"""Of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's 0.8 to 1.5
 (refinement is nearer to the truth than the network under each of six lights), a wrong one's 2."""
 DARK_LIGHT = 0.02
 """Irradiance below which nothing is divided by it."""
@@ -101,7 +101,7 @@ def refine(
     mesh: Mesh,
     raster: UvRaster,
     seconds: float,
-) -> Refined | None:
+) -> Refined | str:
     """Take the light out of a texture, beginning with a network's answer.
 
     Args:
@@ -114,7 +114,7 @@ def refine(
         seconds: to search, at most; what is found by then is used.
 
     Returns:
-        None where no light explains the texture.
+        The light and the skin, or why there are none, in words.
     """
     until = time.monotonic() + seconds
     low = rasterise(mesh, *answer.seen.shape)
@@ -124,7 +124,7 @@ def refine(
     skin = known_skin(network, answer, here, weight)
     fit = LightFit(LitSurface(mesh, low, CAMERA_MM), colours, weight)
     light: Light | None = None
-    found = Explained(skin.said, np.zeros((0, 3)), 1.0, UNSURE * np.eye(len(skin.said)))
+    found = Explained(skin.said, np.zeros((0, 3)), 1.0, skin.doubt)
     for _ in range(ROUNDS):
         before = skin.albedo(found.along)
         light = fit.find(before, found.gloss * skin.specular, light, until)
@@ -135,7 +135,9 @@ def refine(
         if change < SETTLED or time.monotonic() > until:
             break
     if light is None or light.misfit > LARGEST_MISFIT:
-        return None
+        if time.monotonic() > until:
+            return f"{seconds:g} s were too few to find the light; give more by --refine"
+        return "no light explains it"
     low_albedo = np.exp(answer.log_albedo)
     low_albedo[here] = skin.albedo(found.along)
     answer = dataclasses.replace(answer, specular=found.gloss * answer.specular)
@@ -186,14 +188,17 @@ def known_skin(
     deviations = network.mode_deviations.numpy().astype(float)
     used = deviations > 1e-3 * deviations.max()
     modes = network.albedo_modes.permute(2, 3, 1, 0).numpy()[here].astype(float)
-    modes = modes[..., used] * deviations[used]
-    mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()[here].astype(float)
-    beside = answer.log_albedo[here] - mean
-    # A ridge regression with people's own variance as the prior, hardly felt.
-    normal = np.einsum("n,nck,ncl->kl", weight, modes, modes) + 0.01 * np.eye(modes.shape[2])
-    right = np.einsum("n,nck,nc->k", weight, modes, beside)
-    said: np.ndarray = np.linalg.solve(normal, right)
-    return KnownSkin(mean, modes, said, answer.specular[here].astype(float))
+    mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()
+    counts = np.zeros(here.shape)
+    counts[here] = weight
+    said = network.along_modes(to_batch(answer.log_albedo - mean), to_batch(counts)[0])
+    return KnownSkin(
+        mean[here].astype(float),
+        modes[..., used] * deviations[used],
+        said[0].numpy().astype(float)[used],
+        network.mode_doubt.numpy().astype(float)[np.ix_(used, used)],
+        answer.specular[here].astype(float),
+    )
 
 
 def _without_light(

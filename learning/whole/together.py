@@ -22,8 +22,6 @@ SETTLED = 1e-3
 """A step that moves no unknown by more than this is the last."""
 TOGETHER = 40.0
 """So many texels err as one: what is not modelled is smooth."""
-UNSURE = 0.3
-"""Share of people's variance that the network leaves open."""
 TINT = 0.3
 """Standard deviation of the logarithm of a lamp's red, green and blue beside its mean."""
 STRENGTH = 3.0
@@ -46,12 +44,14 @@ class KnownSkin:
         mean: (n, 3) natural logarithm of the mean person's diffuse albedo.
         modes: (n, 3, K) directions in which people differ, each one standard deviation long.
         said: (K,) the network's answer, in standard deviations.
+        doubt: (K, K) mean square of the network's error along them.
         specular: (n,) specular albedo.
     """
 
     mean: np.ndarray
     modes: np.ndarray
     said: np.ndarray
+    doubt: np.ndarray
     specular: np.ndarray
 
     def albedo(self, along: np.ndarray) -> np.ndarray:
@@ -160,6 +160,7 @@ class _Problem:
         self._irradiance, self._lobe, self._skin, self._begin = irradiance, lobe, skin, begin
         brightest = max(float(begin.rgb.max(initial=0.0)), 1e-6)
         self._strength = np.log(np.maximum(begin.rgb, FAINTEST * brightest))
+        self._certain = np.linalg.inv(skin.doubt)
         self._far = FAR * LEAST_SPREAD
 
     def start(self) -> np.ndarray:
@@ -235,9 +236,9 @@ class _Problem:
         along, strength, gloss = self._parts(values)
         count, lamps = len(along), len(strength)
         beside = along - self._skin.said
-        cost += float((beside**2).sum()) / UNSURE + (gloss / GLOSS) ** 2
-        normal[range(count), range(count)] += 1 / UNSURE
-        right[:count] -= beside / UNSURE
+        cost += float(beside @ self._certain @ beside) + (gloss / GLOSS) ** 2
+        normal[:count, :count] += self._certain
+        right[:count] -= self._certain @ beside
         normal[-1, -1] += 1 / GLOSS**2
         right[-1] -= gloss / GLOSS**2
         # Of each lamp: how far its channels are from their mean, and that from where it began.

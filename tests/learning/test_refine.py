@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from learning.checkpoint import load_whole_face, shipped_weights
+from learning.errors import MapsError
 from learning.infer import Inferred
 from learning.maps import load_head
 from learning.relight import lit_texture, shadows_of
@@ -94,6 +95,33 @@ def test_a_head_that_is_moved_gives_the_same_albedo_and_its_light_moves_with_it(
     np.testing.assert_allclose(there.light.rgb[0], same, rtol=0.1)
 
 
+def test_a_texture_upside_down_or_of_another_shape_is_refused_and_an_encoded_one_is_said(
+    people: list[ProcessedFolder],
+) -> None:
+    network, _ = load_whole_face(shipped_weights())
+    for person in people:
+        mesh, texture, _, _ = photographed(person)
+        with pytest.raises(MapsError, match="upside down"):
+            infer_whole_face(network, np.ascontiguousarray(texture[::-1]), mesh)
+        with pytest.raises(MapsError, match="rows : columns = 96 : 64"):
+            infer_whole_face(network, texture[:128], mesh)
+    assert infer_whole_face(network, texture, mesh).notes == ()
+    encoded = (np.round(255 * srgb_from_linear(np.clip(texture, 0, 1))) / 255).astype(np.float32)
+    assert "8-bit sRGB" in infer_whole_face(network, encoded, mesh).notes[-1]
+
+
+def test_too_little_time_is_told_as_such_and_keeps_the_networks_answer(
+    people: list[ProcessedFolder],
+) -> None:
+    network, _ = load_whole_face(shipped_weights())
+    mesh, texture, _, _ = photographed(people[0])
+    found = infer_whole_face(network, texture, mesh, refine_seconds=1e-3)
+    assert "too few" in found.notes[-1]
+    assert "no light" not in found.notes[-1]
+    plain = infer_whole_face(network, texture, mesh)
+    np.testing.assert_array_equal(found.maps["diffuse_albedo"], plain.maps["diffuse_albedo"])
+
+
 def test_where_no_light_explains_a_texture_the_networks_answer_stays_and_is_told(
     people: list[ProcessedFolder],
 ) -> None:
@@ -103,7 +131,7 @@ def test_where_no_light_explains_a_texture_the_networks_answer_stays_and_is_told
     texture = (stripes * np.ones_like(true)).astype(np.float32)
     found = infer_whole_face(network, texture, mesh, refine_seconds=60)
     assert found.light is None
-    assert "no light explains" in found.notes[-1]
+    assert "no light explains it" in found.notes[-1]
     plain = infer_whole_face(network, texture, mesh)
     np.testing.assert_array_equal(found.maps["diffuse_albedo"], plain.maps["diffuse_albedo"])
 
