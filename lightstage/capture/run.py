@@ -15,7 +15,7 @@ from lightstage.capture.suspects import Suspects
 from lightstage.capture.wishes import Wishes
 from lightstage.errors import CaptureError, LightstageError, one_error
 from lightstage.findings import Finding
-from lightstage.operator import Operator
+from lightstage.operator import Decision, Operator
 from lightstage.preflight import SkewReport, skew_findings
 from lightstage.safety import SafeLights
 from lightstage.sequence import Shot
@@ -185,10 +185,8 @@ class Run:
         waits = any((each.pattern or pattern) == pattern for each in bad)
         if again:
             left = min(self._suspects.left(pattern, bad), *(self._left[each] for each in again))
-            self._lights.dark()  # somebody may think about the answer for long
-            self._writer.note("asked", pattern=pattern)
-            decision = self._operator.decide(bad, left)
-            self._writer.note("answered", pattern=pattern, do=decision)
+            late = all(each.camera in result.late for each in bad)
+            decision = "retake" if late and left > 0 else self._decide(pattern, bad, left)
             if decision == "retake":
                 if waits and pattern not in again:
                     self._queue_first(pattern, ())
@@ -210,6 +208,14 @@ class Run:
                 exposed_s=round(result.exposed_s, 6),
             )
             step("shot-done", pattern)
+
+    def _decide(self, pattern: str, bad: Sequence[Finding], left: int) -> Decision:
+        """Ask, in the dark: somebody may think about the answer for long."""
+        self._lights.dark()
+        self._writer.note("asked", pattern=pattern)
+        decision = self._operator.decide(bad, left)
+        self._writer.note("answered", pattern=pattern, do=decision)
+        return decision
 
     def _try(self, shot: Shot, cameras: Sequence[CameraDevice]) -> ShotTaken:
         takes = {c.id: self._writer.next_take(shot.pattern, c.id) for c in cameras}

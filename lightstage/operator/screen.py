@@ -66,12 +66,14 @@ class Ask:
         keys: requests that have a key now.
         heard: answer to the last key.
         scroll: by how many lines findings or news are scrolled.
+        stopping_s: seconds since somebody stopped the capture; None where nobody did.
     """
 
     question: Sequence[Said] = ()
     keys: Sequence[str] = ()
     heard: str = ""
     scroll: Scroll = dataclasses.field(default_factory=Scroll)
+    stopping_s: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,10 +126,12 @@ class Screen:
     def _lights(self) -> RenderableType:
         view = self.view
         line = Text(overflow="ellipsis", no_wrap=True)
-        if view.phase == "before":
+        if self.ask.stopping_s is not None and view.phase not in ("aborted", "complete"):
+            line.append(f"STOPPING for {self.ask.stopping_s:.0f} s", "bold red")
+        elif view.phase == "before":
             line.append("Lights and cameras are being checked.", "bold")
             return line
-        if view.phase == "running" and view.pattern:
+        elif view.phase == "running" and view.pattern:
             line.append(f"TAKING {view.pattern}", "bold")
             self._countdown(line)
         else:

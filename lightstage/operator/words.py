@@ -194,7 +194,7 @@ def _recovered(line: Line) -> Said:
     return Said(
         "warning",
         f"{_at(line)}a photograph whose light is not certain is kept apart in {where}",
-        "Nothing to do: the pattern is taken again.",
+        "The pattern is taken again, or you are asked.",
     )
 
 
@@ -215,7 +215,8 @@ def _waiting(line: Line) -> Said:
     left = "" if ended_s is None else f" in {ended_s:.0f} s"
     if line.get("lit") is False:
         text = f"The lights are dark: {who} did not answer, and will be started again{left}"
-        return Said("warning", text, "Nothing to do: it takes the pattern again alone.")
+        todo = "Then it takes the pattern again alone; you are asked if it fails again and again."
+        return Said("warning", text, todo)
     soon = "soon" if dark_s is None else f"in {dark_s:.0f} s"
     return Said("warning", f"Waiting for {who}: the lights go dark {soon}")
 

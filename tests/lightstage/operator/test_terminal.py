@@ -24,6 +24,7 @@ import json, sys, threading, time
 from lightstage.commands import make_app, run_app
 from lightstage.errors import StoppedError
 from lightstage.findings import Finding
+from lightstage.interrupts import signals_held
 from lightstage.operator import open_operator
 
 out = sys.argv[1]
@@ -57,6 +58,14 @@ LOOP = """
                 if wish == "abort":
                     raise StoppedError("the operator's wish")
                 time.sleep(0.01)
+"""
+DEAF = """
+            with signals_held():
+                light("deaf")
+                while not (wish := operator.command()):
+                    time.sleep(0.01)
+                time.sleep(0.5)
+                light(wish)
 """
 STUCK = "threading.Event().wait()"
 ASK = """
@@ -114,6 +123,15 @@ def test_ctrl_c_stops(capture):
     assert terminal.end() not in (0, 2)
     assert lights.read_text().split()[-1] == "dark"
     assert terminal.mode() == terminal.before
+
+
+def test_a_signal_is_seen_and_darkens_at_once_though_the_main_thread_does_not_hear_it(capture):
+    terminal, lights = capture(DEAF)
+    terminal.wait_until(lambda: lights.exists() and "deaf" in lights.read_text(), "it hears")
+    terminal.press("\x03")
+    terminal.wait_for("STOPPING for 0 s")
+    assert terminal.end() == 130
+    assert lights.read_text().split() == ["lit", "deaf", "dark-by-key", "abort", "dark"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
