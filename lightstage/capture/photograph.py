@@ -173,7 +173,7 @@ class Photographer:
         return _late(
             pattern,
             [
-                *photograph_findings(path, wanted, self._told[camera_id]),
+                *map(_mendable, photograph_findings(path, wanted, self._told[camera_id])),
                 *self._checks.photograph(pattern, camera_id, path),
             ],
         )
@@ -221,7 +221,10 @@ class Photographer:
             raise failure
         names = ", ".join(file.name for file in new)
         self._writer.note(
-            "note", camera=camera.id, pattern=pattern, said=f"{failure}; on its card: {names}"
+            "note",
+            camera=camera.id,
+            pattern=pattern,
+            said=f"{names} lies on its card, though: {failure}",
         )
         several = len({Path(file.name).stem for file in new}) > 1
         if several or camera.id in self._doubtful:

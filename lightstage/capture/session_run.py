@@ -63,6 +63,7 @@ class Order:
         beside: other files of that calibration, by name.
         facts: what else the journal and the manifest shall say, such as calibration shots.
         findings: of whoever looked before, told with those of the preflight.
+        alone: whether somebody may go on with this session alone; not with a pose of shots.
         resume_with: options beside ``--out`` with which the command goes on with the session.
     """
 
@@ -77,6 +78,7 @@ class Order:
     beside: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     findings: Sequence[Finding] = ()
+    alone: bool = True
     resume_with: Sequence[str] = ()
 
 
@@ -124,8 +126,10 @@ def capture_session(
     ]
     require(findings)
     with _writer(stage, order, config, findings) as writer, contextlib.ExitStack() as followed:
-        for line in read_journal(writer.journal.path):
-            operator.told(line)
+        lines = read_journal(writer.journal.path)
+        resumed = [place for place, line in enumerate(lines) if line["event"] == "resume"]
+        for place, line in enumerate(lines):
+            operator.told(line, old=place < max(resumed, default=0))
         writer.listeners.append(operator.told)
         followed.enter_context(serve_events(writer, operator.request))
         run: Run | None = None
@@ -170,6 +174,8 @@ def _last_words(
         writer.abort(said=said, **{RESUME_WITH: [*order.resume_with]})
     if not isinstance(error, LightstageError):
         return error
+    if not order.alone:
+        return type(error)(plain(said))
     told = f"{plain(said)}\n  Go on with: {resume_line(order.root, order.resume_with)}"
     patterns, ids = ([], []) if run is None else run.suspected
     if patterns:

@@ -23,6 +23,7 @@ from lightstage.errors import (
 )
 from lightstage.findings import Finding
 from lightstage.leds.controller import LightLostError
+from lightstage.operator.attendance import NOT_TAKEN
 from lightstage.safety import SafeLights
 from lightstage.sequence import Shot
 from lightstage.session import SessionWriter
@@ -188,7 +189,7 @@ def _missed(
     findings = [
         Finding(
             "retake",
-            "not-taken",
+            NOT_TAKEN,
             f"{pattern} by {camera.id}",
             found=str(failed[camera.id]),
             expected="a photograph",

@@ -45,10 +45,11 @@ MARKS: dict[Mark, tuple[str, str, str]] = {
     "kept": ("✓", "+", "green"),
     "failed": ("✗", "X", "bold red"),
     "again": ("↻", "?", "bold yellow"),
+    "in question": ("!", "!", "bold red"),
 }
 """For a terminal with Unicode, for one without, and the style."""
 
-NEEDY = ("failed", "late", "restarting")
+NEEDY = ("failed", "in question", "late", "restarting")
 """States of cameras that somebody should look at."""
 ROOMY = 100
 """Columns from which serial numbers are shown."""
@@ -265,7 +266,8 @@ class Screen:
         over = self.view.phase in ("complete", "aborted") and camera.state != "failed"
         if over:
             return Text("-", "dim")
-        style = dict.fromkeys(NEEDY, "bold yellow") | {"failed": "bold red", "kept": "green"}
+        style = dict.fromkeys(NEEDY, "bold yellow") | {"kept": "green"}
+        style |= dict.fromkeys(("failed", "in question"), "bold red")
         return Text(STATES[camera.state], style.get(camera.state, ""))
 
     def _legend(self, unicode: bool) -> Text:
@@ -281,7 +283,9 @@ class Screen:
         asked = self.ask.question
         items = [_said(item) for item in merged(asked if asked else self.view.news)]
         gap: list[RenderableType] = [Text()] if room > 4 else []
-        shown = fitting(items, room - len(gap), self.ask.scroll, console, options, not asked)
+        keys = self.view.phase not in ("complete", "aborted")
+        room -= len(gap)
+        shown = fitting(items, room, self.ask.scroll, console, options, not asked, keys)
         return [*gap, *shown]
 
     def _keys(self, width: int) -> list[RenderableType]:

@@ -88,13 +88,13 @@ class TerminalOperator:
     ) -> None:
         self._open.close()
 
-    def told(self, line: dict[str, Any]) -> None:
-        """A line that is in the journal now; never waits."""
+    def told(self, line: dict[str, Any], old: bool = False) -> None:
+        """A line that is in the journal now, or `old` from before a resume; never waits."""
         self._requests.told(line)
         if text_of(line, "event") in ("lit", "note") and not self._requests.aborted:
             self._heard = ""
         self._scroll = Scroll()
-        self._show.told(line)
+        self._show.told(line, old)
 
     def command(self) -> Wish | None:
         """What keys and clients of the event stream wish."""
@@ -143,6 +143,8 @@ class TerminalOperator:
                     self._heard = f"Not now: {why}."
 
     def _ask_now(self) -> Ask:
+        if self.view.phase in ("complete", "aborted"):
+            return Ask()  # what was heard is over, and no key does anything
         keys = () if self._keys is None else self._requests.possible
         stopping_s = None if self._stopped_s is None else time.monotonic() - self._stopped_s
         return Ask(tuple(self._question), keys, self._heard, self._scroll, stopping_s)
@@ -196,10 +198,10 @@ class Shown:
         if self._thread is not None:
             self._thread.join(LAST_LINES_S)  # a reader who has stopped must not hold a capture
 
-    def told(self, line: dict[str, Any]) -> None:
-        """Take up a line; it is drawn or written soon."""
+    def told(self, line: dict[str, Any], old: bool = False) -> None:
+        """Take up a line; it is drawn or, where it is not `old`, written soon."""
         words = self._view.told(line)
-        if self._thread is None or words.tone == "quiet":
+        if old or self._thread is None or words.tone == "quiet":
             return
         text = f"{text_of(line, 'time_utc')[11:19]} {words}".strip()
         if text_of(line, "event") == "shot":

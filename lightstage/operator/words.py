@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 from lightstage.findings import accepted_in_words
-from lightstage.operator.plain import plain
+from lightstage.operator.plain import cause
 from lightstage.printable import printable
 from lightstage.resume_line import options_of, resume_line, watch_line
 
 Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
 """``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
 
-Mark = Literal["to come", "now", "kept", "failed", "again"]
-"""Of one pattern by one camera; ``again`` waits to be taken once more."""
+Mark = Literal["to come", "now", "kept", "failed", "again", "in question"]
+"""Of one pattern by one camera; ``again`` waits to be taken once more, ``in question`` is kept and
+may be accepted or taken again."""
 Line = Mapping[str, Any]
 
 SIGNS: dict[Tone, str] = {
@@ -79,10 +79,8 @@ def text_of(line: Line, name: str) -> str:
 
 def _told(line: Line, name: str) -> str:
     """A field that may have a driver's words, in plain ones."""
-    text = plain(text_of(line, name))
     # Its camera and what it was asked are told beside it: no need to say them twice.
-    same = rf"camera {re.escape(text_of(line, 'camera'))}(?:, [^:]*)?: found "
-    return re.sub(f"^{same}", "", text)
+    return cause(text_of(line, name), text_of(line, "camera"))
 
 
 def number_of(line: Line, name: str) -> float | None:
@@ -287,6 +285,7 @@ STATES = {
     "failed": "FAILED",
     "late": "LATE",
     "restarting": "starting again",
+    "in question": "IN QUESTION",
 }
 """What a camera does now."""
 
@@ -307,6 +306,7 @@ LEGEND: tuple[tuple[Mark, str], ...] = (
     ("now", "now"),
     ("again", "to be taken again"),
     ("failed", "failed"),
+    ("in question", "in question"),
     ("to come", "to come"),
 )
 """Marks of photographs and their words."""

@@ -184,7 +184,7 @@ def test_a_finding_about_no_single_camera_takes_the_whole_pattern_again(bench):
 
 def test_retakes_end_when_the_operator_is_out_of_them(bench):
     bench.checks.of_shots["full"] = [[bad("blurred", "cam0", "full")]] * 9
-    with pytest.raises(CaptureError, match="blurred"):
+    with pytest.raises(CaptureError, match=r"^full by cam0: found x, expected y"):
         bench.run()
     assert bench.cameras[0].shots == 1 + bench.config.operator.retakes
 
@@ -209,6 +209,23 @@ def test_the_stage_is_dark_while_a_question_waits(bench):
 
     bench.operator.decide = decide_in_the_dark
     assert bench.run().retakes == 1
+
+
+def test_pictures_of_another_size_by_all_cameras_end_the_capture_at_the_first_pattern(bench):
+    wrong = [
+        Finding(
+            "retake", "size", f"{c.id}, pattern full", "8 x 8 pixels", "16 x 16", "", "full", c.id
+        )
+        for c in bench.cameras
+    ]
+    bench.checks.of_shots["full"] = [wrong]
+    with pytest.raises(CaptureError, match=r"found 8 x 8 pixels by all .*rig.json of this stage\?"):
+        bench.run()
+    assert [camera.shots for camera in bench.cameras] == [1, 1, 1]
+    assert bench.operator.asked == []
+    bench.checks.of_shots["full"] = [wrong[:2]]
+    bench.checks.of_shots["x+"] = []
+    assert bench.run().retakes == 2
 
 
 def test_accepting_does_not_make_a_photograph(bench):

@@ -225,6 +225,23 @@ def test_a_log_gets_plain_lines_without_control_codes(replay):
     assert len(lines) < 20
 
 
+def test_a_log_of_a_resumed_capture_begins_where_it_goes_on(replay):
+    def tell(operator):
+        operator.told({"event": "resume", "time_utc": "2031-05-06T11:00:00"})
+        operator.told(replay[-1])
+
+    file = io.StringIO()
+    with TerminalOperator(Console(file=file, width=40), "S/1") as operator:
+        for line in replay[:-1]:
+            operator.told(line, old=True)
+        tell(operator)
+    assert [line[9:] for line in file.getvalue().splitlines()] == [
+        "The session goes on where it stopped.",
+        "+ The session is complete: 63 photographs.",
+    ]
+    assert len(operator.view.done) == 7
+
+
 def test_without_keys_the_rule_decides_and_nobody_is_waited_for(replay):
     config = OperatorConfig(then="accept")
     asked = [([BAD], 1), ([BAD], 0), ([MISSING], 0)]
