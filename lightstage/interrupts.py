@@ -82,8 +82,8 @@ def signals_held() -> Iterator[None]:
     finally:
         for number, handler in zip(NUMBERS, before, strict=True):
             signal.signal(number, handler)
-    for number in dict.fromkeys(held):
-        signal.raise_signal(number)
+    for came in dict.fromkeys(held):
+        signal.raise_signal(came)
 
 
 @contextlib.contextmanager

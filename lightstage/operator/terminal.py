@@ -144,7 +144,8 @@ class TerminalOperator:
 
     def _ask_now(self) -> Ask:
         if self.view.phase in ("complete", "aborted"):
-            return Ask()  # what was heard is over, and no key does anything
+            # No key does anything any more, and of what was heard the stop alone still matters.
+            return Ask(heard="" if self._stopped_s is None else HEARD["abort"])
         keys = () if self._keys is None else self._requests.possible
         stopping_s = None if self._stopped_s is None else time.monotonic() - self._stopped_s
         return Ask(tuple(self._question), keys, self._heard, self._scroll, stopping_s)
