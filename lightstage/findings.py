@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Literal
 
 Severity = Literal["refuse", "retake", "warn", "note"]
@@ -42,8 +43,24 @@ class Finding:
         return f"{text}. {self.hint}" if self.hint else text
 
 
+def counted(count: int, what: str) -> str:
+    """``1 warning``, ``2 warnings``."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
 def accepted_in_words(patterns: int, findings: int) -> str:
     """How many patterns the operator accepted with faults; empty where there are none."""
     if not patterns:
         return ""
-    return f"{patterns} patterns accepted by the operator with {findings} findings"
+    by = "accepted by the operator with"
+    return f"{counted(patterns, 'pattern')} {by} {counted(findings, 'finding')}"
+
+
+def two_digits(value: float) -> str:
+    """A number of two significant digits in plain figures, from 100 on all of its whole ones."""
+    if not math.isfinite(value):
+        return str(value)
+    if abs(value) >= 100:
+        return f"{value:.0f}"
+    text = f"{float(f'{value:.2g}'):.9f}".rstrip("0").rstrip(".")
+    return "0" if text in ("", "-0") else text

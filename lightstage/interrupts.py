@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
+import socket
 import threading
+from collections.abc import Callable, Iterator
 
+NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _interrupted = threading.Event()
+_once = threading.Event()
 
 
 def end_without_traceback() -> None:
@@ -24,10 +29,25 @@ def raise_on_signals() -> None:
     So every `finally` (lights dark, temporary files removed) runs for each of them.
     """
     _interrupted.clear()
+    _once.clear()
     signal.signal(signal.SIGTERM, _interrupt)
     signal.signal(signal.SIGHUP, _interrupt)
     if signal.getsignal(signal.SIGINT) in (signal.default_int_handler, signal.SIG_DFL):
         signal.signal(signal.SIGINT, _interrupt)
+
+
+def raise_once() -> None:
+    """From now on the first signal alone is a KeyboardInterrupt; later ones change nothing.
+
+    For a process that lights lamps: what the first Ctrl-C sets going (dark, photographs brought
+    home, last words) takes seconds, and a second Ctrl-C must not cut it short.
+
+    Raises:
+        KeyboardInterrupt: a signal came before, and was lost in a library.
+    """
+    _once.set()
+    if interrupted():
+        raise KeyboardInterrupt
 
 
 def interrupted() -> bool:
@@ -39,6 +59,64 @@ def interrupted() -> bool:
     return _interrupted.is_set()
 
 
+def ignore_signals() -> None:
+    """For a process that has said its last words: its exit code must stay what it is."""
+    for number in NUMBERS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def signals_held() -> Iterator[None]:
+    """Put off SIGINT, SIGTERM and SIGHUP: a second Ctrl-C must not leave the lights on.
+
+    What came is delivered at the end; where the block fails, its error ends the command already.
+    Only the main thread gets signals at all.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[int] = []
+    before = [signal.signal(number, lambda got, _: held.append(got)) for number in NUMBERS]
+    try:
+        yield
+    finally:
+        for number, handler in zip(NUMBERS, before, strict=True):
+            signal.signal(number, handler)
+    for came in dict.fromkeys(held):
+        signal.raise_signal(came)
+
+
+@contextlib.contextmanager
+def signals_told(tell: Callable[[], object]) -> Iterator[None]:
+    """Call `tell` when a signal comes, from a thread of its own: whatever the main one does.
+
+    The main thread hears a signal only when what it waits for, or computes in C, is over.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard, waker = socket.socketpair()
+    waker.setblocking(False)
+
+    def listen() -> None:
+        while numbers := heard.recv(64):
+            if any(number in NUMBERS for number in numbers):
+                tell()
+
+    before = signal.set_wakeup_fd(waker.fileno(), warn_on_full_buffer=False)
+    thread = threading.Thread(target=listen, name="signals", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        waker.close()
+        thread.join()
+        heard.close()
+
+
 def _interrupt(*_: object) -> None:
+    again = _interrupted.is_set()
     _interrupted.set()
-    raise KeyboardInterrupt
+    if not (again and _once.is_set()):
+        raise KeyboardInterrupt

@@ -43,6 +43,18 @@ def retake_line(
     return line if options else f"{line} (with --leds and --cameras as before)"
 
 
+def calibrate_line(kind: str, rig: Path, lab: Path, options: Sequence[str]) -> str:
+    """What to type to go on with unfinished calibration shots.
+
+    Args:
+        kind: of them.
+        rig: path of rig.json.
+        lab: the lab's folder.
+        options: as the command was given them.
+    """
+    return _joined("calibrate", kind, "--resume", "--rig", str(rig), "--out", str(lab), *options)
+
+
 def watch_line(session: str | Path) -> str:
     """What to type to follow a session."""
     return _joined("watch", str(session))

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,9 @@ from lightstage.formats.paths import check_name
 
 SCHEMA = "lightstage.rig/1"
 BANKS = ("horizontal", "vertical")
+MEASURED_WITH = "measured_with_rig_sha256"
+"""In a rig.json whose cameras were measured from photographs: `rig_sha256` of the rig they were
+taken with. It is the same stage."""
 MOST_ID = (1 << 31) - 1
 MOST_PX = 1 << 16
 """No sensor has more pixels a side."""
@@ -183,9 +188,9 @@ class Rig:
 
     def scaled(self, factor: float) -> Rig:
         """The same rig with `factor` times as many pixels a side in every camera."""
-        return dataclasses.replace(
-            self, cameras=tuple(camera.scaled(factor) for camera in self.cameras)
-        )
+        more = {key: each for key, each in self.more.items() if key != MEASURED_WITH}
+        cameras = tuple(camera.scaled(factor) for camera in self.cameras)
+        return dataclasses.replace(self, cameras=cameras, more=more)
 
 
 def look_at(position_mm: np.ndarray, target_mm: np.ndarray) -> np.ndarray:
@@ -237,6 +242,12 @@ def rig_to_json(rig: Rig) -> dict[str, Any]:
             for camera in rig.cameras
         ],
     }
+
+
+def rig_sha256(rig: Rig) -> str:
+    """SHA-256 of a rig's content, however its file is laid out."""
+    text = json.dumps(rig_to_json(rig), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 LIGHT_FIELDS = tuple(field.name for field in dataclasses.fields(Light) if field.name != "more")

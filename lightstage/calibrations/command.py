@@ -17,13 +17,15 @@ from lightstage.calibrations.run import Assistant, begin_shots, resume_shots, ta
 from lightstage.calibrations.stale import duration
 from lightstage.calibrations.taking import SessionTaker
 from lightstage.cameras.binding import CamerasFile, read_cameras_file
-from lightstage.capture.command import IgnoreClock
+from lightstage.capture.command import IgnoreClock, resume_with
 from lightstage.capture.config import read_config
+from lightstage.capture.shot import stopped
 from lightstage.capture.stage import open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
-from lightstage.errors import ConfigError
+from lightstage.errors import ConfigError, LightstageError
 from lightstage.leds.address import parse_url
 from lightstage.operator import Unattended
+from lightstage.resume_line import calibrate_line
 from lightstage.rig import load_rig
 from lightstage.safety import check_shots
 from lightstage.sequence import plan_shots
@@ -79,7 +81,14 @@ def calibrate_command(
                 chosen, out, the_rig, stage.told, hello, own, now, poses, every_light
             )
         taker = SessionTaker(stage, chosen, settings, Unattended(settings.operator))
-        report = take_poses(chosen, shots, the_rig, taker, assistant, own, _poses_done)
+        try:
+            report = take_poses(chosen, shots, the_rig, taker, assistant, own, _poses_done)
+        except (LightstageError, KeyboardInterrupt) as error:
+            flags = {f"--unattended={unattended}": unattended is not None}
+            options = resume_with(leds, cameras, config, flags)
+            line = calibrate_line(kind, rig.absolute(), out.absolute(), options)
+            told = stopped() if isinstance(error, KeyboardInterrupt) else error
+            raise type(told)(f"{told}\n  Go on with: {line}") from None
     held = (shots.file.expires - shots.file.created).total_seconds() / 86400
     finish(
         f"{shots.root}: {report.poses} poses, {report.again} taken again, "

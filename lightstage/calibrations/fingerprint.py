@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from typing import Any
 
 from lightstage.cameras.camera import Summary
 from lightstage.leds.controller import Hello
-from lightstage.rig import Rig, rig_to_json
 
 SETTINGS = (
     "serial",
@@ -23,12 +20,6 @@ SETTINGS = (
     "focus",
 )
 """Fields of a camera's Summary that are kept with calibration shots."""
-
-
-def rig_sha256(rig: Rig) -> str:
-    """SHA-256 of a rig's content, however its file is laid out."""
-    text = json.dumps(rig_to_json(rig), sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def devices(told: Mapping[str, Summary], leds: Hello) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from lightstage.calibrations.config import CalibrationConfig
 from lightstage.calibrations.folder import lab_shots
 from lightstage.calibrations.kinds import KINDS
 from lightstage.calibrations.stale import duration
+from lightstage.errors import FormatError
 from lightstage.formats.calibration_shots import Shots
 
 
@@ -39,8 +40,15 @@ def list_lab(
     Whether rig, cameras and LEDs are still the same is not known without them: a capture tells.
 
     Raises:
-        FormatError: no such folder.
+        FormatError: no such folder, or a session's.
     """
+    if (lab / "journal.jsonl").exists() or (lab / "session.json").exists():
+        raise FormatError(
+            lab,
+            found="a session",
+            expected="a lab's folder of calibration shots",
+            hint="Give the folder that `lightstage calibrate` was given with --out.",
+        )
     shots, problems = lab_shots(lab)
     entries: list[Entry] = []
     for kind in KINDS:
@@ -70,7 +78,7 @@ def _entry(
         state = "unfinished"
         says = (
             f"{len(file.poses)} of {file.poses_wanted} poses, begun {duration(age)} ago; "
-            f"go on with: lightstage calibrate {file.kind} --resume"
+            f"calibrate {file.kind} with --resume and its other options goes on"
         )
     elif replaced:
         state, says = "replaced", f"{duration(age)} old, newer ones count"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from lightstage.calibrations.config import CalibrationConfig
-from lightstage.calibrations.fingerprint import devices, rig_sha256
+from lightstage.calibrations.fingerprint import devices
 from lightstage.calibrations.folder import new_shots, newest_unfinished, shots_id
 from lightstage.calibrations.kinds import Kind
 from lightstage.calibrations.pose import PoseLook, look_at_pose
@@ -23,7 +23,7 @@ from lightstage.formats.calibration_shots import MANIFEST, CalibrationFile, Pose
 from lightstage.formats.files import sha256_file
 from lightstage.leds.controller import Hello
 from lightstage.patterns import Drive
-from lightstage.rig import Rig, save_rig
+from lightstage.rig import Rig, rig_sha256, save_rig
 
 Verdict = Literal["keep", "again", "stop"]
 
@@ -167,7 +167,7 @@ def take_poses(
         failed: list[Sequence[Finding]] = []
         while True:
             if not assistant.ready(index + 1, count, kind.asks(rig, index)):
-                raise _stopped(shots, kind, index, failed)
+                raise _stopped(shots, index, failed)
             folder = _folder(shots, index)
             take(shots.root / folder, shots.file.patterns, kind.drive)
             look = look_at_pose(shots.root / folder, kind, index, config)
@@ -179,7 +179,7 @@ def take_poses(
             if verdict == "keep":
                 break
             if verdict == "stop" or left <= 0:
-                raise _stopped(shots, kind, index, failed)
+                raise _stopped(shots, index, failed)
             again += 1
         _keep(shots, kind, rig, index, folder, look)
         now += 1
@@ -223,20 +223,17 @@ def _keep(shots: Shots, kind: Kind, rig: Rig, index: int, folder: str, look: Pos
     shots.save()
 
 
-def _stopped(
-    shots: Shots, kind: Kind, index: int, failed: Sequence[Sequence[Finding]]
-) -> CaptureError:
+def _stopped(shots: Shots, index: int, failed: Sequence[Sequence[Finding]]) -> CaptureError:
     """Why no more is taken of a pose: what was amiss in each take, and what to change."""
     done, count = len(shots.file.poses), shots.file.poses_wanted
     found, expected = f"stopped after {done} of {count} poses", "all poses"
-    again = f"Go on with: lightstage calibrate {kind.name} --resume (the same options)."
     if not failed:
-        return CaptureError(shots.root, found=found, expected=expected, hint=again)
+        return CaptureError(shots.root, found=found, expected=expected)
     reasons, wanted, hints = told_together(failed)
     takes = "1 take" if len(failed) == 1 else f"{len(failed)} takes"
     return CaptureError(
         shots.root,
         found=f"{found}: pose {index + 1} did not do in {takes}: {reasons}",
         expected=wanted,
-        hint=f"{hints} {again}",
+        hint=hints,
     )

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.calibrations.config import CalibrationConfig, require_kind
-from lightstage.calibrations.fingerprint import rig_sha256
 from lightstage.calibrations.folder import lab_shots, latest
 from lightstage.calibrations.kinds import KINDS, Kind
 from lightstage.cameras.camera import Summary
@@ -21,7 +20,7 @@ from lightstage.errors import LightstageError, one_error
 from lightstage.findings import Finding, Severity
 from lightstage.formats.calibration_shots import Shots
 from lightstage.leds.controller import Hello
-from lightstage.rig import Rig
+from lightstage.rig import MEASURED_WITH, Rig, rig_sha256
 
 MANY = 3
 """More cameras, or values of one setting, than this are told by their number."""
@@ -112,7 +111,8 @@ def changes(
     """What of the stage is another than when the shots were taken: code, found, expected."""
     kind = KINDS[shots.file.kind]
     out: list[tuple[str, str, str]] = []
-    if shots.file.rig_sha256 != rig_sha256(rig):
+    # A rig whose cameras were measured from such shots is the stage that they were taken with.
+    if shots.file.rig_sha256 not in (rig_sha256(rig), rig.more.get(MEASURED_WITH)):
         out.append(("rig-changed", "another rig.json", "the one with which they were taken"))
     cameras = shots.file.devices.cameras
     new = [camera_id for camera_id in told if camera_id not in cameras]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,7 @@ class SessionTaker:
                 expression=self._kind.name,
                 facts={"calibration_kind": self._kind.name},
             )
+        order = dataclasses.replace(order, alone=False)
         with contextlib.ExitStack() as dark:
             dark.callback(self._stage.lights.dark)
             capture_session(self._stage, order, self._config, self._operator, NoFaceChecks())

@@ -104,7 +104,7 @@ class Child:
                 raise DeviceError(
                     self.name,
                     field=doing,
-                    found=f"no answer within {deadline_s:g} s",
+                    found=f"no answer within {deadline_s:.3g} s",
                     expected="an answer",
                     hint="Its process was ended; switch the camera off and on.",
                 ) from None

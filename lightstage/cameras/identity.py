@@ -18,6 +18,7 @@ def binding_problems(rig: Rig, file: CamerasFile) -> list[LightstageError]:
     """What is wrong with a cameras file before any camera is asked."""
     problems: list[LightstageError] = []
     known = [camera.id for camera in rig.cameras]
+    bare = [camera_id for camera_id in known if camera_id not in file.cameras]
     for camera_id, entry in file.cameras.items():
         if camera_id not in known:
             problems.append(
@@ -25,6 +26,7 @@ def binding_problems(rig: Rig, file: CamerasFile) -> list[LightstageError]:
                     f"camera {camera_id}",
                     found="an entry in the cameras file, none in the rig",
                     expected=f"one of {', '.join(known)}",
+                    hint=f"Without an entry: {', '.join(bare)}." if bare else "",
                 )
             )
         if entry.driver is not None and (entry.port is None or entry.virtual_folder is not None):

@@ -20,8 +20,8 @@ from lightstage.capture.session_run import (
 )
 from lightstage.capture.stage import Stage, open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
-from lightstage.errors import ConfigError, LightstageError, one_error
-from lightstage.findings import accepted_in_words
+from lightstage.errors import ConfigError, FormatError, LightstageError, one_error
+from lightstage.findings import accepted_in_words, counted
 from lightstage.formats.access import group_of, limited_access
 from lightstage.leds.address import parse_url
 from lightstage.operator import open_operator
@@ -38,6 +38,7 @@ from lightstage.session import (
     require_new,
     whole_session,
 )
+from lightstage.session.opening import JOURNAL
 
 SUBJECT = "subject-1"
 EXPRESSION = "neutral"
@@ -104,6 +105,8 @@ def capture_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Light, photograph and verify every pattern; lights end dark whatever happens."""
+    if resume:
+        _require_begun(out)
     own = config_of(out) if resume and config is None else None
     settings = read_config(
         config,
@@ -193,7 +196,7 @@ def take_session(
         f"{order.root}: {report.frames} frames, {report.taken} taken now "
         f"in {report.seconds:.1f} s, overhead {report.overhead_s:.2f} s, "
         f"{report.retakes} taken again, {accepted and accepted + ', '}"
-        f"{report.warnings} warnings, "
+        f"{counted(report.warnings, 'warning')} while it ran, "
         f"largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
         {
             "session": str(order.root),
@@ -221,7 +224,12 @@ def _new_order(
 ) -> tuple[Rig, Order]:
     """A new session's rig and order; everything is looked at before a device is opened."""
     if rig is None:
-        raise ConfigError("--rig", found="nothing", expected="a rig.json, or --resume")
+        raise ConfigError(
+            "--rig",
+            found="nothing",
+            expected="the stage's rig.json, or --resume",
+            hint="The default stage's is lightstage/data/rig.json.",
+        )
     check_pseudonym(subject, "subject")
     check_pseudonym(expression, "expression")
     if consent is not None:
@@ -254,6 +262,17 @@ def resume_with(
     file = cameras if cameras == "auto" else str(Path(cameras).absolute())
     given = [] if config is None else ["--config", str(config.absolute())]
     return ["--leds", leds, "--cameras", file, *given, *(name for name, on in flags.items() if on)]
+
+
+def _require_begun(out: Path) -> None:
+    """FormatError where there is nothing to go on with."""
+    if not (out / JOURNAL).exists():
+        raise FormatError(
+            out,
+            found="no journal" if out.is_dir() else "no such folder",
+            expected="a session that was begun",
+            hint="There is nothing to go on with: start without --resume.",
+        )
 
 
 def _default(given: str | None, default: str) -> str:

@@ -124,8 +124,8 @@ class Photographer:
 
         Raises:
             LightLostError: the light may have changed; the picture is kept as recovered.
-            LateCameraError: the light was put out before the camera had exposed; the picture is
-                kept as recovered.
+            LateCameraError: the light was put out before the camera had exposed, and it answers
+                again; a picture that it took is kept as recovered.
             DeviceError, FormatError, CutPhotographError: the camera took no photograph, or it did
                 not come whole.
             OldPictureError: it is not of this shot; it is kept as recovered.
@@ -137,7 +137,12 @@ class Photographer:
         finally:
             lost = light.over(camera.id)
         if isinstance(exposure, DeviceError):
-            exposure = self._search(pattern, camera, at_s, exposure)
+            try:
+                exposure = self._search(pattern, camera, at_s, exposure)
+            except DeviceError as error:
+                if error is exposure and isinstance(lost, LateCameraError):
+                    raise lost from None  # it answers again, without a picture of this light
+                raise
         else:
             self.exposure_times.note(camera.id, exposure.exposed_s - at_s)
         if lost is not None:
@@ -168,7 +173,7 @@ class Photographer:
         return _late(
             pattern,
             [
-                *photograph_findings(path, wanted, self._told[camera_id]),
+                *map(_mendable, photograph_findings(path, wanted, self._told[camera_id])),
                 *self._checks.photograph(pattern, camera_id, path),
             ],
         )
@@ -216,7 +221,10 @@ class Photographer:
             raise failure
         names = ", ".join(file.name for file in new)
         self._writer.note(
-            "note", camera=camera.id, pattern=pattern, said=f"{failure}; on its card: {names}"
+            "note",
+            camera=camera.id,
+            pattern=pattern,
+            said=f"{names} lies on its card, though: {failure}",
         )
         several = len({Path(file.name).stem for file in new}) > 1
         if several or camera.id in self._doubtful:

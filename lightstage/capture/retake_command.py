@@ -86,7 +86,13 @@ def order_retake(root: Path, patterns: Sequence[str], cameras: Sequence[str]) ->
         ("camera", cameras, begin["cameras"]),
     ):
         problems += [
-            ConfigError(f"{what} {name!r}", found=f"none in {root}", expected=", ".join(known))
+            ConfigError(
+                f"{what} {name!r}",
+                found=f"none in {root}",
+                expected=", ".join(known),
+                hint="Patterns have commas between them, cameras after them have blanks: "
+                "x+,x- cam0 cam1.",
+            )
             for name in names
             if name not in known
         ]

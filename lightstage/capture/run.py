@@ -15,7 +15,9 @@ from lightstage.capture.suspects import Suspects
 from lightstage.capture.wishes import Wishes
 from lightstage.errors import CaptureError, LightstageError, one_error
 from lightstage.findings import Finding
-from lightstage.operator import Operator
+from lightstage.operator import Decision, Operator
+from lightstage.operator.attendance import NOT_TAKEN
+from lightstage.operator.plain import cause
 from lightstage.preflight import SkewReport, skew_findings
 from lightstage.safety import SafeLights
 from lightstage.sequence import Shot
@@ -177,6 +179,7 @@ class Run:
         findings = [*before, *result.findings, *self._look(shot, result)]
         self._count(warnings=sum(each.severity == "warn" for each in findings))
         bad = [each for each in findings if each.severity in ("retake", "refuse")]
+        self._require_own_rig(bad)
         again = self._suspects.again(pattern, bad)
         missing = {camera.id for camera in cameras} - kept
         if missing:
@@ -185,10 +188,8 @@ class Run:
         waits = any((each.pattern or pattern) == pattern for each in bad)
         if again:
             left = min(self._suspects.left(pattern, bad), *(self._left[each] for each in again))
-            self._lights.dark()  # somebody may think about the answer for long
-            self._writer.note("asked", pattern=pattern)
-            decision = self._operator.decide(bad, left)
-            self._writer.note("answered", pattern=pattern, do=decision)
+            late = all(each.camera in result.late for each in bad)
+            decision = "retake" if late and left > 0 else self._decide(pattern, bad, left)
             if decision == "retake":
                 if waits and pattern not in again:
                     self._queue_first(pattern, ())
@@ -210,6 +211,27 @@ class Run:
                 exposed_s=round(result.exposed_s, 6),
             )
             step("shot-done", pattern)
+
+    def _require_own_rig(self, bad: Sequence[Finding]) -> None:
+        """Pictures of another size by all cameras are not the cameras' fault: nobody is asked."""
+        sizes = [each for each in bad if each.code == "size"]
+        if len(self._all) < 2 or {each.camera for each in sizes} != self._all:
+            return
+        raise CaptureError(
+            self._writer.root / "rig.json",
+            found="; ".join(dict.fromkeys(each.found for each in sizes)) + " by all cameras",
+            expected="; ".join(dict.fromkeys(each.expected for each in sizes)),
+            hint="Is this the rig.json of this stage? If not, begin a new session with the stage's "
+            "own (--rig). If all cameras are set to another picture size, set them back and go on.",
+        )
+
+    def _decide(self, pattern: str, bad: Sequence[Finding], left: int) -> Decision:
+        """Ask, in the dark: somebody may think about the answer for long."""
+        self._lights.dark()
+        self._writer.note("asked", pattern=pattern)
+        decision = self._operator.decide(bad, left)
+        self._writer.note("answered", pattern=pattern, do=decision)
+        return decision
 
     def _try(self, shot: Shot, cameras: Sequence[CameraDevice]) -> ShotTaken:
         takes = {c.id: self._writer.next_take(shot.pattern, c.id) for c in cameras}
@@ -309,12 +331,14 @@ def _suspected(findings: Sequence[Finding]) -> tuple[list[str], list[str]]:
 
 def _unfinished(finding: Finding) -> LightstageError:
     hint = finding.hint
+    if finding.code == NOT_TAKEN:
+        said = cause(finding.found, finding.camera or "")
+        return CaptureError(f"{finding.where}: no photograph: {said}")
     if finding.suspects:
         names = ", ".join(finding.suspects)
         hint = f"{hint} The wrong photograph may also be that of {names}."
     return CaptureError(
         finding.where,
-        field=finding.code,
         found=finding.found,
         expected=finding.expected,
         hint=hint,

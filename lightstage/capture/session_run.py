@@ -21,6 +21,7 @@ from lightstage.checks import ShotChecks
 from lightstage.errors import CaptureError, FormatError, LightstageError
 from lightstage.findings import Finding
 from lightstage.formats.config import as_dict, make_config
+from lightstage.interrupts import signals_held
 from lightstage.operator import Operator, serve_events
 from lightstage.operator.plain import plain
 from lightstage.patterns import on_plane
@@ -62,6 +63,7 @@ class Order:
         beside: other files of that calibration, by name.
         facts: what else the journal and the manifest shall say, such as calibration shots.
         findings: of whoever looked before, told with those of the preflight.
+        alone: whether somebody may go on with this session alone; not with a pose of shots.
         resume_with: options beside ``--out`` with which the command goes on with the session.
     """
 
@@ -76,6 +78,7 @@ class Order:
     beside: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     findings: Sequence[Finding] = ()
+    alone: bool = True
     resume_with: Sequence[str] = ()
 
 
@@ -123,8 +126,10 @@ def capture_session(
     ]
     require(findings)
     with _writer(stage, order, config, findings) as writer, contextlib.ExitStack() as followed:
-        for line in read_journal(writer.journal.path):
-            operator.told(line)
+        lines = read_journal(writer.journal.path)
+        resumed = [place for place, line in enumerate(lines) if line["event"] == "resume"]
+        for place, line in enumerate(lines):
+            operator.told(line, old=place < max(resumed, default=0))
         writer.listeners.append(operator.told)
         followed.enter_context(serve_events(writer, operator.request))
         run: Run | None = None
@@ -143,24 +148,40 @@ def capture_session(
             require_on_disk(order.root, writer.state)
             writer.end(capture=dataclasses.asdict(report))
         except BaseException as error:
-            # Dark first; that it failed is told where the lights are let go.
-            with contextlib.suppress(LightstageError):
-                stage.lights.dark()
-            if isinstance(error, KeyboardInterrupt):  # Ctrl-C, SIGTERM, a terminal that closed
-                error = stopped()
-            said = str(error) or type(error).__name__
-            with contextlib.suppress(LightstageError):
-                writer.note("aborted", said=said, **{RESUME_WITH: [*order.resume_with]})
-            if isinstance(error, LightstageError):
-                again = resume_line(order.root, order.resume_with)
-                told = f"{plain(said)}\n  Go on with: {again}"
-                patterns, ids = ([], []) if run is None else run.suspected
-                if patterns:
-                    older = retake_line(order.root, patterns, ids, order.resume_with)
-                    told += f"\n  Where that shows the same, take the others again: {older}"
-                raise type(error)(told) from None
-            raise
+            with signals_held():
+                raise _last_words(error, stage, order, writer, run) from None
     return report
+
+
+def _last_words(
+    error: BaseException,
+    stage: Stage,
+    order: Order,
+    writer: SessionWriter,
+    run: Run | None,
+) -> BaseException:
+    """Dark, and the journal's last line; the error with what goes on with the session.
+
+    A defect is returned as it is, for its traceback.
+    """
+    # Dark first; that it failed is told where the lights are let go.
+    with contextlib.suppress(LightstageError):
+        stage.lights.dark()
+    if isinstance(error, KeyboardInterrupt):  # Ctrl-C, SIGTERM, a terminal that closed
+        error = stopped()
+    said = str(error) or type(error).__name__
+    with contextlib.suppress(LightstageError):
+        writer.abort(said=said, **{RESUME_WITH: [*order.resume_with]})
+    if not isinstance(error, LightstageError):
+        return error
+    if not order.alone:
+        return type(error)(plain(said))
+    told = f"{plain(said)}\n  Go on with: {resume_line(order.root, order.resume_with)}"
+    patterns, ids = ([], []) if run is None else run.suspected
+    if patterns:
+        older = retake_line(order.root, patterns, ids, order.resume_with)
+        told += f"\n  Where that shows the same, take the others again: {older}"
+    return type(error)(told)
 
 
 def _split_lights(rig: Rig, shots: Sequence[Shot]) -> list[Finding]:

@@ -10,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from lightstage.cameras.camera import CameraDevice
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.late_cameras import LateCameras
-from lightstage.capture.pattern_light import PatternLight
+from lightstage.capture.pattern_light import LateCameraError, PatternLight
 from lightstage.capture.photograph import OldPictureError, Photographer, Taken
 from lightstage.capture.wishes import Wishes
 from lightstage.errors import (
@@ -23,6 +23,7 @@ from lightstage.errors import (
 )
 from lightstage.findings import Finding
 from lightstage.leds.controller import LightLostError
+from lightstage.operator.attendance import NOT_TAKEN
 from lightstage.safety import SafeLights
 from lightstage.sequence import Shot
 from lightstage.session import SessionWriter
@@ -30,6 +31,7 @@ from lightstage.steps import step
 
 POLL_S = 0.03
 """How long the operator's wish to abort may wait."""
+TAKES_AGAIN = "It answers again. It takes the pattern again alone, or you are asked."
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,12 +43,15 @@ class ShotTaken:
         findings: what was found, photographs that did not come among it.
         lit_s: from asking for the light until it was acknowledged.
         light_lost: the lights are no longer known; they must recover first.
+        late: cameras whose light was put out before they had exposed, and that answer again: they
+            take the pattern again without a question.
     """
 
     taken: tuple[Taken, ...]
     findings: tuple[Finding, ...]
     lit_s: float
     light_lost: bool = False
+    late: frozenset[str] = frozenset()
 
     @property
     def skew_s(self) -> float:
@@ -138,8 +143,7 @@ def take_shot(
                     disk = error  # the others' photographs may still find room
     except (StoppedError, KeyboardInterrupt):
         lights.dark()
-        # What is exposed still comes home, and nobody writes to the journal after its last line.
-        wait(pending, timeout=config.deadlines.trigger_s)
+        _come_home(pending, light, config)
         raise
     finally:
         # Not waited for: on a failure the lights come first; closing the cameras ends the rest.
@@ -149,7 +153,25 @@ def take_shot(
     findings = [finding for each in taken for finding in each.findings]
     findings += _missed(shot.pattern, cameras, failed, writer)
     lost = any(isinstance(error, LightLostError) for error in failed.values())
-    return ShotTaken(tuple(taken), tuple(findings), light.lit_s, lost)
+    late = frozenset(name for name, error in failed.items() if isinstance(error, LateCameraError))
+    return ShotTaken(tuple(taken), tuple(findings), light.lit_s, lost, late)
+
+
+def _come_home(
+    pending: Mapping[Future[Taken], str], light: PatternLight, config: CaptureConfig
+) -> None:
+    """After a stop, wait for the photographs of cameras that have exposed.
+
+    One that has not gets the grace of a late camera alone: its picture is of no light that is
+    known. It stays on the card, and is found there when the session is gone on with.
+    """
+    begun_s = time.monotonic()
+    while True:
+        after_s = time.monotonic() - begun_s
+        late = light.needed_by if after_s > config.late_camera_grace_s else frozenset()
+        left = [taking for taking, camera in pending.items() if camera not in late]
+        if not wait(left, timeout=POLL_S).not_done or after_s > config.deadlines.trigger_s:
+            return
 
 
 def stopped() -> StoppedError:
@@ -167,10 +189,11 @@ def _missed(
     findings = [
         Finding(
             "retake",
-            "not-taken",
+            NOT_TAKEN,
             f"{pattern} by {camera.id}",
             found=str(failed[camera.id]),
             expected="a photograph",
+            hint=TAKES_AGAIN if isinstance(failed[camera.id], LateCameraError) else "",
             pattern=pattern,
             camera=camera.id,
         )

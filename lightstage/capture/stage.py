@@ -18,6 +18,7 @@ from lightstage.cameras.process import detect_ports
 from lightstage.capture.config import CaptureConfig
 from lightstage.errors import one_error
 from lightstage.findings import Finding
+from lightstage.interrupts import raise_once
 from lightstage.leds.address import parse_url
 from lightstage.leds.opening import open_leds
 from lightstage.preflight import PreflightConfig, device_findings, refusals
@@ -50,7 +51,8 @@ class Stage:
 def open_stage(rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig) -> Iterator[Stage]:
     """Open all devices; on every way out the lights go dark, then the cameras are let go.
 
-    Lights that an earlier program left on are put out first.
+    Lights that an earlier program left on are put out first. From here on the first signal is the
+    stop, and later ones do not cut it short (`raise_once`).
 
     Args:
         rig: what must be there.
@@ -62,6 +64,7 @@ def open_stage(rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig) ->
         DeviceError: every device that is missing or wrong, in one message.
     """
     worst_s = config.worst_shot_s(parse_url(leds).worst_s)
+    raise_once()
     with open_leds(leds, len(rig.lights)) as device:
         cameras = find_cameras(rig, file, config.deadlines, detect_ports)
         try:

@@ -10,7 +10,7 @@ import typer
 
 from lightstage.checks import check_session
 from lightstage.commands import JsonFlag, finish, progress_bar
-from lightstage.findings import accepted_in_words
+from lightstage.findings import accepted_in_words, counted
 
 
 def register(app: typer.Typer) -> None:
@@ -33,7 +33,8 @@ def check_command(
     finish(
         f"{session}: {report.frames} frames whole and unchanged, {report.sums} pattern sums "
         f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % clipped, "
-        f"{accepted and accepted + ', '}{len(told)} warnings",
+        f"{accepted and accepted + ', '}{counted(len(told), 'warning')} "
+        "of what lies there",
         {"session": str(session), **dataclasses.asdict(report)},
         as_json,
     )

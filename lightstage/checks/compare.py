@@ -13,7 +13,7 @@ from lightstage.checks.photo import Photo
 from lightstage.checks.sharpness import sharpness
 from lightstage.checks.single import where
 from lightstage.checks.sums import MIN_CELLS, lit_cells
-from lightstage.findings import Finding
+from lightstage.findings import Finding, two_digits
 
 UNLIKE, UNLIKE_RATIO = 0.2, 1.5
 """A photograph shows another pattern when it is this far from its own and this many times nearer
@@ -41,7 +41,7 @@ def unlike_findings(
                     "warn",
                     "unlike-others",
                     where(pattern, camera),
-                    f"{ratio:.2g} times the light of the other cameras",
+                    f"{two_digits(ratio)} times the light of the other cameras",
                     f"within a factor of {config.max_unlike_ratio:g}",
                     "Read back its ISO, shutter and aperture; is something before the lens?",
                     pattern,
@@ -118,7 +118,7 @@ def _said_other(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
 
 def _said_bright(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
     return (
-        f"up to {100 * float(np.median(values)):.2g} % more light than under all lamps",
+        f"up to {two_digits(100 * float(np.median(values)))} % more light than under all lamps",
         f"{pattern} to be a part of them",
         "Exposure or ISO has changed since, or room light came on: read the settings back.",
     )
@@ -126,7 +126,7 @@ def _said_bright(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
 
 def _said_dim(pattern: str, values: Sequence[Any]) -> tuple[str, str, str]:
     return (
-        f"{100 * float(np.median(values)):.2g} % of the light expected",
+        f"{two_digits(100 * float(np.median(values)))} % of the light expected",
         f"that of {pattern}",
         "Did the lights come on while the shutter was open? Take it again.",
     )

@@ -17,7 +17,7 @@ from lightstage.checks.ball import BallModel
 from lightstage.checks.config import ChecksConfig
 from lightstage.checks.photo import Photo
 from lightstage.checks.sums import MIN_CELLS
-from lightstage.findings import Finding
+from lightstage.findings import Finding, two_digits
 from lightstage.rig import Rig
 
 FEW_SHARE = 0.1
@@ -201,11 +201,13 @@ class FewLamps:
         wanted = (few.expected + few.floor) * float(np.exp(few.ratio_log - log)) - few.floor
         if log > limit and few.seen - wanted > sure:
             factor = few.seen / max(wanted, few.floor)
-            return [_told("wrong-light", pattern, f"{factor:.2g} times its light", TOO_MUCH)]
+            return [
+                _told("wrong-light", pattern, f"{two_digits(factor)} times its light", TOO_MUCH)
+            ]
         if log < -limit and wanted - few.seen > sure and wanted > few.floor:
             share = max(few.seen, 0.0) / wanted
             code = "not-lit" if share < UNLIT else "light-level"
-            return [_told(code, pattern, f"{100 * share:.2g} % of its light", TOO_LITTLE)]
+            return [_told(code, pattern, f"{two_digits(100 * share)} % of its light", TOO_LITTLE)]
         return []
 
     def _near(self, few: FewLight) -> tuple[float, float] | None:

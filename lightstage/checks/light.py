@@ -13,7 +13,7 @@ import numpy as np
 from lightstage.checks.config import ChecksConfig
 from lightstage.checks.motion import MIN_EXPLAINED, Shift
 from lightstage.checks.sums import Sum, SumFit
-from lightstage.findings import Finding
+from lightstage.findings import Finding, two_digits
 
 SURE = 5.0
 """Standard errors beyond which a gain is believed."""
@@ -83,7 +83,7 @@ def _wrong(evidence: Evidence, cameras: list[str], camera: str | None) -> Findin
         "wrong-picture" if camera else "wrong-light",
         f"{who}, pattern {culprit}",
         f"{evidence.sum.first} + {evidence.sum.second} differs from {evidence.sum.whole} by "
-        f"{100 * misfit:.2g} % on average" + (f"; it looks like {looks}" if looks else ""),
+        f"{two_digits(100 * misfit)} % on average" + (f"; it looks like {looks}" if looks else ""),
         "patterns that sum",
         "An old picture, or one of another shot: take it again with this camera."
         if camera
@@ -150,7 +150,7 @@ def _exposed(pattern: str, against: str, camera: str, off: float) -> Finding:
 
 def _percent(off: float) -> str:
     factor = float(np.exp(abs(off)))
-    size = f"{factor:.2g} times" if factor > 2 else f"{100 * (factor - 1):.2g} %"
+    size = f"{two_digits(factor)} times" if factor > 2 else f"{two_digits(100 * (factor - 1))} %"
     return f"{size} {'brighter' if off > 0 else 'darker'}"
 
 

@@ -12,7 +12,7 @@ from lightstage.checks.config import ChecksConfig
 from lightstage.checks.photo import Photo
 from lightstage.checks.stray import Stray, find_stray
 from lightstage.checks.sums import Sum
-from lightstage.findings import Finding
+from lightstage.findings import Finding, two_digits
 from lightstage.rig import Rig
 
 LAMP_SHARE = 0.003
@@ -58,7 +58,7 @@ def room_findings(left: Left, model: BallModel, rig: Rig, config: ChecksConfig) 
     bad = abs(share) > config.max_ambient_share
     leak = left.dark or (share > 0 and not left.dark_known)
     said = (
-        f"light at {100 * share:.2g} % of full without a lamp"
+        f"light at {two_digits(100 * share)} % of full without a lamp"
         if leak
         else f"{left.sums[0]} off by {100 * share:+.2g} % of full in all cameras"
     )
@@ -100,8 +100,8 @@ def _disagreement(left: Left, config: ChecksConfig) -> list[Finding]:
                 "retake" if bad else "warn",
                 "ambient-changed",
                 f"all cameras, pattern {name}",
-                f"{one.first} + {one.second} leave {100 * left.shares[one]:.2g} % of "
-                f"{one.whole} over, the other pairs {100 * middle:.2g} %",
+                f"{one.first} + {one.second} leave {two_digits(100 * left.shares[one])} % of "
+                f"{one.whole} over, the other pairs {two_digits(100 * middle)} %",
                 "the same from each pair",
                 "Did room light change, or the lights flicker? Take both of the pair again.",
                 name,
@@ -122,8 +122,8 @@ def _lamp(left: Left, stray: Stray, rig: Rig) -> Finding:
         "warn",
         "lamp-on" if on else "lamp-out",
         f"all cameras, pattern {left.pattern}",
-        f"{100 * abs(stray.share):.2g} % of full {'too much' if on else 'missing'}, as if {name} "
-        + (f"were on at {stray.level:.1f}" if on else "had gone out"),
+        f"{two_digits(100 * abs(stray.share))} % of full {'too much' if on else 'missing'}, "
+        f"as if {name} " + (f"were on at {stray.level:.1f}" if on else "had gone out"),
         "the commanded lights alone",
         "Look at that part of the stage; taking the pattern again does not mend a lamp.",
         left.pattern,

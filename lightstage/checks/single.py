@@ -5,7 +5,7 @@ from __future__ import annotations
 from lightstage.checks.config import ChecksConfig
 from lightstage.checks.photo import Photo
 from lightstage.errors import FormatError
-from lightstage.findings import Finding, Severity
+from lightstage.findings import Finding, Severity, two_digits
 from lightstage.rig import Camera
 
 COLOURS = ("red", "green", "blue")
@@ -100,7 +100,7 @@ def _clipping(photo: Photo, pattern: str, camera_id: str, config: ChecksConfig) 
         return []
     bad = share > config.max_clipped_share
     said = ", ".join(
-        f"{100 * part:.2g} % of {name}"
+        f"{two_digits(100 * part)} % of {name}"
         for part, name in zip(photo.clipped, COLOURS, strict=True)
         if part > 0
     )
@@ -132,8 +132,8 @@ def _exposure(photo: Photo, pattern: str, camera_id: str, config: ChecksConfig) 
             "retake" if bad else "warn",
             "underexposed",
             where(pattern, camera_id),
-            f"the brightest percent at {100 * photo.signal:.2g} % of white, signal to noise "
-            f"{photo.snr:.2g}",
+            f"the brightest percent at {two_digits(100 * photo.signal)} % of white, "
+            f"signal to noise {two_digits(photo.snr)}",
             f"at least {100 * config.warn_signal_share:g} %, and {config.min_snr:g}",
             "Were the lights on, is the cap off? Then open the aperture, or expose longer.",
             pattern,
@@ -153,7 +153,7 @@ def _dark(photo: Photo, pattern: str, camera_id: str, config: ChecksConfig) -> l
             "retake" if level > noise + config.max_ambient_share else "warn",
             "dark-leak",
             where(pattern, camera_id),
-            f"light at {100 * level:.2g} % of white",
+            f"light at {two_digits(100 * level)} % of white",
             "black and noise",
             "Is a lamp still on, or room light? Darken the room.",
             pattern,

@@ -15,7 +15,7 @@ from typer.exceptions import TyperException
 from lightstage.errors import LightstageError, StoppedError
 from lightstage.failures import explain
 from lightstage.formats.access import private_command
-from lightstage.interrupts import interrupted, raise_on_signals
+from lightstage.interrupts import ignore_signals, interrupted, raise_on_signals
 
 JsonFlag = typer.Option(
     False, "--json", help="Print the facts, or the error, as JSON on the last line."
@@ -114,6 +114,8 @@ def _end_with(error: Exception, as_json: bool) -> None:
     if os.environ.get("LIGHTSTAGE_TRACEBACK"):
         sys.excepthook(type(error), error, error.__traceback__)
     name, stopped = type(told).__name__, isinstance(told, StoppedError)
+    if stopped:
+        ignore_signals()
     print(told if stopped else f"{name}: {told}", file=sys.stderr)
     fields = {key: getattr(told, key) for key in ("where", "field", "found", "expected", "hint")}
     _print_json(as_json, name, {"message": str(told), **fields})
@@ -128,6 +130,7 @@ def _reader_is_gone() -> bool:
 
 
 def _end_interrupted(as_json: bool) -> None:
+    ignore_signals()
     print("Interrupted.", file=sys.stderr)
     _print_json(as_json, "Interrupted", {"message": "Interrupted."})
     sys.exit(INTERRUPTED)

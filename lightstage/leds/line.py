@@ -40,6 +40,11 @@ class Line(Protocol):
 AnyLine = TypeVar("AnyLine", bound=Line)
 
 
+def _why(error: OSError) -> str:
+    """Why a port does not open; pyserial says the system's words twice, with their number."""
+    return (os.strerror(error.errno) if error.errno else str(error)).lower()
+
+
 def opened(connect: Callable[[], AnyLine], where: str) -> AnyLine:
     """What `connect` opens.
 
@@ -55,7 +60,7 @@ def opened(connect: Callable[[], AnyLine], where: str) -> AnyLine:
     except OSError as error:
         raise DeviceError(
             where,
-            found=str(error),
+            found=_why(error),
             expected="a port that opens",
             hint="Is the device plugged in and switched on?",
         ) from None

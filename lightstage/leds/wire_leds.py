@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import threading
 import time
@@ -172,7 +173,9 @@ class WireLeds(Closing):
     def _ask_hello(self) -> Hello:
         """Send HELLO? under a new number each time: a device still booting misses the first."""
         wait_s = min(self._timeout_s, HELLO_TIMEOUT_S)
-        for _ in range(HELLO_ATTEMPTS):
+        # A device that is slow to light is as slow to answer what comes meanwhile.
+        attempts = max(HELLO_ATTEMPTS, math.ceil(self._timeout_s / wait_s))
+        for _ in range(attempts):
             reply = self._exchange(Packet(Kind.ASK_HELLO, self._next()), wait_s)
             if reply is not None and reply.kind == Kind.HELLO:
                 try:
@@ -186,7 +189,7 @@ class WireLeds(Closing):
                     ) from None
                 self._boot_id = hello.boot_id
                 return hello
-        raise self._silent(f"{HELLO_ATTEMPTS} HELLO? of {wait_s:g} s each")
+        raise self._silent(f"{attempts} HELLO? of {wait_s:g} s each")
 
     def _expect_lit(self, kind: Kind, payload: bytes) -> None:
         """Ask until LIT comes with what is wanted; any state where nothing was set yet."""

@@ -49,8 +49,8 @@ class Operator(Protocol):
     def decide(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
         """What to do with photographs that do not do; may wait for an answer for ever."""
 
-    def told(self, line: dict[str, Any]) -> None:
-        """A line that is in the journal now; never waits."""
+    def told(self, line: dict[str, Any], old: bool = False) -> None:
+        """A line that is in the journal now, or `old` from before a resume; never waits."""
 
     def request(self, do: str) -> str | None:
         """Somebody asks for something from elsewhere; why not, or None where it is accepted."""
@@ -232,8 +232,9 @@ class Unattended:
             return "abort"
         return by_rule(findings, retakes_left, self._config)
 
-    def told(self, line: dict[str, Any]) -> None:
+    def told(self, line: dict[str, Any], old: bool = False) -> None:
         """Know what can be asked for."""
+        del old
         self._requests.told(line)
 
     def request(self, do: str) -> str | None:

@@ -25,6 +25,7 @@ from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.terminal import Shown
 from lightstage.operator.view import View
 from lightstage.printable import printable
+from lightstage.resume_line import resume_line
 
 KEYBOARD = 0
 
@@ -71,7 +72,7 @@ def watch_command(
         return
     if until is not None and picture is None:
         raise ConfigError("--until", found=str(until), expected="--picture beside it")
-    view = View(str(session))
+    view, left = View(str(session)), False
     if picture is not None:
         with JournalTail(session / "journal.jsonl") as tail:
             for line in tail.read():
@@ -83,12 +84,16 @@ def watch_command(
         write_text(picture, drawn(Screen(view, Ask(keys=keys)), columns))
     else:
         _wait_for(session / "journal.jsonl", wait)
-        _watch(session, view)
+        left = _watch(session, view)
     running = view.phase in ("running", "asked", "paused")
+    # Who follows and did not leave sees a capture to its end, or until its process is gone.
+    gone = running and picture is None and not left
+    again = f"\n  Go on with: {resume_line(session, view.options)}" if gone else ""
     finish(
         f"{session}: {view.kept} of {view.wanted} photographs kept, "
         f"{len(view.done)} of {len(view.patterns)} patterns done, "
-        f"{'not over' if running else view.phase} at line {view.last_id}",
+        f"{'not over' if running else view.phase} at line {view.last_id}"
+        f"{', and no capture runs' if gone else ''}{again}",
         {
             "session": str(session),
             "phase": view.phase,
@@ -96,6 +101,7 @@ def watch_command(
             "wanted": view.wanted,
             "patterns_done": len(view.done),
             "last_id": view.last_id,
+            "gone": gone,
         },
         as_json,
     )
@@ -143,8 +149,8 @@ def _wait_for(journal: Path, wait_s: float) -> None:
         time.sleep(LOOK_S)
 
 
-def _watch(session: Path, view: View) -> None:
-    """Show lines as they come, until the capture is over or the watcher leaves."""
+def _watch(session: Path, view: View) -> bool:
+    """Show lines as they come, until the capture is over or the watcher leaves; whether he does."""
     console = Console(stderr=True, highlight=False)
     left = threading.Event()
     attended = console.is_terminal and has_keys(KEYBOARD)
@@ -159,6 +165,9 @@ def _watch(session: Path, view: View) -> None:
             stack.enter_context(key_by_key(KEYBOARD))
             stack.enter_context(heard(KEYBOARD, press))
         shown = stack.enter_context(Shown(console, view, lambda: Ask(keys=keys)))
-        with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C leaves, as q does
+        try:
             for line in follow(session, left.is_set):
                 shown.told(line)
+        except KeyboardInterrupt:  # Ctrl-C leaves, as q does
+            left.set()
+    return left.is_set()

@@ -37,6 +37,21 @@ def _meaning(found: re.Match[str]) -> str:
     return MEANINGS.get(int(found[2]), found[3]) if found[1] else found[3]
 
 
+def cause(text: str, camera: str) -> str:
+    """Why a camera gave no photograph, in plain words, where its name is told beside it.
+
+    Args:
+        text: an error of a device: with what it was asked, and what was expected of it.
+        camera: its name.
+    """
+    asked = rf"camera {re.escape(camera)}(?:, [^:\n]*)?: found "
+    first, *rest = plain(text).split("\n")
+    first, told = re.subn(asked, "", first, count=1)
+    if told:
+        first = re.sub(r", expected .*?(?=\. [A-Z]|\.?$)", "", first)
+    return "\n".join([first, *rest])
+
+
 def plain(text: str) -> str:
     """An error of a device as somebody at the stage reads it.
 

@@ -45,10 +45,11 @@ MARKS: dict[Mark, tuple[str, str, str]] = {
     "kept": ("✓", "+", "green"),
     "failed": ("✗", "X", "bold red"),
     "again": ("↻", "?", "bold yellow"),
+    "in question": ("!", "!", "bold red"),
 }
 """For a terminal with Unicode, for one without, and the style."""
 
-NEEDY = ("failed", "late", "restarting")
+NEEDY = ("failed", "in question", "late", "restarting")
 """States of cameras that somebody should look at."""
 ROOMY = 100
 """Columns from which serial numbers are shown."""
@@ -66,12 +67,14 @@ class Ask:
         keys: requests that have a key now.
         heard: answer to the last key.
         scroll: by how many lines findings or news are scrolled.
+        stopping_s: seconds since somebody stopped the capture; None where nobody did.
     """
 
     question: Sequence[Said] = ()
     keys: Sequence[str] = ()
     heard: str = ""
     scroll: Scroll = dataclasses.field(default_factory=Scroll)
+    stopping_s: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,10 +127,12 @@ class Screen:
     def _lights(self) -> RenderableType:
         view = self.view
         line = Text(overflow="ellipsis", no_wrap=True)
-        if view.phase == "before":
+        if self.ask.stopping_s is not None and view.phase not in ("aborted", "complete"):
+            line.append(f"STOPPING for {self.ask.stopping_s:.0f} s", "bold red")
+        elif view.phase == "before":
             line.append("Lights and cameras are being checked.", "bold")
             return line
-        if view.phase == "running" and view.pattern:
+        elif view.phase == "running" and view.pattern:
             line.append(f"TAKING {view.pattern}", "bold")
             self._countdown(line)
         else:
@@ -261,7 +266,8 @@ class Screen:
         over = self.view.phase in ("complete", "aborted") and camera.state != "failed"
         if over:
             return Text("-", "dim")
-        style = dict.fromkeys(NEEDY, "bold yellow") | {"failed": "bold red", "kept": "green"}
+        style = dict.fromkeys(NEEDY, "bold yellow") | {"kept": "green"}
+        style |= dict.fromkeys(("failed", "in question"), "bold red")
         return Text(STATES[camera.state], style.get(camera.state, ""))
 
     def _legend(self, unicode: bool) -> Text:
@@ -277,7 +283,9 @@ class Screen:
         asked = self.ask.question
         items = [_said(item) for item in merged(asked if asked else self.view.news)]
         gap: list[RenderableType] = [Text()] if room > 4 else []
-        shown = fitting(items, room - len(gap), self.ask.scroll, console, options, not asked)
+        keys = self.view.phase not in ("complete", "aborted")
+        room -= len(gap)
+        shown = fitting(items, room, self.ask.scroll, console, options, not asked, keys)
         return [*gap, *shown]
 
     def _keys(self, width: int) -> list[RenderableType]:

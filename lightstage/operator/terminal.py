@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from rich.console import Console
 from rich.live import Live
 
 from lightstage.findings import Finding
+from lightstage.interrupts import signals_told
 from lightstage.operator.attendance import (
     Decision,
     OperatorConfig,
@@ -63,6 +65,7 @@ class TerminalOperator:
         self._requests = Requests()
         self._question: list[Said] = []
         self._heard = ""
+        self._stopped_s: float | None = None
         self._scroll = Scroll()
         self._show = Shown(console, self.view, self._ask_now)
         self._open = contextlib.ExitStack()
@@ -73,6 +76,7 @@ class TerminalOperator:
                 stack.enter_context(key_by_key(self._keys))
                 stack.enter_context(heard(self._keys, self._press))
             stack.enter_context(self._show)
+            stack.enter_context(signals_told(lambda: self.request("abort")))
             self._open = stack.pop_all()
         return self
 
@@ -84,13 +88,13 @@ class TerminalOperator:
     ) -> None:
         self._open.close()
 
-    def told(self, line: dict[str, Any]) -> None:
-        """A line that is in the journal now; never waits."""
+    def told(self, line: dict[str, Any], old: bool = False) -> None:
+        """A line that is in the journal now, or `old` from before a resume; never waits."""
         self._requests.told(line)
         if text_of(line, "event") in ("lit", "note") and not self._requests.aborted:
             self._heard = ""
         self._scroll = Scroll()
-        self._show.told(line)
+        self._show.told(line, old)
 
     def command(self) -> Wish | None:
         """What keys and clients of the event stream wish."""
@@ -115,8 +119,9 @@ class TerminalOperator:
 
     def request(self, do: str) -> str | None:
         """Asked from elsewhere; why not, or None where it is accepted."""
-        if do == "abort":
-            self._heard = HEARD[do]
+        if do == "abort" and self._stopped_s is None:  # seen at once; the lights may take longer
+            self._heard, self._stopped_s = HEARD[do], time.monotonic()
+            self._show.say(Said("stop", HEARD[do]))
         why = self._requests.request(do)
         if why is None:
             self._heard = HEARD[do]
@@ -138,8 +143,12 @@ class TerminalOperator:
                     self._heard = f"Not now: {why}."
 
     def _ask_now(self) -> Ask:
+        if self.view.phase in ("complete", "aborted"):
+            # No key does anything any more, and of what was heard the stop alone still matters.
+            return Ask(heard="" if self._stopped_s is None else HEARD["abort"])
         keys = () if self._keys is None else self._requests.possible
-        return Ask(tuple(self._question), keys, self._heard, self._scroll)
+        stopping_s = None if self._stopped_s is None else time.monotonic() - self._stopped_s
+        return Ask(tuple(self._question), keys, self._heard, self._scroll, stopping_s)
 
 
 class Shown:
@@ -190,14 +199,22 @@ class Shown:
         if self._thread is not None:
             self._thread.join(LAST_LINES_S)  # a reader who has stopped must not hold a capture
 
-    def told(self, line: dict[str, Any]) -> None:
-        """Take up a line; it is drawn or written soon."""
+    def told(self, line: dict[str, Any], old: bool = False) -> None:
+        """Take up a line; it is drawn or, where it is not `old`, written soon."""
         words = self._view.told(line)
-        if self._thread is None or words.tone == "quiet":
+        if old or self._thread is None or words.tone == "quiet":
             return
         text = f"{text_of(line, 'time_utc')[11:19]} {words}".strip()
         if text_of(line, "event") == "shot":
             text = f"{text} {self._view.progress()}"
+        self._write(text)
+
+    def say(self, words: Said) -> None:
+        """Write what no line of the journal says; the picture shows it by itself."""
+        if self._thread is not None:
+            self._write(str(words))
+
+    def _write(self, text: str) -> None:
         with self._changed:
             self._lines.append(text)
             self._changed.notify()

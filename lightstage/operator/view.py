@@ -24,13 +24,18 @@ from lightstage.operator.words import (
     text_of,
 )
 from lightstage.printable import printable
+from lightstage.resume_line import options_of
 
-State = Literal["idle", "triggering", "downloading", "kept", "failed", "late", "restarting"]
+State = Literal[
+    "idle", "triggering", "downloading", "kept", "failed", "late", "restarting", "in question"
+]
 Phase = Literal["before", "running", "asked", "paused", "aborted", "complete"]
 
 SHOTS_MEASURED = 9
 """Time left is told from the median of so many shots, so that one slow one does not change it."""
 NEWS_KEPT = 50
+FOLLOWING = "\0"
+"""In place of a pattern: the line holds as long as the capture runs."""
 
 
 @dataclasses.dataclass
@@ -78,6 +83,7 @@ class View:
         lights: what the LED device told, as one line.
         acknowledged: whether it tells what is lit; None where it is not known.
         phase: what the capture does; ``asked`` waits, dark, for the operator's answer.
+        options: with which the capture goes on, as its journal tells them.
         late: what is known of cameras that the others wait for; None where there are none.
     """
 
@@ -99,7 +105,9 @@ class View:
         self._shot_s: collections.deque[float] = collections.deque(maxlen=SHOTS_MEASURED)
         self._since_s: float | None = None
         self._asked_s: float | None = None
+        self._late_since_s: float | None = None
         self.late: Late | None = None
+        self.options: list[str] = []
 
     @property
     def news(self) -> list[Said]:
@@ -110,7 +118,9 @@ class View:
     def kept(self) -> int:
         """Photographs that count."""
         return sum(
-            mark == "kept" for marks in list(self.marks.values()) for mark in list(marks.values())
+            mark in ("kept", "in question")
+            for marks in list(self.marks.values())
+            for mark in list(marks.values())
         )
 
     def mark(self, pattern: str, camera: str) -> Mark:
@@ -127,7 +137,8 @@ class View:
         if not self._shot_s:
             return None
         left = sum(pattern not in self.done for pattern in self.patterns)
-        return left * statistics.median(self._shot_s)
+        late_s = None if self.late is None else self.late.left_s()
+        return left * statistics.median(self._shot_s) + (late_s or 0.0)
 
     def progress(self) -> str:
         """How far it is, as one sentence."""
@@ -138,13 +149,16 @@ class View:
         """Take up a line; returns its words."""
         words = said(line, self.session)
         with self.lock:
+            self.options = options_of(line) or self.options
             number = number_of(line, "id")
             self.last_id = self.last_id if number is None else int(number)
             take = _TAKES_UP.get(text_of(line, "event"))
             if take is not None:
                 take(self, line)
-            # Late cameras have a line of their own, on which the seconds run.
-            if words.tone != "quiet" and text_of(line, "event") not in ("shot", "waiting"):
+            # Late cameras have a line of their own, on which the seconds run; a camera that is
+            # started again says so in its row.
+            shown = text_of(line, "event") in ("shot", "waiting") or _starts_again(line)
+            if words.tone != "quiet" and not shown:
                 self._news.append((words, _mended_by(line)))
         return words
 
@@ -207,8 +221,15 @@ class View:
         self.lights = ", ".join(filter(None, parts)) or self.lights
 
     def _asked(self, line: Mapping[str, Any]) -> None:
+        self._late_over(line)
         self.phase, self.pattern, self.late = "asked", None, None
         self._asked_s = number_of(line, "elapsed_s")
+
+    def _late_over(self, line: Mapping[str, Any]) -> None:
+        """The time for which a camera was waited for in the dark is no measure of what is left."""
+        now_s, late_s, self._late_since_s = number_of(line, "elapsed_s"), self._late_since_s, None
+        if now_s is not None and late_s is not None and self._since_s is not None:
+            self._since_s += now_s - late_s
 
     def _answered(self, line: Mapping[str, Any]) -> None:
         self.phase = "running"
@@ -219,6 +240,8 @@ class View:
     def _waiting(self, line: Mapping[str, Any]) -> None:
         names = names_of(line, "cameras")
         lit = line.get("lit") is not False
+        if not lit:
+            self._late_since_s = number_of(line, "elapsed_s")
         left_s = number_of(line, "dark_in_s" if lit else "ended_in_s")
         until_s = None if left_s is None else time.monotonic() + left_s
         self.late = Late(tuple(names), lit, until_s)
@@ -227,6 +250,7 @@ class View:
                 self.cameras[name].state = "late"
 
     def _lit(self, line: Mapping[str, Any]) -> None:
+        self._late_over(line)
         self.phase, self.late = "running", None
         self.pattern = text_of(line, "pattern") or None
         if isinstance(line.get("acknowledged"), bool):
@@ -257,7 +281,7 @@ class View:
             camera.card_free_bytes = max(0.0, camera.card_free_bytes - size)
 
     def _failed(self, line: Mapping[str, Any]) -> None:
-        if self.mark(*self._place(line)) != "kept":
+        if self.mark(*self._place(line)) not in ("kept", "in question"):
             self._mark(line, "failed", "failed")
 
     def _finding(self, line: Mapping[str, Any]) -> None:
@@ -265,8 +289,15 @@ class View:
         if text_of(line, "severity") not in ("retake", "refuse") or pattern not in self.patterns:
             return
         for name in [camera] if camera else list(self.cameras):
-            if self.mark(pattern, name) != "kept":
-                self._mark({"pattern": pattern, "camera": name}, "failed", "failed")
+            kept = self.mark(pattern, name) in ("kept", "in question")
+            mark: Literal["in question", "failed"] = "in question" if kept else "failed"
+            self._mark({"pattern": pattern, "camera": name}, mark, mark)
+
+    def _accepted(self, _: Mapping[str, Any]) -> None:
+        """All that was in question counts: a finding may be of an earlier pattern."""
+        for pattern, marks in self.marks.items():
+            for name in [name for name, mark in marks.items() if mark == "in question"]:
+                self._mark({"pattern": pattern, "camera": name}, "kept", "kept")
 
     def _rejected(self, line: Mapping[str, Any]) -> None:
         pattern, camera = self._place(line)
@@ -305,10 +336,20 @@ class View:
     def _over(self, line: Mapping[str, Any]) -> None:
         self.phase = "complete" if text_of(line, "event") == "end" else "aborted"
         self.pattern = self.late = None
+        left = [item for item in self._news if item[1] != FOLLOWING]  # nobody can any more
+        self._news = collections.deque(left, NEWS_KEPT)
+
+
+def _starts_again(line: Mapping[str, Any]) -> bool:
+    """Whether a line tells that a camera is started again, or was."""
+    said = text_of(line, "said")
+    return text_of(line, "event") == "note" and said.startswith(("restarting", "started again"))
 
 
 def _mended_by(line: Mapping[str, Any]) -> str:
     """The pattern whose shot makes a line old; empty for none."""
+    if text_of(line, "socket"):
+        return FOLLOWING
     bad = text_of(line, "severity") in ("retake", "refuse")
     if text_of(line, "event") in ("failed", "rejected", "recovered") or bad:
         return text_of(line, "pattern")
@@ -328,6 +369,7 @@ _TAKES_UP = {
     "frame": View._frame,
     "failed": View._failed,
     "finding": View._finding,
+    "accepted": View._accepted,
     "rejected": View._rejected,
     "retake": View._retake,
     "shot": View._shot,

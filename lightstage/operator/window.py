@@ -36,6 +36,7 @@ def fitting(
     console: Console,
     options: ConsoleOptions,
     latest: bool,
+    keys: bool = True,
 ) -> list[RenderableType]:
     """As much of these items as fits into `room` lines, and how to see the rest.
 
@@ -46,6 +47,7 @@ def fitting(
         console: to measure them with.
         options: with its width.
         latest: whether the last item matters most; else the first.
+        keys: whether somebody can scroll.
     """
     blocks = [console.render_lines(i, options.update(height=None), pad=False) for i in items]
     lines = [line for block in blocks for line in block]
@@ -66,4 +68,5 @@ def fitting(
     below = len(lines) - start - len(shown)
     parts = [f"{start} more lines above"] if start else []
     parts += [f"{below} more lines below"] if below else []
-    return [Window(shown), Text(f"  {', '.join(parts)}: arrow keys", "dim")]
+    how = ": arrow keys" if keys else ""
+    return [Window(shown), Text(f"  {', '.join(parts)}{how}", "dim")]

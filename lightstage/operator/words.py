@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 from lightstage.findings import accepted_in_words
-from lightstage.operator.plain import plain
+from lightstage.operator.plain import cause
 from lightstage.printable import printable
 from lightstage.resume_line import options_of, resume_line, watch_line
 
 Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
 """``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
 
-Mark = Literal["to come", "now", "kept", "failed", "again"]
-"""Of one pattern by one camera; ``again`` waits to be taken once more."""
+Mark = Literal["to come", "now", "kept", "failed", "again", "in question"]
+"""Of one pattern by one camera; ``again`` waits to be taken once more, ``in question`` is kept and
+may be accepted or taken again."""
 Line = Mapping[str, Any]
 
 SIGNS: dict[Tone, str] = {
@@ -79,10 +79,8 @@ def text_of(line: Line, name: str) -> str:
 
 def _told(line: Line, name: str) -> str:
     """A field that may have a driver's words, in plain ones."""
-    text = plain(text_of(line, name))
     # Its camera and what it was asked are told beside it: no need to say them twice.
-    same = rf"camera {re.escape(text_of(line, 'camera'))}(?:, [^:]*)?: found "
-    return re.sub(f"^{same}", "", text)
+    return cause(text_of(line, name), text_of(line, "camera"))
 
 
 def number_of(line: Line, name: str) -> float | None:
@@ -194,7 +192,7 @@ def _recovered(line: Line) -> Said:
     return Said(
         "warning",
         f"{_at(line)}a photograph whose light is not certain is kept apart in {where}",
-        "Nothing to do: the pattern is taken again.",
+        "The pattern is taken again, or you are asked.",
     )
 
 
@@ -215,7 +213,8 @@ def _waiting(line: Line) -> Said:
     left = "" if ended_s is None else f" in {ended_s:.0f} s"
     if line.get("lit") is False:
         text = f"The lights are dark: {who} did not answer, and will be started again{left}"
-        return Said("warning", text, "Nothing to do: it takes the pattern again alone.")
+        todo = "Then it takes the pattern again alone; you are asked if it fails again and again."
+        return Said("warning", text, todo)
     soon = "soon" if dark_s is None else f"in {dark_s:.0f} s"
     return Said("warning", f"Waiting for {who}: the lights go dark {soon}")
 
@@ -286,6 +285,7 @@ STATES = {
     "failed": "FAILED",
     "late": "LATE",
     "restarting": "starting again",
+    "in question": "IN QUESTION",
 }
 """What a camera does now."""
 
@@ -306,6 +306,7 @@ LEGEND: tuple[tuple[Mark, str], ...] = (
     ("now", "now"),
     ("again", "to be taken again"),
     ("failed", "failed"),
+    ("in question", "in question"),
     ("to come", "to come"),
 )
 """Marks of photographs and their words."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from lightstage.findings import Finding
+from lightstage.findings import Finding, two_digits
 from lightstage.preflight.config import PreflightConfig, Series
 from lightstage.preflight.values import exposure_s, true_exposures_s
 
@@ -138,8 +138,8 @@ def pulse_findings(
                 "pulses-unknown",
                 "LED device",
                 "no pulse frequency",
-                "one, to compare exposures with",
-                "Not verified: that an exposure is a whole number of the lights' pulses.",
+                "pulse_hz=.. in its URL (--leds)",
+                "Exposures are not compared with the lights' pulses.",
             )
         ]
     groups: dict[str, list[str]] = {}
@@ -162,7 +162,7 @@ def pulse_findings(
                 "pulses",
                 f"camera{'s' if len(ids) > 1 else ''} {', '.join(ids)}, shutter",
                 f"{text}: {lasts} pulses of {pulse_hz:g} Hz, brightness off by up to "
-                f"{100 * error:.2g} %",
+                f"{two_digits(100 * error)} %",
                 f"at most {100 * config.max_pulse_error:g} % (max_pulse_error)",
                 hint + "A whole number of pulses sees the same light in every photograph.",
                 camera=ids[0] if len(ids) == 1 else None,

@@ -9,12 +9,12 @@ from types import TracebackType
 import numpy as np
 
 from lightstage.errors import CaptureError, DeviceError, LightstageError
+from lightstage.interrupts import signals_held
 from lightstage.leds.controller import Hello, LedController, LightLostError, level_steps
 from lightstage.leds.guard import Guardian, HasLastWill
 from lightstage.rig import Rig
 from lightstage.safety.budget import FlashCounter, Spent
 from lightstage.safety.plan import SafetyConfig
-from lightstage.safety.signals import signals_held
 
 AWAKE_S = 0.5
 """A device is spoken to at least so often, or four times in its watchdog's time, or as often as its

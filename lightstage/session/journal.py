@@ -154,8 +154,13 @@ class Journal:
         """Whether the last line was cut by a crash (until the next is written)."""
         return self._torn
 
-    def write(self, event: str, **facts: Any) -> Line:
+    def write(self, event: str, *, last: bool = False, **facts: Any) -> Line:
         """Append one event; returns its line when it is on the disk.
+
+        Args:
+            event: its name.
+            last: whether a later write of any thread is an error.
+            facts: beside it.
 
         Raises:
             CaptureError: the disk refused; the line is not in the journal, and what was before is.
@@ -180,6 +185,7 @@ class Journal:
                 **facts,
             }
             self._waiting.append(line)
+            self._closing = self._closing or last
             self._state.notify_all()
             while self._durable < line["id"]:
                 if self._failure is not None:

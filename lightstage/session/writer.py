@@ -343,8 +343,12 @@ class SessionWriter(Record):
     def end(self, **facts: Any) -> None:
         """Journal that all is done; nothing may be written after it."""
         frames = len(self.state.cameras) * len(self.state.patterns)
-        self.journal.write("end", frames=frames, **facts)
+        self.journal.write("end", last=True, frames=frames, **facts)
         step("ended")
+
+    def abort(self, **facts: Any) -> None:
+        """Journal that the capture ends here; nothing may be written after it."""
+        self.journal.write("aborted", last=True, **facts)
 
     def close(self) -> None:
         """Close the journal; the folder stays as it is."""

@@ -22,13 +22,13 @@ from sim.devices.faults import Due, FaultLog, Story
 FOR_EVER_S = 1e9
 UNDATED = "    :  :     :  :  "
 """EXIF's form of a time that is not known."""
-LOST = (-7, "I/O problem: the connection was lost")
+LOST = (-7, "the connection was lost")
 REFUSED = {
-    "disconnect": (-7, "I/O problem: the camera is gone from the bus"),
-    "port-changes": (-7, "I/O problem: the camera is gone from this port"),
-    "battery-empty": (-7, "I/O problem: the camera switched itself off, its battery is empty"),
-    "fill-up": (-3, "out of memory: the card is full"),
-    "fail": (-1, "unspecified error: no picture was taken"),
+    "disconnect": (-7, "the camera is gone from the bus"),
+    "port-changes": (-7, "the camera is gone from this port"),
+    "battery-empty": (-7, "the camera switched itself off, its battery is empty"),
+    "fill-up": (-3, "the card is full"),
+    "fail": (-1, "no picture was taken"),
 }
 """Faults with which no picture is taken: libgphoto2's error and what is said. The first wins."""
 SETTINGS = {"wrong-iso": "iso", "owner-set": "owner"}
@@ -301,7 +301,7 @@ class CameraBody:
     def _light(self) -> bytes:
         path = self.folder / NEXT
         if not path.is_file():
-            raise BodyError(-1, "unspecified error: nothing before the lens")
+            raise BodyError(-1, "nothing before the lens")
         return path.read_bytes()
 
     def _state(self) -> dict[str, Any]:

@@ -18,6 +18,9 @@ from sim.devices.led_ends import End, PtyEnd, TcpEnd
 from sim.devices.led_faults import FaultyLeds, Step, Wait
 from sim.devices.led_protocol import FULL_COUNT
 
+SETTLE_TIMEOUT_S = 110.0
+"""Lamps of the simulator settle when all cameras' pictures are rendered; the driver waits that
+long."""
 WATCHDOG_S = 2.0
 """Of a stage's device that behaves as firmware must: dark after so long without a packet."""
 

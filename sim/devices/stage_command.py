@@ -6,7 +6,9 @@ import shlex
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TextIO
 
 import typer
 
@@ -14,6 +16,7 @@ from lightstage.commands import output_folder, progress_bar
 from sim.errors import SimError
 
 POLL_S = 0.2
+GO_ON = "  Go on with: "
 SCALE = 0.12
 """Of `stage` and `calibrate` alike, since calibration shots hold for one rig.json alone. At half of
 it a marker of the ChArUco board is 12 pixels wide, which is too few to be read."""
@@ -59,8 +62,8 @@ def stage(
         log = FaultLog(None if faults is None else faults.with_suffix(".jsonl").absolute())
         devices = standing_stage(world, desk, seed, patterns, None, story, log, lab_white(where))
         with devices as standing:
-            command = ["lightstage", *standing.command(Path("SESSION")), "--sequence", sequence]
-            print(f"Ready; Ctrl-C ends it. In another terminal:\n\n  {shlex.join(command)}\n")
+            command = [*standing.command(Path("SESSION")), "--sequence", sequence]
+            print(f"Ready; Ctrl-C ends it. In another terminal:\n\n{_in_lines(command)}\n")
             if log.path is not None:
                 print("What goes wrong is told in", log.path)
             sys.stdout.flush()
@@ -70,6 +73,19 @@ def stage(
             except KeyboardInterrupt:
                 return
             raise SimError("LED device", found=str(standing.device.failure)) from None
+
+
+def _in_lines(words: Sequence[str]) -> str:
+    """A command of `lightstage` for a shell, each option on a line of its own."""
+    lines = ["lightstage"]
+    for word in words:
+        begins = word.startswith("--")
+        lines = (
+            [*lines, shlex.quote(word)]
+            if begins
+            else [*lines[:-1], f"{lines[-1]} {shlex.quote(word)}"]
+        )
+    return " \\\n    ".join(lines)
 
 
 def calibrate(
@@ -90,17 +106,46 @@ def calibrate(
         tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name,
         TargetStage(Path(name), where, kind, seed) as standing,
     ):
-        done = standing.calibrate(out, kind, echo=_echo)
+        done = standing.calibrate(out, kind, echo=Echo(sys.stderr))
     print(done.stdout, end="")
     if done.returncode != 0:
         # The command has told the fault itself.
-        _echo(
-            "The simulated devices are gone: begin again with this command, at a larger --scale "
-            "where targets are too small in the pictures.\n"
+        helps = _what_may_help(done.stderr)
+        print(
+            f"The simulated devices are gone: begin again with this command{helps}.",
+            file=sys.stderr,
         )
         raise typer.Exit(done.returncode)
 
 
-def _echo(text: str) -> None:
-    """What the command says, as it says it."""
-    print(text, end="", file=sys.stderr, flush=True)
+def _what_may_help(said: str) -> str:
+    """What to do otherwise, by what failed; empty where nothing is known."""
+    if "no answer to" in said:
+        return ", when this computer is less busy or at a smaller --scale: the lamps were too slow"
+    if "did not do in" in said:
+        return ", at a larger --scale if the target is too small in the pictures"
+    return ""
+
+
+class Echo:
+    """What a command says, letter by letter, without the line that goes on with its devices.
+
+    Args:
+        file: to write to.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._line = ""
+        self._shown = 0
+
+    def __call__(self, text: str) -> None:
+        """Say more."""
+        for letter in text:
+            self._line += letter
+            if not (GO_ON.startswith(self._line) or self._line.startswith(GO_ON)):
+                self._file.write(self._line[self._shown :])
+                self._shown = len(self._line)
+            if letter == "\n":
+                self._line, self._shown = "", 0
+        self._file.flush()

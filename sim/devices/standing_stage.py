@@ -16,13 +16,10 @@ from sim.camera.flaws import CaptureFlaws
 from sim.camera.shooting import LitSubject
 from sim.devices.camera_device import CameraFolders
 from sim.devices.faults import FaultLog, Story
-from sim.devices.led_device import WATCHDOG_S, LedDevice
+from sim.devices.led_device import SETTLE_TIMEOUT_S, WATCHDOG_S, LedDevice
 from sim.devices.photographer import Photographer
 from sim.devices.story_cameras import ATTEMPTS, TIMEOUT_S, StoryCameras
 from sim.light.polarised import seen_through
-
-SETTLE_TIMEOUT_S = 110.0
-"""Lamps of the simulator settle when nine pictures are rendered; the driver waits that long."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,12 +15,10 @@ from lightstage.formats.files import write_text
 from lightstage.rig import Rig, save_rig
 from sim.camera.flaws import CaptureFlaws
 from sim.devices.body_folder import NEXT, put
-from sim.devices.led_device import WATCHDOG_S, LedDevice
+from sim.devices.led_device import SETTLE_TIMEOUT_S, WATCHDOG_S, LedDevice
 from sim.devices.simulated_camera import SimulatedCameras
 from sim.devices.target_photographer import TargetPhotographer
 
-TIMEOUT_S = 20.0
-"""Lamps of the simulator settle when all cameras' pictures are rendered."""
 _POSE = re.compile(r"Pose (\d+) of \d+: ")
 
 
@@ -84,7 +82,7 @@ class TargetStage:
         return [
             *(sys.executable, "-m", "lightstage", "calibrate", kind),
             *("--rig", str(self.rig_path), "--out", str(lab)),
-            *("--leds", self.device.url(TIMEOUT_S), "--cameras", str(self.cameras_path)),
+            *("--leds", self.device.url(SETTLE_TIMEOUT_S), "--cameras", str(self.cameras_path)),
             *more,
         ]
 

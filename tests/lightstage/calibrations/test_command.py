@@ -3,6 +3,7 @@ of it. The cameras are simulated ones."""
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -15,7 +16,8 @@ from lightstage.formats.calibration_shots import read_shots
 from lightstage.formats.session import load_session
 from lightstage.rig import Rig, default_rig
 from lightstage.session import read_journal
-from sim.devices.target_stage import TIMEOUT_S, TargetStage
+from sim.devices.led_device import SETTLE_TIMEOUT_S
+from sim.devices.target_stage import TargetStage
 
 CONFIG = '[calibration]\nwanted = ["chart"]\n'
 
@@ -49,7 +51,7 @@ def capture(stage, desk, out, *more):
     (desk / "config.toml").write_text(CONFIG)
     command = [
         *(sys.executable, "-m", "lightstage", "capture", "--rig", str(stage.rig_path)),
-        *("--sequence", "full", "--out", str(out), "--leds", stage.device.url(TIMEOUT_S)),
+        *("--sequence", "full", "--out", str(out), "--leds", stage.device.url(SETTLE_TIMEOUT_S)),
         *("--cameras", str(stage.cameras_path), "--config", str(desk / "config.toml")),
         *("--unattended", "--calibration", str(desk / "lab"), *more),
     ]
@@ -64,10 +66,12 @@ def test_a_forgotten_target_is_told_at_once_and_stopped_shots_go_on(taken):
         asked.stderr
     )
     assert "chart, pose 1, cam0: found no colour chart, expected its 24 patches" in asked.stderr
-    last = asked.stderr.splitlines()[-1]
+    last, again = asked.stderr.splitlines()[-2:]
     assert "CaptureError" in last
     assert "found stopped after 0 of 2 poses" in last
-    assert "Go on with: lightstage calibrate chart --resume" in last
+    line = shlex.split(again.partition("Go on with: ")[2])
+    assert line[:5] == ["lightstage", "calibrate", "chart", "--resume", "--rig"]
+    assert {"--out", "--leds", "--cameras"} < set(line)
     assert dark_after
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout.splitlines()[-1])

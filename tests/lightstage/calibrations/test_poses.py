@@ -129,7 +129,7 @@ def test_stopped_shots_count_for_nothing_and_go_on_where_they_stopped(
     kind, lab = KINDS["chart"], tmp_path / "lab"
     photographer = TargetPhotographer(small_stage, "chart", 1)
     holder = bench.holder(photographer, stop_at=3)
-    with pytest.raises(CaptureError, match=r"stopped after 2 of 3 poses.*calibrate chart --resume"):
+    with pytest.raises(CaptureError, match=r"stopped after 2 of 3 poses"):
         take_poses(kind, begin("chart"), small_stage, bench.taker(photographer), holder, CONFIG)
     assert latest(lab, "chart") is None
     shots = resume_shots(kind, lab, small_stage, bench.told(small_stage), bench.leds)
@@ -273,9 +273,6 @@ def test_a_pose_that_never_does_stops_with_what_each_take_showed(bench, begin, s
         "found stopped after 0 of 3 poses: pose 1 did not do in 6 takes: cam0: no colour chart, "
         "expected its 24 patches. Turn the chart toward this camera"
     ) in str(error.value)
-    assert str(error.value).endswith(
-        " Go on with: lightstage calibrate chart --resume (the same options)."
-    )
 
 
 def test_what_takes_showed_is_said_once_with_its_takes():

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightstage.calibrations.config import CalibrationConfig, DaysConfig
-from lightstage.calibrations.fingerprint import devices, rig_sha256
+from lightstage.calibrations.fingerprint import devices
 from lightstage.calibrations.folder import new_shots, shots_id
 from lightstage.calibrations.kinds import KINDS
 from lightstage.calibrations.listing import list_lab
@@ -17,7 +17,7 @@ from lightstage.calibrations.stale import duration, stale, use_calibrations
 from lightstage.errors import ConfigError, FormatError
 from lightstage.formats.calibration_shots import CalibrationFile, Pose
 from lightstage.formats.files import sha256_file, write_json
-from lightstage.rig import Rig
+from lightstage.rig import MEASURED_WITH, Rig, rig_sha256
 
 CONFIG = CalibrationConfig(wanted=("charuco", "chart", "dark"))
 DAY = datetime.timedelta(days=1)
@@ -271,6 +271,19 @@ def test_a_rigs_hash_is_of_its_content(small_stage):
     assert rig_sha256(small_stage.scaled(0.5)) != rig_sha256(small_stage)
 
 
+def test_shots_hold_for_the_rig_whose_cameras_were_measured_from_them(bench, lab, small_stage):
+    moved = [
+        dataclasses.replace(camera, cam_from_world=camera.cam_from_world + 0.01)
+        for camera in small_stage.cameras
+    ]
+    more = {MEASURED_WITH: rig_sha256(small_stage)}
+    measured = Rig(tuple(small_stage.lights), tuple(moved), more)
+    assert found(bench, lab, measured) == []
+    for another in (Rig(measured.lights, measured.cameras), measured.scaled(0.5)):
+        codes = {finding.code for finding in found(bench, lab, another)}
+        assert codes == {"rig-changed"}
+
+
 def test_a_lab_is_listed_in_plain_words(bench, lab, small_stage):
     add(bench, lab, small_stage, "dark", bench.now - 9 * DAY)
     add(bench, lab, small_stage, "chart", bench.now + 1 * DAY, finished=False)
@@ -287,7 +300,8 @@ def test_a_lab_is_listed_in_plain_words(bench, lab, small_stage):
             "chart",
             "-20260302T120000Z",
             "unfinished",
-            "1 of 1 poses, begun 7 days ago; go on with: lightstage calibrate chart --resume",
+            "1 of 1 poses, begun 7 days ago; calibrate chart with --resume and its other options "
+            "goes on",
         ),
         ("chart", day, "holds", "8 days old, holds 6 days more"),
         ("dark", day, "expired", "8 days old, expired 24 hours ago"),
@@ -296,5 +310,7 @@ def test_a_lab_is_listed_in_plain_words(bench, lab, small_stage):
     ]
     assert len(damaged) == 1
     assert "broken/calibration.json, schema: found None" in damaged[0]
+    with pytest.raises(FormatError, match="found a session, expected a lab's folder"):
+        list_lab(next(lab.glob("dark-*/pose-01")), bench.now, CONFIG)
     future, _ = list_lab(lab, bench.now - DAY, CONFIG)
     assert future[0].state == "future"

@@ -123,6 +123,7 @@ def test_unknown_and_doubled_entries_of_the_cameras_file_are_all_told(small_rig,
     said = "\n".join(map(str, binding_problems(small_rig, file)))
     assert "cameras cam0, cam1: found all at usb:001,001" in said
     assert "camera cam9: found an entry in the cameras file, none in the rig" in said
+    assert "Without an entry: cam2" in said
 
 
 def test_a_driver_needs_a_port_and_nothing_of_libgphoto2s(small_rig, tmp_path):

@@ -73,7 +73,8 @@ class FakeCamera:
     Attributes:
         faults: shot (from 1) -> what goes wrong: ``fail``, ``after`` (the picture is on the card,
             but the camera answers no more), ``two`` (two pictures, no answer), ``stale``,
-            ``late`` (the picture takes a second), ``tardy`` (none, until after the next trigger
+            ``late`` (the picture takes a second), ``hangs`` (no picture and no answer, until
+            `answer` is set or some seconds are over), ``tardy`` (none, until after the next trigger
             was asked for).
         cut: the next so many downloads bring half a file.
         on_card: name -> bytes.
@@ -90,7 +91,8 @@ class FakeCamera:
         self.shots = 0
         self.dead = self.tardy = False
         self.restarts = 0
-        self.gone = False
+        self.gone = self.hanging = False
+        self.answer = threading.Event()
 
     def open(self) -> Summary:
         return TOLD
@@ -128,6 +130,11 @@ class FakeCamera:
             raise DeviceError(f"camera {self.id}", found="no picture was taken")
         if fault == "late":
             time.sleep(1.0)
+        if fault == "hangs":
+            self.hanging = True
+            self.answer.wait(10.0)
+            self.hanging, self.dead = False, True
+            raise DeviceError(f"camera {self.id}", found="no answer within 10 s")
         files = [self._expose() for _ in range(2 if fault == "two" else 1)]
         if fault == "stale":
             self.on_card[files[-1].name] = next(iter(self.on_card.values()))

@@ -67,7 +67,7 @@ def test_every_photograph_is_the_one_that_the_acknowledged_light_gave(stage, tmp
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_dark_with_whole_files(stage, tmp_path, number):
+def test_a_signal_ends_dark_with_whole_files_however_often_it_comes(stage, tmp_path, number):
     out = tmp_path / "S"
     child = subprocess.Popen(
         arguments(stage, out), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -77,10 +77,14 @@ def test_a_signal_ends_dark_with_whole_files(stage, tmp_path, number):
         assert child.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.01)
-    child.send_signal(number)
+    for _ in range(4):  # a second Ctrl-C must not lose what the first one has to say
+        child.send_signal(number)
+        time.sleep(0.1)
     _, said = child.communicate(timeout=60)
     assert child.returncode == INTERRUPTED
     assert "Traceback" not in said
+    assert said.count("STOPPING") == 1
+    assert json.loads((out / "journal.jsonl").read_text().splitlines()[-1])["event"] == "aborted"
     assert "Stopped by the operator.\n  Go on with: lightstage capture --resume --out" in said
     assert "Error" not in said
     assert stage.device.dark

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import threading
 import time
 
 import numpy as np
@@ -183,7 +184,7 @@ def test_a_finding_about_no_single_camera_takes_the_whole_pattern_again(bench):
 
 def test_retakes_end_when_the_operator_is_out_of_them(bench):
     bench.checks.of_shots["full"] = [[bad("blurred", "cam0", "full")]] * 9
-    with pytest.raises(CaptureError, match="blurred"):
+    with pytest.raises(CaptureError, match=r"^full by cam0: found x, expected y"):
         bench.run()
     assert bench.cameras[0].shots == 1 + bench.config.operator.retakes
 
@@ -208,6 +209,23 @@ def test_the_stage_is_dark_while_a_question_waits(bench):
 
     bench.operator.decide = decide_in_the_dark
     assert bench.run().retakes == 1
+
+
+def test_pictures_of_another_size_by_all_cameras_end_the_capture_at_the_first_pattern(bench):
+    wrong = [
+        Finding(
+            "retake", "size", f"{c.id}, pattern full", "8 x 8 pixels", "16 x 16", "", "full", c.id
+        )
+        for c in bench.cameras
+    ]
+    bench.checks.of_shots["full"] = [wrong]
+    with pytest.raises(CaptureError, match=r"found 8 x 8 pixels by all .*rig.json of this stage\?"):
+        bench.run()
+    assert [camera.shots for camera in bench.cameras] == [1, 1, 1]
+    assert bench.operator.asked == []
+    bench.checks.of_shots["full"] = [wrong[:2]]
+    bench.checks.of_shots["x+"] = []
+    assert bench.run().retakes == 2
 
 
 def test_accepting_does_not_make_a_photograph(bench):
@@ -257,10 +275,62 @@ def test_a_signal_in_the_middle_of_an_exposure_is_a_stop_after_which_no_line_com
         bench.run()
     assert not bench.lights.levels.any()
     last = bench.events("exposed", "frame", "recovered", "note")[-1]["id"]
-    bench.writer.note("aborted", said="Stopped by the operator.")
+    bench.writer.abort(said="Stopped by the operator.")
     time.sleep(0.1)
     assert bench.events("aborted")[0]["id"] > last
     assert "download cam2" in bench.log
+
+
+def test_a_stop_does_not_wait_for_a_camera_that_hangs_and_no_thread_writes_after_the_last_line(
+    bench,
+):
+    bench.config = dataclasses.replace(bench.config, late_camera_grace_s=0.5)
+    camera = bench.cameras[2]
+    camera.faults[1] = "hangs"
+    bench.operator.command = lambda: "abort" if camera.hanging else None
+    with pytest.raises(StoppedError):
+        bench.run()
+    assert camera.hanging
+    bench.writer.abort(said="Stopped by the operator.")
+    camera.answer.set()
+    for thread in threading.enumerate():
+        if thread.name.startswith("ThreadPoolExecutor"):
+            thread.join()
+    assert camera.shots == 1
+    assert bench.events("aborted", "note")[-1]["event"] == "aborted"
+    assert bench.kept("full") == ["cam0.dng", "cam1.dng"]
+
+
+def test_a_camera_that_hung_takes_the_pattern_again_alone_and_nobody_is_asked(bench):
+    bench.config = dataclasses.replace(bench.config, late_camera_grace_s=0.5)
+    camera = bench.cameras[2]
+    camera.faults[2] = "hangs"
+    dark = bench.lights.dark
+
+    def watched():
+        dark()
+        if camera.hanging:
+            camera.answer.set()
+
+    bench.lights.dark = watched
+    report = bench.run()
+    assert bench.operator.asked == []
+    assert report.retakes == camera.restarts == 1
+    assert [each.shots for each in bench.cameras] == [3, 3, 4]
+    assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.take2.dng"]
+    (told,) = bench.events("finding")
+    assert (told["code"], told["camera"]) == ("not-taken", "cam2")
+
+
+def test_a_camera_that_hangs_for_ever_is_asked_about_in_the_end(bench):
+    bench.config = dataclasses.replace(bench.config, late_camera_grace_s=0.5)
+    camera = bench.cameras[2]
+    camera.faults = dict.fromkeys(range(2, 9), "hangs")
+    camera.answer.wait = lambda _: time.sleep(0.8)
+    with pytest.raises(CaptureError, match="no picture when the light was put out"):
+        bench.run()
+    assert len(bench.operator.asked) == 1
+    assert camera.shots == 4
 
 
 def test_a_picture_taken_after_the_lights_were_put_out_is_never_kept_as_the_patterns(bench):

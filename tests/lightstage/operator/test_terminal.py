@@ -24,6 +24,7 @@ import json, sys, threading, time
 from lightstage.commands import make_app, run_app
 from lightstage.errors import StoppedError
 from lightstage.findings import Finding
+from lightstage.interrupts import signals_held
 from lightstage.operator import open_operator
 
 out = sys.argv[1]
@@ -57,6 +58,14 @@ LOOP = """
                 if wish == "abort":
                     raise StoppedError("the operator's wish")
                 time.sleep(0.01)
+"""
+DEAF = """
+            with signals_held():
+                light("deaf")
+                while not (wish := operator.command()):
+                    time.sleep(0.01)
+                time.sleep(0.5)
+                light(wish)
 """
 STUCK = "threading.Event().wait()"
 ASK = """
@@ -114,6 +123,15 @@ def test_ctrl_c_stops(capture):
     assert terminal.end() not in (0, 2)
     assert lights.read_text().split()[-1] == "dark"
     assert terminal.mode() == terminal.before
+
+
+def test_a_signal_is_seen_and_darkens_at_once_though_the_main_thread_does_not_hear_it(capture):
+    terminal, lights = capture(DEAF)
+    terminal.wait_until(lambda: lights.exists() and "deaf" in lights.read_text(), "it hears")
+    terminal.press("\x03")
+    terminal.wait_for("STOPPING for 0 s")
+    assert terminal.end() == 130
+    assert lights.read_text().split() == ["lit", "deaf", "dark-by-key", "abort", "dark"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
@@ -205,6 +223,23 @@ def test_a_log_gets_plain_lines_without_control_codes(replay):
     assert any(line.startswith("10:20:") for line in lines)
     assert "27 of 63 photographs, about" in text
     assert len(lines) < 20
+
+
+def test_a_log_of_a_resumed_capture_begins_where_it_goes_on(replay):
+    def tell(operator):
+        operator.told({"event": "resume", "time_utc": "2031-05-06T11:00:00"})
+        operator.told(replay[-1])
+
+    file = io.StringIO()
+    with TerminalOperator(Console(file=file, width=40), "S/1") as operator:
+        for line in replay[:-1]:
+            operator.told(line, old=True)
+        tell(operator)
+    assert [line[9:] for line in file.getvalue().splitlines()] == [
+        "The session goes on where it stopped.",
+        "+ The session is complete: 63 photographs.",
+    ]
+    assert len(operator.view.done) == 7
 
 
 def test_without_keys_the_rule_decides_and_nobody_is_waited_for(replay):

@@ -177,6 +177,58 @@ def test_the_time_that_somebody_thinks_is_no_measure_of_what_is_left(story):
     assert left[0] == pytest.approx(left[1])
 
 
+def test_the_time_for_which_a_camera_that_hangs_is_waited_for_is_counted_and_no_measure(story):
+    told, quick = story(2), story(2)
+    for each, hangs_s in ((told, 30.0), (quick, 0.0)):
+        each.begin()
+        each.light("full")
+        each.add("waiting", 1.0, pattern="full", cameras=["cam1"], lit=False, ended_in_s=hangs_s)
+        each.add("lit", hangs_s, pattern="full")
+        each.add("shot", pattern="full")
+    views = [View(), View()]
+    for view, each in zip(views, (told, quick), strict=True):
+        for line in each.lines:
+            view.told(line)
+    assert views[0].left_s() == pytest.approx(views[1].left_s())
+    usual_s = views[0].left_s()
+    views[0].told(told.add("waiting", pattern="x+", cameras=["cam1"], lit=False, ended_in_s=30.0))
+    assert views[0].left_s() == pytest.approx(usual_s + 30.0, abs=2.0)
+
+
+def test_a_kept_photograph_that_is_asked_about_is_in_question_until_it_is_decided(story):
+    told = story(2)
+    told.begin()
+    told.light("full")
+    told.keep("full", "cam0")
+    told.keep("full", "cam1")
+    told.add("finding", severity="retake", code="blur", pattern="full", camera="cam1", found="x")
+    views = [View(), View()]
+    for view in views:
+        for line in told.lines:
+            view.told(line)
+        assert [view.mark("full", camera) for camera in view.cameras] == ["kept", "in question"]
+        assert view.cameras["cam1"].state == "in question"
+        assert view.kept == 2
+    views[0].told(told.add("accepted", pattern="full", findings=[{}]))
+    assert (views[0].mark("full", "cam1"), views[0].cameras["cam1"].state) == ("kept", "kept")
+    views[1].told(told.add("rejected", pattern="full", camera="cam1", take=1))
+    assert views[1].mark("full", "cam1") == "again"
+
+
+def test_what_holds_only_while_a_capture_runs_is_not_said_at_its_end(story):
+    told = story(2)
+    told.begin()
+    told.add("note", said="others can follow", socket="/run/1.sock")
+    told.add("note", camera="cam0", said="restarting")
+    view = View()
+    for line in told.lines:
+        view.told(line)
+    assert ["follow" in words.text for words in view.news if words.text][-1]
+    assert not any("restarting" in words.text for words in view.news)
+    view.told(told.add("aborted", said="Stopped by the operator."))
+    assert not any("follow" in words.text for words in view.news)
+
+
 def test_while_a_question_waits_it_is_dark_and_waits_for_the_operator(story):
     told = story(2)
     told.begin()

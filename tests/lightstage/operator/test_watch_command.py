@@ -162,7 +162,8 @@ def test_a_capture_that_is_killed_is_told_as_not_over(tmp_path, replay, capturin
     assert [line["id"] for line in got] == list(range(1, 32))
     done = watch(tmp_path)
     assert done.returncode == 0
-    assert "not over at line 31" in done.stdout
+    assert "not over at line 31, and no capture runs" in done.stdout
+    assert f"Go on with: lightstage capture --resume --out {tmp_path}" in done.stdout
     with pytest.raises(CaptureError, match="no capture that answers"):
         ask(tmp_path, "abort")
 

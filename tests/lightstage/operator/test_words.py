@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightstage.findings import Severity
-from lightstage.operator.plain import plain
+from lightstage.operator.plain import cause, plain
 from lightstage.operator.view import State, View
 from lightstage.operator.words import (
     _WORDS,
@@ -146,6 +146,17 @@ def test_a_drivers_codes_ports_and_class_names_are_said_in_plain_words(raw, read
     assert plain(raw) == read
     line = {"event": "finding", "severity": "retake", "code": "not-taken", "found": raw}
     assert read in said(line).text
+
+
+def test_why_a_camera_gave_no_photograph_is_said_without_what_stands_beside_it():
+    why = (
+        "camera cam5 (/tmp/cam5), trigger: found error -1 (no picture was taken), expected one. "
+        "Try the shot again."
+    )
+    said_why = "no picture was taken. Try the shot again."
+    assert cause(why, "cam5") == said_why
+    assert cause(f"DSC_1 lies on its card, though: {why}", "cam5").endswith(f"though: {said_why}")
+    assert cause(why, "cam1") == plain(why)
 
 
 def test_control_characters_never_reach_the_terminal():

@@ -1,5 +1,7 @@
 """`lightstage-sim stage`: a stage that stands ready, captured by hand as the command says."""
 
+import io
+import itertools
 import shlex
 import signal
 import subprocess
@@ -7,6 +9,7 @@ import sys
 
 from lightstage.formats.session import load_session
 from lightstage.rig import save_rig
+from sim.devices.stage_command import Echo
 
 
 def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig):
@@ -20,8 +23,10 @@ def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig
     )
     try:
         lines = iter(stage.stdout.readline, "")
-        command = next(line for line in lines if "lightstage capture" in line)
-        arguments = shlex.split(command)[1:]
+        begun = itertools.dropwhile(lambda line: "lightstage capture" not in line, lines)
+        command = list(itertools.takewhile(str.strip, begun))
+        assert max(map(len, command)) < 200  # no path is broken where it is copied
+        arguments = shlex.split("".join(command).replace("\\\n", ""))[1:]
         done = subprocess.run(
             [sys.executable, "-m", "lightstage", *arguments],
             capture_output=True,
@@ -50,6 +55,15 @@ def test_a_simulated_target_becomes_calibration_shots_that_hold(tmp_path, tiny_r
     assert "1 of 6 kinds hold" in listed.stdout
 
 
+def test_lines_that_go_on_with_devices_that_are_gone_are_not_passed_on():
+    file = io.StringIO()
+    echo = Echo(file)
+    said = "Pose 1 of 2: \n  Go on with: lightstage calibrate x\n  Get it\nq stops: "
+    for letter in said:
+        echo(letter)
+    assert file.getvalue() == "Pose 1 of 2: \n  Get it\nq stops: "
+
+
 def test_a_target_too_small_in_the_pictures_is_one_error_and_what_to_do(tmp_path, tiny_rig):
     rig = save_rig(tiny_rig, tmp_path / "rig.json")
     options = ["mirror", "--out", str(tmp_path / "LAB"), "--rig", str(rig), "--scale", "1"]
@@ -58,5 +72,6 @@ def test_a_target_too_small_in_the_pictures_is_one_error_and_what_to_do(tmp_path
     )
     assert done.returncode == 2
     assert done.stderr.count("Error: ") == 1
+    assert "Go on with" not in done.stderr
+    assert "at a larger --scale if the target is too small" in done.stderr
     assert "pose 1 did not do in 6 takes" in done.stderr
-    assert done.stderr.endswith("a larger --scale where targets are too small in the pictures.\n")

@@ -98,6 +98,7 @@ def test_what_a_session_does_not_have_is_one_message(stage, tmp_path):
     assert "pattern 'sideways'" in str(told.value)
     assert "camera 'cam9'" in str(told.value)
     assert "expected full, x+, x-" in str(told.value)
+    assert "cameras after them have blanks: x+,x- cam0 cam1" in str(told.value)
     with pytest.raises(FormatError, match="no such folder, expected the folder of a session"):
         order_retake(tmp_path / "nowhere", ["full"], [])
     done = CliRunner().invoke(app, ["retake", str(root), "full", "cam9", "--leds", "socket://x:1"])

@@ -1,0 +1,32 @@
+"""Words that findings are told in."""
+
+import math
+
+import pytest
+
+from lightstage.findings import accepted_in_words, counted, two_digits
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (0.0, "0"),
+        (5.0, "5"),
+        (10.0, "10"),
+        (99.96, "100"),
+        (300.4, "300"),
+        (1.2e9, "1200000000"),
+        (0.0123, "0.012"),
+        (-0.5, "-0.5"),
+        (-1e-12, "0"),
+        (math.inf, "inf"),
+        (math.nan, "nan"),
+    ],
+)
+def test_numbers_are_told_in_plain_figures_without_a_power_of_ten(value, said):
+    assert two_digits(value) == said
+
+
+def test_one_is_one_and_two_are_several():
+    assert (counted(1, "warning"), counted(2, "warning")) == ("1 warning", "2 warnings")
+    assert accepted_in_words(1, 2) == "1 pattern accepted by the operator with 2 findings"
