@@ -118,14 +118,15 @@ PRESETS: dict[str, dict[str, Any]] = {
             "groups": 3,
             "blocks": 4,
             "width": 32,
-            "tail_width": 12,
+            "tail_width": 8,
             "reduction": 8,
             "beside_bicubic": True,
         },
         "pictures": {"patch_px": 24},
         "batch": 4,
-        "seconds": 300.0,
-        "learning_rate": 1e-3,
+        "steps": 3000,
+        "learning_rate": 2e-3,
+        "rates": 6,
     },
 }
 

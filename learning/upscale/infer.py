@@ -8,6 +8,7 @@ size of tiles gives the same picture but for rounding.
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -119,4 +120,4 @@ def enlarge_encoded(
 def _spans(length: int, tile_px: int, offset_px: int) -> list[tuple[int, int]]:
     """Where tiles begin and end along an axis."""
     cuts = [0, *range(offset_px or tile_px, length, tile_px), length]
-    return list(zip(cuts[:-1], cuts[1:], strict=True))
+    return list(itertools.pairwise(cuts))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable
 
 import cv2
@@ -14,6 +15,7 @@ from learning.upscale.data import Picture
 from learning.upscale.infer import enlarge_encoded
 from learning.upscale.network import Rcan
 
+Method = Callable[[np.ndarray], np.ndarray]
 BLOCK_PX = 64
 """Side of the blocks of skin in which detail is compared."""
 
@@ -84,27 +86,38 @@ class UpscaleScore:
         )
 
 
-def score_upscaling(network: Rcan, pictures: list[Picture]) -> UpscaleScore:
-    """Score a network in evaluation mode beside the two interpolations.
+@dataclasses.dataclass(frozen=True)
+class Compared:
+    """One method over skin of some pictures.
 
-    Raises:
-        TrainingError: no captured skin to score on.
+    Attributes:
+        psnr_db: sRGB-encoded.
+        detail: beyond the input's band.
+        seconds: of the median picture.
     """
+
+    psnr_db: float
+    detail: Detail
+    seconds: float
+
+
+def methods_of(network: Rcan) -> dict[str, Method]:
+    """The network and OpenCV's interpolations; each enlarges (h, w, 3) sRGB-encoded."""
     times = network.config.times
-    methods: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    return {
         "network": lambda low: enlarge_encoded(network, low),
         "bicubic": lambda low: interpolated(low, times, cv2.INTER_CUBIC),
         "lanczos": lambda low: interpolated(low, times, cv2.INTER_LANCZOS4),
     }
-    squares, details = dict.fromkeys(methods, 0.0), dict.fromkeys(methods, Detail())
-    texels = 0
-    for picture in pictures:
-        low, true = (_image(tensor) for tensor in (picture.low, picture.high))
-        texels += int(picture.skin.sum())
-        for name, method in methods.items():
-            found = np.clip(method(low), 0, 1)
-            squares[name] += float(np.square(found - true)[picture.skin].mean(axis=1).sum())
-            details[name] += detail(found, true, picture.skin, times)
+
+
+def compare(methods: dict[str, Method], pictures: list[Picture], times: int) -> dict[str, Compared]:
+    """Compare methods that enlarge `times` with the truth.
+
+    Raises:
+        TrainingError: no captured skin to score on.
+    """
+    texels = sum(int(picture.skin.sum()) for picture in pictures)
     if not texels:
         raise TrainingError(
             "score",
@@ -112,15 +125,33 @@ def score_upscaling(network: Rcan, pictures: list[Picture]) -> UpscaleScore:
             expected="maps as they were when the training began",
             hint="Was the store written anew meanwhile?",
         )
-    psnr = {n: -10 * float(np.log10(max(s / texels, 1e-12))) for n, s in squares.items()}
+    compared = {}
+    for name, method in methods.items():
+        squares, total, seconds = 0.0, Detail(), []
+        for picture in pictures:
+            low, true = (_image(tensor) for tensor in (picture.low, picture.high))
+            began = time.perf_counter()
+            found = np.clip(method(low), 0, 1)
+            seconds.append(time.perf_counter() - began)
+            squares += float(np.square(found - true)[picture.skin].mean(axis=1).sum())
+            total += detail(found, true, picture.skin, times)
+        psnr_db = -10 * float(np.log10(max(squares / texels, 1e-12)))
+        compared[name] = Compared(psnr_db, total, float(np.median(seconds)))
+    return compared
+
+
+def score_upscaling(network: Rcan, pictures: list[Picture]) -> UpscaleScore:
+    """Score a network in evaluation mode beside the two interpolations; errors as `compare`."""
+    found = compare(methods_of(network), pictures, network.config.times)
+    ours, lanczos = found["network"], found["lanczos"]
     return UpscaleScore(
-        psnr["network"],
-        psnr["bicubic"],
-        psnr["lanczos"],
-        details["network"].energy,
-        details["lanczos"].energy,
-        details["network"].correlation,
-        details["lanczos"].correlation,
+        ours.psnr_db,
+        found["bicubic"].psnr_db,
+        lanczos.psnr_db,
+        ours.detail.energy,
+        lanczos.detail.energy,
+        ours.detail.correlation,
+        lanczos.detail.correlation,
     )
 
 

@@ -209,6 +209,7 @@ RUNNABLE = {
         "learning", "infer", "--texture", "{texture}", "--mesh", "{mesh}", "--checkpoint", "{run}",
         "--out", "{new}",
     ),
+    "upscale": ("learning", "upscale", "{texture}", "--out", "{new}.exr"),
     "targets": ("sim", "targets", "--rig", "{rig}", "--scale", "1", "--out", "{new}"),
 }  # fmt: skip
 """Words of each command; `{name}` is a file of `world`, `{new}` a place that is not there yet."""

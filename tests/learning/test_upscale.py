@@ -1,4 +1,4 @@
-"""Super-resolution: the published network, tiles that do not show, pairs, its score, its command."""
+"""Super-resolution: the published network, exact tiles, pairs, its score, its command."""
 
 from __future__ import annotations
 
@@ -156,9 +156,7 @@ def test_tiles_with_less_around_them_or_attention_of_their_own_would_show(
 
 
 @given(
-    arrays.arrays(
-        np.float32, (16, 24, 3), elements=st.sampled_from([0.0, 1e-6, 0.03, 0.5, 1.0])
-    )
+    arrays.arrays(np.float32, (16, 24, 3), elements=st.sampled_from([0.0, 1e-6, 0.03, 0.5, 1.0]))
 )
 @settings(max_examples=20, deadline=None)
 def test_a_texel_of_the_input_is_the_mean_light_of_those_it_stands_for(image: np.ndarray) -> None:
@@ -171,7 +169,10 @@ def test_a_texel_of_the_input_is_the_mean_light_of_those_it_stands_for(image: np
 def test_patches_are_pairs_on_the_surface_and_mirrored_at_most_sideways(store_path: Path) -> None:
     plain = dataclasses.replace(TINY.pictures, patch_px=6, mirrored_share=0.0)
     mirrored = dataclasses.replace(plain, mirrored_share=1.0)
-    straight, other = pictures_of(store_path, config=plain), pictures_of(store_path, config=mirrored)
+    straight, other = (
+        pictures_of(store_path, config=plain),
+        pictures_of(store_path, config=mirrored),
+    )
     pairs = straight.draw(8, np.random.default_rng(1))
     assert pairs.inputs.shape == (8, 3, 6, 6)
     assert pairs.target.shape == (8, 3, 48, 48)
@@ -230,8 +231,8 @@ def test_an_untrained_network_beside_bicubic_scores_as_bicubic(store_path: Path)
     score = score_upscaling(network, pictures)
     assert score.psnr_db == pytest.approx(score.psnr_bicubic_db, abs=1e-3)
     assert 0 < score.correlation < 1
+    bare = dataclasses.replace(pictures[0], skin=np.zeros_like(pictures[0].skin))
     with pytest.raises(TrainingError, match="no captured skin"):
-        bare = dataclasses.replace(pictures[0], skin=np.zeros_like(pictures[0].skin))
         score_upscaling(network, [bare])
 
 
@@ -302,7 +303,7 @@ def test_the_preset_refuses_what_cannot_be(wrong: dict[str, dict[str, int]], sai
 
 
 TINY_TOML = """
-seconds = 0.5
+steps = 20
 batch = 2
 score_lights = 1
 [network]
