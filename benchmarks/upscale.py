@@ -3,8 +3,8 @@
 People of another seed than those of the training, their lit textures and their albedos apart, and
 the face of a scanned head's texture. For each: PSNR over skin (sRGB-encoded), the energy beyond the
 input's band over the true one (more than 1 was invented), the correlation of that band with the
-true one, and the time of one picture. `--checkpoint RUN` measures another network, `--picture FILE`
-leaves inputs, answers and truths side by side.
+true one, and the time of one picture. `--checkpoint RUN` names the network, `--picture FILE` leaves
+inputs, answers and truths side by side.
 """
 
 from __future__ import annotations
@@ -14,11 +14,17 @@ import dataclasses
 import os
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from benchmarks.record import record
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from learning.upscale.data import Picture
 
 SUBJECTS, SEED, ROWS, LIGHTS = 6, 900, 768, 3
 SCAN_FACE = (slice(176, 640), slice(336, 688))
@@ -28,13 +34,13 @@ SCAN_FACE = (slice(176, 640), slice(336, 688))
 def main() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--checkpoint", type=Path, help="a run; the shipped weights else")
+    parser.add_argument("--checkpoint", type=Path, required=True, help="a run")
     parser.add_argument("--picture", type=Path, help="PNG to write: input, Lanczos, RCAN, truth")
     asked = parser.parse_args()
-    from learning.checkpoint import load_super_resolution, shipped_super_resolution
+    from learning.checkpoint import load_super_resolution
     from learning.upscale.score import compare, methods_of
 
-    network, about = load_super_resolution(asked.checkpoint or shipped_super_resolution())
+    network, about = load_super_resolution(asked.checkpoint)
     times, methods = network.config.times, methods_of(network)
     with tempfile.TemporaryDirectory() as folder:
         made = people(Path(folder), times)
@@ -57,8 +63,7 @@ def main() -> None:
             )
     weights = sum(values.numel() for values in network.parameters())
     record(
-        f"Learning, super-resolution at {times} times"
-        + (f", network of {asked.checkpoint.name}" if asked.checkpoint else ""),
+        f"Learning, super-resolution at {times} times",
         ["textures", "method", "PSNR dB", "energy beyond the input's band", "correlation", "s"],
         table,
         f"{SUBJECTS} people that were not trained on, {ROWS // times} to {ROWS} rows, {LIGHTS} "
@@ -88,7 +93,7 @@ def main() -> None:
 SHOWN = ("lanczos", "network")
 
 
-def planes(tensor) -> np.ndarray:
+def planes(tensor: Tensor) -> np.ndarray:
     """(3, h, w) to (h, w, 3)."""
     return np.ascontiguousarray(tensor.float().permute(1, 2, 0).numpy())
 
@@ -98,7 +103,7 @@ def enlarged_input(low: np.ndarray, times: int) -> np.ndarray:
     return low.repeat(times, axis=0).repeat(times, axis=1)
 
 
-def people(folder: Path, times: int) -> list:
+def people(folder: Path, times: int) -> list[Picture]:
     """Lit texture and albedo in turn, of people as they are."""
     from learning.augment import AugmentConfig
     from learning.render.environments import RandomLightConfig
@@ -126,7 +131,7 @@ def people(folder: Path, times: int) -> list:
     ).pictures
 
 
-def scanned(times: int):
+def scanned(times: int) -> Picture | None:
     """The scanned head's texture, its face as skin; None where it is not at hand."""
     import torch
 

@@ -265,12 +265,11 @@ def upscale(
         Path, output_file("--out", help="Texture to write, .exr, linear.", suffixes=[".exr"])
     ],
     checkpoint: Annotated[
-        Path | None,
+        Path,
         typer.Option(
-            help="Run folder of a `rcan` or `rcan-small` training, or its checkpoint.json; the "
-            "weights that are shipped else."
+            help="Run folder of a `rcan` or `rcan-small` training, or its checkpoint.json."
         ),
-    ] = None,
+    ],
     times: Annotated[
         int | None,
         typer.Option(help="The enlargement to make sure of; the network has one, mostly 8."),

@@ -15,7 +15,6 @@ from learning.checkpoint import (
     load_super_resolution,
     load_whole_face,
     read_checkpoint,
-    shipped_super_resolution,
     shipped_weights,
 )
 from learning.data import DataConfig
@@ -302,14 +301,14 @@ def infer_command(
 
 def upscale_command(
     picture: Path,
-    checkpoint: Path | None,
+    checkpoint: Path,
     out: Path,
     times: int | None,
     progress: ProgressCallback,
 ) -> dict[str, Any]:
-    """Enlarge a picture, with the shipped weights where none are named; returns the facts."""
+    """Enlarge a picture; returns the facts."""
     began = time.monotonic()
-    network, about = load_super_resolution(checkpoint or shipped_super_resolution())
+    network, about = load_super_resolution(checkpoint)
     own = network.config.times
     if times not in (None, own):
         raise ConfigError(

@@ -60,7 +60,10 @@ def upscale(
         )
     encoded = srgb_from_linear(to_batch(image), float("inf"))
     found = enlarge_encoded(network, from_batch(encoded), progress=progress)
-    return linear_from_srgb(torch.from_numpy(found).clamp_min_(0)).numpy()
+    # Band after band, since the curve needs several times as much memory as what it decodes.
+    for band in np.array_split(found, max(1, rows // TILE_PX)):
+        band[:] = linear_from_srgb(torch.from_numpy(band).clamp_min(0)).numpy()
+    return found
 
 
 def enlarge_encoded(
