@@ -1,4 +1,4 @@
-"""Commands of the learning package: train, infer, render, bake, occlusion."""
+"""Commands of the learning package: train, infer, upscale, render, bake, occlusion."""
 
 from __future__ import annotations
 
@@ -187,7 +187,10 @@ def train(
     out: Annotated[Path, output_folder("--out", help="Folder of the run: checkpoint and metrics.")],
     preset: Annotated[
         str,
-        typer.Option(help="`modern`: whole faces; `paper`; `demo`: the paper's networks, narrow."),
+        typer.Option(
+            help="`modern`: whole faces; `paper`; `demo`: the paper's networks, narrow; `rcan`: "
+            "super-resolution; `rcan-small`: the same, narrow."
+        ),
     ] = "modern",
     config: Annotated[Path | None, typer.Option(help="TOML that overrides the preset.")] = None,
     seconds: Annotated[
@@ -207,8 +210,8 @@ def train(
     with limited_access(group_of([data])), progress_bar("train") as progress:
         facts = train_command(data, out, preset, config, seconds, seed, resume, progress)
     finish(
-        f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; diffuse albedo of the people "
-        f"held out ({facts['held_out']}): {facts['said']}",
+        f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; {facts['scored']} of the "
+        f"people held out ({facts['held_out']}): {facts['said']}",
         facts,
         as_json,
     )
@@ -250,6 +253,37 @@ def infer(
         + ("" if facts["lamps"] is None else f"{facts['lamps']} lamps found, ")
         + f"{facts['seconds']:.1f} s"
         + "".join(f"; {note}" for note in facts["notes"]),
+        facts,
+        as_json,
+    )
+
+
+@app.command()
+def upscale(
+    picture: Annotated[Path, typer.Argument(help="Texture to enlarge, .exr, linear.")],
+    out: Annotated[
+        Path, output_file("--out", help="Texture to write, .exr, linear.", suffixes=[".exr"])
+    ],
+    checkpoint: Annotated[
+        Path,
+        typer.Option(
+            help="Run folder of a `rcan` or `rcan-small` training, or its checkpoint.json."
+        ),
+    ],
+    times: Annotated[
+        int | None,
+        typer.Option(help="The enlargement to make sure of; the network has one, mostly 8."),
+    ] = None,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Enlarge a texture by super-resolution, without tiles that show."""
+    from learning.commands import upscale_command
+
+    with limited_access(group_of([picture.parent])), progress_bar("upscale") as progress:
+        facts = upscale_command(picture, checkpoint, out, times, progress)
+    finish(
+        f"{out}: {facts['rows']} x {facts['columns']} texels, {facts['times']} times as large; "
+        f"trained on textures of {facts['trained_rows']} rows; {facts['seconds']:.1f} s",
         facts,
         as_json,
     )

@@ -25,6 +25,7 @@ from learning.errors import CheckpointError
 from learning.limits import require_within
 from learning.networks.generator import Generator, GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig, WholeFaceNetwork
+from learning.upscale.network import Rcan, RcanConfig
 from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_path, leftovers, read_json, sha256_file, write_json
 from lightstage.formats.paths import check_name, path_inside
@@ -39,7 +40,7 @@ class Checkpoint:
 
     Attributes:
         folder: where its files lie.
-        family: of networks: `patches` or `whole_face`.
+        family: of networks: `patches`, `whole_face` or `super_resolution`.
         step: training steps done.
         config: the resolved configuration.
         data_fingerprint: of the store.
@@ -205,6 +206,16 @@ def load_whole_face(path: Path) -> tuple[WholeFaceNetwork, Checkpoint]:
     config = make_config(WholeFaceConfig, checkpoint.config.get("network", {}), where)
     require_within(config, where, "network")
     network = WholeFaceNetwork(config)
+    fill(network, load_tensors(checkpoint, "network"), where)
+    return network.eval(), checkpoint
+
+
+def load_super_resolution(path: Path) -> tuple[Rcan, Checkpoint]:
+    """An RCAN of a checkpoint, in evaluation mode; errors as `load_generator`."""
+    checkpoint, where = _of_family(path, "super_resolution")
+    config = make_config(RcanConfig, checkpoint.config.get("network", {}), where)
+    require_within(config, where, "network")
+    network = Rcan(config)
     fill(network, load_tensors(checkpoint, "network"), where)
     return network.eval(), checkpoint
 

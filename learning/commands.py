@@ -12,6 +12,7 @@ from torch import Tensor
 
 from learning.checkpoint import (
     load_generator,
+    load_super_resolution,
     load_whole_face,
     read_checkpoint,
     shipped_weights,
@@ -35,6 +36,10 @@ from learning.resample import resampled_texture
 from learning.run import TrainResult
 from learning.score import Score
 from learning.train import train
+from learning.upscale.config import UpscaleTrainConfig
+from learning.upscale.infer import upscale
+from learning.upscale.score import UpscaleScore
+from learning.upscale.train import train_upscaling
 from learning.whole.config import WholeTrainConfig
 from learning.whole.infer import infer_whole_face
 from learning.whole.score import FaceScore
@@ -221,9 +226,11 @@ def train_command(
         overrides["seed"] = seed
     resolved = preset(preset_name, overrides, str(config) if config else f"preset {preset_name}")
     store = open_store(data)
-    result: TrainResult[Score] | TrainResult[FaceScore]
+    result: TrainResult[Score] | TrainResult[FaceScore] | TrainResult[UpscaleScore]
     if isinstance(resolved, WholeTrainConfig):
         result = train_faces(store, out, resolved, resume, progress)
+    elif isinstance(resolved, UpscaleTrainConfig):
+        result = train_upscaling(store, out, resolved, resume, progress)
     else:
         result = train(store, out, resolved, resume, progress)
     return {
@@ -231,6 +238,7 @@ def train_command(
         "examples": result.examples,
         "held_out": ", ".join(result.held_out),
         **dataclasses.asdict(result.score),
+        "scored": "textures" if isinstance(result.score, UpscaleScore) else "diffuse albedo",
         "said": result.score.sentence(),
         "seconds": result.seconds,
     }
@@ -287,5 +295,37 @@ def infer_command(
         "step": about.step,
         "lamps": None if found.light is None else len(found.light.rgb),
         "notes": [*notes, *found.notes],
+        "seconds": time.monotonic() - began,
+    }
+
+
+def upscale_command(
+    picture: Path,
+    checkpoint: Path,
+    out: Path,
+    times: int | None,
+    progress: ProgressCallback,
+) -> dict[str, Any]:
+    """Enlarge a picture; returns the facts."""
+    began = time.monotonic()
+    network, about = load_super_resolution(checkpoint)
+    own = network.config.times
+    if times not in (None, own):
+        raise ConfigError(
+            "--times",
+            found=str(times),
+            expected=f"{own}, as {about.folder} was trained for",
+            hint="Another --checkpoint may have been trained for another; network.times of a "
+            "training may be 2, 4 or 8.",
+        )
+    large = upscale(network, read_exr(picture, finite=True), picture, progress)
+    write_exr(out, large)
+    rows, columns = large.shape[:2]
+    return {
+        "rows": rows,
+        "columns": columns,
+        "times": own,
+        "step": about.step,
+        "trained_rows": about.texture_rows,
         "seconds": time.monotonic() - began,
     }

@@ -43,16 +43,16 @@ DETAIL_MOST = 2.0
 """Largest contrast, and the inverse of the smallest, that goes around the network."""
 
 
-def srgb_from_linear(rgb: Tensor) -> Tensor:
-    """The curve of sRGB for values clipped to 0..1 [IEC61966]."""
-    x = rgb.clamp(0.0, 1.0)
+def srgb_from_linear(rgb: Tensor, most: float = 1.0) -> Tensor:
+    """The curve of sRGB for values clipped to 0..`most` [IEC61966]."""
+    x = rgb.clamp(0.0, most)
     return torch.where(
         x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
     )
 
 
 def linear_from_srgb(image: Tensor) -> Tensor:
-    """The inverse of `srgb_from_linear` for values in 0..1."""
+    """The inverse of `srgb_from_linear` for values of at least 0."""
     return torch.where(
         image <= 0.04045, image / 12.92, ((image.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
     )

@@ -13,6 +13,7 @@ from typing import Any
 
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
+from learning.upscale.network import RcanConfig
 from lightstage.errors import ConfigError
 
 _POSITIVE, _ANY = 1e-30, 1e12
@@ -53,6 +54,17 @@ LIMITS: dict[str, tuple[float, float]] = {
     "network.width": (2, 512),
     "network.halvings": (1, 6),
     "network.modes": (1, 1000),
+    "network.groups": (1, 64),
+    "network.blocks": (1, 256),
+    "network.tail_width": (1, 512),
+    "network.reduction": (1, 512),
+    "network.times": (2, 8),
+    "pictures.patch_px": (8, 1024),
+    "pictures.count": (2, 1_000_000),
+    "pictures.min_coverage": (0, 1),
+    "pictures.mirrored_share": (0, 1),
+    "pictures.held_out_subjects": (1, 1_000_000),
+    "pictures.shadow_sets": (1, 10_000),
     "faces.held_out_subjects": (1, 1_000_000),
     "faces.shadow_sets": (1, 10_000),
     "faces.white_balance": (0, 1),
@@ -74,6 +86,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "beta1": (0, 0.999999),
     "beta2": (0, 0.999999),
     "constant_share": (0, 1),
+    "rates": (1, 1000),
     "feature_weight": (0, _ANY),
     "render_weight": (0, _ANY),
     "map_weight": (0, _ANY),
@@ -108,6 +121,8 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
             _require(value, name, where)
     if isinstance(config, WholeFaceConfig):
         _require_halvings(config, where)
+    if isinstance(config, RcanConfig):
+        _require_channels(config, where)
     if isinstance(config, GeneratorConfig):
         _require_size(config, where)
     if hasattr(config, "generator") and hasattr(config, "data"):
@@ -139,6 +154,21 @@ def _require_halvings(config: WholeFaceConfig, where: str | Path) -> None:
                 expected=f"a multiple of {multiple}",
                 hint=f"The network halves a face {config.halvings} times.",
             )
+
+
+def _require_channels(config: RcanConfig, where: str | Path) -> None:
+    """Some channel must be left in the attention, and each layer of upsampling doubles."""
+    if config.reduction > config.width:
+        raise ConfigError(
+            where,
+            field="network.reduction",
+            found=str(config.reduction),
+            expected=f"at most {config.width}, as network.width",
+        )
+    if config.times not in (2, 4, 8):
+        raise ConfigError(
+            where, field="network.times", found=str(config.times), expected="2, 4 or 8"
+        )
 
 
 def _require_size(config: GeneratorConfig, where: str | Path) -> None:

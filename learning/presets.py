@@ -12,6 +12,7 @@ from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
 from learning.render.environments import RandomLightConfig
 from learning.render.shading import Mode
+from learning.upscale.config import UpscaleTrainConfig
 from learning.whole.config import WholeTrainConfig
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config
@@ -71,12 +72,15 @@ class TrainConfig:
     score_patches: int = 32
 
 
-FAMILIES: dict[str, type[TrainConfig] | type[WholeTrainConfig]] = {
+AnyTrainConfig = TrainConfig | WholeTrainConfig | UpscaleTrainConfig
+FAMILIES: dict[str, type[AnyTrainConfig]] = {
     "modern": WholeTrainConfig,
     "paper": TrainConfig,
     "demo": TrainConfig,
+    "rcan": UpscaleTrainConfig,
+    "rcan-small": UpscaleTrainConfig,
 }
-"""What each preset trains: whole faces, or patches."""
+"""What each preset trains: whole faces, patches, or super-resolution."""
 PRESETS: dict[str, dict[str, Any]] = {
     "modern": {},
     "paper": {},
@@ -107,10 +111,27 @@ PRESETS: dict[str, dict[str, Any]] = {
         "environments": 1,
         "shading": "physical",
     },
+    "rcan": {},
+    # Minutes on two cores. Beside bicubic interpolation it begins where that ends.
+    "rcan-small": {
+        "network": {
+            "groups": 3,
+            "blocks": 4,
+            "width": 32,
+            "tail_width": 8,
+            "reduction": 8,
+            "beside_bicubic": True,
+        },
+        "pictures": {"patch_px": 24},
+        "batch": 4,
+        "steps": 3000,
+        "learning_rate": 2e-3,
+        "rates": 6,
+    },
 }
 
 
-def preset(name: str, overrides: dict[str, Any], where: str) -> TrainConfig | WholeTrainConfig:
+def preset(name: str, overrides: dict[str, Any], where: str) -> AnyTrainConfig:
     """A preset with some values changed.
 
     Args:

@@ -192,7 +192,10 @@ class Faces:
 
     def draw_large(self, rng: np.random.Generator) -> LargePair:
         """A random scan, lit at its texture's own size (at most `LARGEST_ROWS`)."""
-        index = int(rng.integers(len(self.faces)))
+        return self.large(int(rng.integers(len(self.faces))), 1, rng)[0]
+
+    def large(self, index: int, count: int, rng: np.random.Generator) -> list[LargePair]:
+        """One scan `count` times, each in other light and complexion, as `draw_large`."""
         small, scan = self.faces[index], self._scans[index]
         rows = min(scan.rows, LARGEST_ROWS)
         columns = round(scan.columns * rows / scan.rows)
@@ -201,19 +204,27 @@ class Faces:
         tensors, texel_mm, surface = _tensors(maps)
         openness = small.maps["ambient_occlusion"]
         tensors["ambient_occlusion"] = functional.interpolate(openness, size, mode="bilinear")
-        chosen = int(rng.integers(len(small.light_position_mm)))
-        seen = _enlarged_shadows(small.visibility[chosen], size)
-        lights = [small.light_position_mm[chosen]]
-        face = Face(tensors, to_batch(captured), texel_mm, lights, [seen])
+        pairs = []
+        for _ in range(count):
+            chosen = int(rng.integers(len(small.light_position_mm)))
+            seen = _enlarged_shadows(small.visibility[chosen], size)
+            lights = [small.light_position_mm[chosen]]
+            face = Face(tensors, to_batch(captured), texel_mm, lights, [seen])
+            pairs.append(self._large_pair(face, surface.area_mm2 > 0, captured, rng))
+        return pairs
+
+    def _large_pair(
+        self, face: Face, covered: np.ndarray, captured: np.ndarray, rng: np.random.Generator
+    ) -> LargePair:
         texture, skin = self._lit([face], rng)
         low = shrink(texture, self._size)
         there = torch.ones_like(low[:, :1])
-        normal = unit(shrink(tensors["shape_normal"], self._size))
+        normal = unit(shrink(face.maps["shape_normal"], self._size))
         position = shrink(skin.position_mm, self._size)
         return LargePair(
             from_batch(texture),
             from_batch(skin.diffuse_albedo),
-            surface.area_mm2 > 0,
+            covered,
             captured,
             low,
             face_input(low, normal, position, there),

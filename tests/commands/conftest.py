@@ -18,6 +18,8 @@ import typer
 from learning.checkpoint import save_checkpoint
 from learning.networks.generator import Generator
 from learning.presets import TrainConfig, preset
+from learning.upscale.config import UpscaleTrainConfig
+from learning.upscale.network import Rcan
 from lightstage.commands import run_app
 from lightstage.formats.config import as_dict
 from lightstage.formats.environment import LightSet, write_lights
@@ -182,6 +184,12 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     weights = dict(Generator(config.generator).state_dict())
     at["run"] = folder / "run"
     save_checkpoint(at["run"], 1, {"generator": weights}, about)
+    small = preset("rcan-small", {"network": {"groups": 1, "blocks": 1}}, "test")
+    assert isinstance(small, UpscaleTrainConfig)
+    at["super-resolution"] = folder / "super-resolution"
+    weights = dict(Rcan(small.network).state_dict())
+    about = {**about, "family": small.family, "config": as_dict(small)}
+    save_checkpoint(at["super-resolution"], 1, {"network": weights}, about)
     at["small rig"] = save_rig(default_rig().scaled(48 / 6016), folder / "small rig.json")
     at["processed"] = make_processed(folder / "processed")
     at["maps"] = at["processed"] / "atlas"
@@ -208,6 +216,10 @@ RUNNABLE = {
     "infer": (
         "learning", "infer", "--texture", "{texture}", "--mesh", "{mesh}", "--checkpoint", "{run}",
         "--out", "{new}",
+    ),
+    "upscale": (
+        "learning", "upscale", "{texture}", "--checkpoint", "{super-resolution}",
+        "--out", "{new}.exr",
     ),
     "targets": ("sim", "targets", "--rig", "{rig}", "--scale", "1", "--out", "{new}"),
 }  # fmt: skip

@@ -1,0 +1,1 @@
+"""Super-resolution of textures: the network, its pairs, training, use and score."""
