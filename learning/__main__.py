@@ -45,6 +45,13 @@ ShadowsOption = Annotated[
 ]
 RigOption = Annotated[Path | None, typer.Option(help="rig.json; the default rig without it.")]
 CameraOption = Annotated[str, typer.Option(help="Camera of the rig.")]
+DeviceOption = Annotated[
+    str,
+    typer.Option(
+        help="Where the network runs: `cpu`, `cuda`, `cuda:N`, `mps`; `auto`: a GPU where there is "
+        "one."
+    ),
+]
 TemplateOption = Annotated[
     Path | None, typer.Option(help="Template whose shininess and translucency maps to use.")
 ]
@@ -199,13 +206,14 @@ def train(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the preset's.")] = None,
     resume: Annotated[bool, typer.Option(help="Go on from the run's checkpoint.")] = False,
+    device: DeviceOption = "auto",
     as_json: bool = JsonFlag,
 ) -> None:
     """Train a network on a dataset; one person is held out and scored."""
     from learning.commands import train_command
 
     with limited_access(group_of([data])), progress_bar("train") as progress:
-        facts = train_command(data, out, preset, config, seconds, seed, resume, progress)
+        facts = train_command(data, out, preset, config, seconds, seed, resume, progress, device)
     finish(
         f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; diffuse albedo of the people "
         f"held out ({facts['held_out']}): {facts['said']}",
@@ -238,13 +246,14 @@ def infer(
             "the network's own answer. 20 where not given, for whole-face networks alone."
         ),
     ] = None,
+    device: DeviceOption = "auto",
     as_json: bool = JsonFlag,
 ) -> None:
     """Infer albedo, normals and the light from a texture with light in it."""
     from learning.commands import infer_command
 
     with limited_access(group_of([texture.parent])), progress_bar("infer") as progress:
-        facts = infer_command(texture, mesh, checkpoint, out, head_pose, refine, progress)
+        facts = infer_command(texture, mesh, checkpoint, out, head_pose, refine, progress, device)
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels in {facts['tiles']} tiles, "
         + ("" if facts["lamps"] is None else f"{facts['lamps']} lamps found, ")

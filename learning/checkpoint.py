@@ -95,9 +95,9 @@ def save_checkpoint(
 
 
 def save_tensors(path: Path, named: dict[str, Tensor]) -> Path:
-    """Write tensors by their names; returns `path`."""
+    """Write tensors by their names, wherever they are; returns `path`."""
     with atomic_path(path) as beside:
-        save_file({name: value.contiguous() for name, value in named.items()}, beside)
+        save_file({n: value.detach().cpu().contiguous() for n, value in named.items()}, beside)
         # safetensors makes its files the owner's alone, whatever the user's umask says.
         beside.chmod(0o666 & ~_umask())
     return path
@@ -263,6 +263,7 @@ def fill_adam(optimiser: torch.optim.Adam, tensors: dict[str, Tensor], prefix: s
         if name.startswith(prefix + "."):
             _, index, field = name.rsplit(".", 2)
             state.setdefault(int(index), {})[field] = value
+    # Moves the state to where the weights are.
     optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
 
 

@@ -17,6 +17,7 @@ from learning.checkpoint import (
     shipped_weights,
 )
 from learning.data import DataConfig
+from learning.devices import choose_device, memory_of
 from learning.errors import MapsError
 from learning.infer import infer
 from learning.maps import TexturedHead, load_head
@@ -55,6 +56,7 @@ DEFAULT_RIG_SCALE = 1080 / 6016
 REFINE_SECONDS = 20.0
 """Of `infer`, at most, where nothing else is asked for; most textures take less."""
 LIGHT = "light.json"
+ON_CPU = "Infer with --device cpu."
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
 
 
@@ -212,8 +214,10 @@ def train_command(
     seed: int | None,
     resume: bool,
     progress: ProgressCallback,
+    device_name: str = "auto",
 ) -> dict[str, Any]:
     """Train; returns the facts."""
+    device = choose_device(device_name)
     overrides = read_toml(config) if config else {}
     if seconds is not None:
         overrides["seconds"] = seconds
@@ -222,18 +226,27 @@ def train_command(
     resolved = preset(preset_name, overrides, str(config) if config else f"preset {preset_name}")
     store = open_store(data)
     result: TrainResult[Score] | TrainResult[FaceScore]
-    if isinstance(resolved, WholeTrainConfig):
-        result = train_faces(store, out, resolved, resume, progress)
-    else:
-        result = train(store, out, resolved, resume, progress)
+    with memory_of(device, out, _smaller_batch(resolved.batch)):
+        if isinstance(resolved, WholeTrainConfig):
+            result = train_faces(store, out, resolved, resume, progress, device)
+        else:
+            result = train(store, out, resolved, resume, progress, device)
     return {
         "steps": result.steps,
         "examples": result.examples,
         "held_out": ", ".join(result.held_out),
         **dataclasses.asdict(result.score),
         "said": result.score.sentence(),
+        "device": str(device),
         "seconds": result.seconds,
     }
+
+
+def _smaller_batch(batch: int) -> str:
+    """What to try where a GPU's memory does not hold a training."""
+    if batch == 1:
+        return "Set a smaller patch_px or width by --config, or train with --device cpu."
+    return f"Set batch = {batch // 2} by --config; --resume asks for the batch that the run has."
 
 
 def infer_command(
@@ -244,11 +257,13 @@ def infer_command(
     head_pose: Path | None,
     refine: float | None,
     progress: ProgressCallback,
+    device_name: str = "auto",
 ) -> dict[str, Any]:
     """Infer the maps of a texture, with the shipped weights where none are named; the facts."""
     began = time.monotonic()
     if refine is not None and not 0 <= refine <= 3600:
         raise ConfigError("--refine", found=str(refine), expected="0 to 3600 seconds")
+    device = choose_device(device_name)
     about = read_checkpoint(checkpoint or shipped_weights())
     image = read_exr(texture, finite=True)
     if image.ndim != 3:
@@ -259,7 +274,10 @@ def infer_command(
     if about.family == "whole_face":
         network, _ = load_whole_face(about.folder)
         seconds = REFINE_SECONDS if refine is None else refine
-        found = infer_whole_face(network, image, shape, pose, named, refine_seconds=seconds)
+        with memory_of(device, texture, ON_CPU):
+            found = infer_whole_face(
+                network, image, shape, pose, named, refine_seconds=seconds, device=device
+            )
     else:
         if refine:
             raise ConfigError(
@@ -272,7 +290,8 @@ def infer_command(
         image, notes = resampled_texture(image, about.texture_rows, texture)
         data = make_config(DataConfig, about.config.get("data", {}), about.folder)
         turned = np.eye(3) if pose is None else pose[:, :3]
-        found = infer(generator, data, image, shape, turned, progress, named)
+        with memory_of(device, texture, ON_CPU):
+            found = infer(generator.to(device), data, image, shape, turned, progress, named)
     for name, values in found.maps.items():
         write_map(out / f"{name}.exr", name, values)
     if found.light is not None:
@@ -285,6 +304,7 @@ def infer_command(
         "columns": columns,
         "tiles": found.tiles,
         "step": about.step,
+        "device": str(device),
         "lamps": None if found.light is None else len(found.light.rgb),
         "notes": [*notes, *found.notes],
         "seconds": time.monotonic() - began,

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from learning.checkpoint import INDEX, Checkpoint, adam_tensors, fill, fill_adam, load_tensors
 from learning.data import Batch, PatchData
+from learning.devices import CPU, device_of, moved
 from learning.limits import require_within
 from learning.losses import maps_loss, rendering_loss
 from learning.networks.discriminator import Discriminators, feature_loss, verdict_loss
@@ -26,14 +27,16 @@ from processing.dataset import Store
 class Trainer:
     """Networks and optimisers, one step at a time."""
 
-    def __init__(self, config: TrainConfig) -> None:
-        """Networks with random weights of the configuration's seed."""
+    def __init__(self, config: TrainConfig, device: torch.device = CPU) -> None:
+        """Networks on a device, with random weights of the configuration's seed."""
         torch.manual_seed(config.seed)
         self.config = config
         self.generator = Generator(config.generator)
         self.discriminators = Discriminators(IN_CHANNELS + OUT_CHANNELS, config.discriminator)
-        initialise(self.generator)
-        initialise(self.discriminators)
+        # Drawn on the processor, so that every device begins with the same weights.
+        for network in (self.generator, self.discriminators):
+            initialise(network)
+            network.to(device)
         betas = (config.beta1, config.beta2)
         self._generator_adam = torch.optim.Adam(
             self.generator.parameters(), config.learning_rate, betas
@@ -124,7 +127,8 @@ class PatchLearner:
         """See `Learner`."""
         rng = self._rng(number)
         rate = self._trainer.set_rate(done)
-        losses = self._trainer.step(self._data.draw(self._trainer.config.batch, rng), rng)
+        batch = self._data.draw(self._trainer.config.batch, rng)
+        losses = self._trainer.step(moved(batch, device_of(self._trainer.generator)), rng)
         return {"learning_rate": rate, **losses}
 
     def batch(self, number: int) -> dict[str, Tensor]:
@@ -146,6 +150,7 @@ def train(
     config: TrainConfig,
     resume: bool = False,
     progress: ProgressCallback = quiet,
+    device: torch.device = CPU,
 ) -> TrainResult[Score]:
     """Train, score on the people held out, leave a checkpoint and metrics.jsonl in `out`.
 
@@ -158,6 +163,7 @@ def train(
         config: everything else.
         resume: go on from the checkpoint in `out`.
         progress: called with steps, or seconds where the time is given.
+        device: where the networks run; what they are fed with is made on the processor.
 
     Raises:
         TrainingError: too few people or patches, or losses that are not finite.
@@ -166,7 +172,7 @@ def train(
     """
     require_within(config, "training")
     held_out, trained_on = split(store, config.data.held_out_subjects)
-    trainer = Trainer(config)
+    trainer = Trainer(config, device)
     run = begin(out, config, store, held_out, resume, trainer.load)
     rng = np.random.default_rng([config.seed, 1])
     parts = (config.data, config.lights, config.augment)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from learning.augment import AugmentConfig
 from learning.checkpoint import INDEX, Checkpoint, adam_tensors, fill, fill_adam, load_tensors
+from learning.devices import CPU, device_of, moved
 from learning.encoding import srgb_from_linear
 from learning.limits import require_within
 from learning.losses import masked_mean
@@ -32,11 +33,12 @@ WARM_UP_STEPS = 50
 class WholeFaceTrainer:
     """The network and its optimiser, one step at a time."""
 
-    def __init__(self, config: WholeTrainConfig) -> None:
-        """Random weights of the configuration's seed."""
+    def __init__(self, config: WholeTrainConfig, device: torch.device = CPU) -> None:
+        """Random weights of the configuration's seed, on a device."""
         torch.manual_seed(config.seed)
         self.config = config
-        self.network = WholeFaceNetwork(config.network)
+        # Drawn on the processor, so that every device begins with the same weights.
+        self.network = WholeFaceNetwork(config.network).to(device)
         self._adam = torch.optim.AdamW(
             self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay
         )
@@ -83,7 +85,8 @@ class FaceLearner:
 
     def step(self, number: int, done: float) -> dict[str, float]:
         """See `Learner`."""
-        return self._trainer.step(self._drawn(number), number, done)
+        batch = moved(self._drawn(number), device_of(self._trainer.network))
+        return self._trainer.step(batch, number, done)
 
     def batch(self, number: int) -> dict[str, Tensor]:
         """See `Learner`."""
@@ -127,6 +130,7 @@ def train_faces(
     config: WholeTrainConfig,
     resume: bool = False,
     progress: ProgressCallback = quiet,
+    device: torch.device = CPU,
 ) -> TrainResult[FaceScore]:
     """Train on whole faces; arguments, errors and what is left in `out` as `learning.train.train`.
 
@@ -134,7 +138,7 @@ def train_faces(
     """
     require_within(config, "training")
     held_out, trained_on = split(store, config.faces.held_out_subjects)
-    trainer = WholeFaceTrainer(config)
+    trainer = WholeFaceTrainer(config, device)
     run = begin(out, config, store, held_out, resume, trainer.load)
     rng = np.random.default_rng([config.seed, 1])
 
@@ -163,7 +167,7 @@ def fit_shares(network: WholeFaceNetwork, faces: Faces, config: WholeTrainConfig
     for _ in range(config.detail_pairs):
         pair = faces.draw_large(rng)
         with torch.inference_mode():
-            said = network(pair.inputs)
+            said = moved(network(pair.inputs.to(device_of(network))), CPU)
         low = said.diffuse_albedo[0].permute(1, 2, 0).log().numpy()
         rows, columns = pair.texture.shape[:2]
         small = pair.small[0].permute(1, 2, 0).numpy()
