@@ -7,6 +7,7 @@ if __name__ == "__main__":
 
     end_without_traceback()  # until the imports below are done
 
+import contextlib
 import os
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +21,7 @@ from lightstage.commands import (
     output_file,
     output_folder,
     progress_bar,
+    quiet,
     run_app,
 )
 from lightstage.formats.access import group_of, limited_access
@@ -211,9 +213,16 @@ def train(
 ) -> None:
     """Train a network on a dataset; one person is held out and scored."""
     from learning.commands import train_command
+    from learning.processes import started_by_torchrun
 
-    with limited_access(group_of([data])), progress_bar("train") as progress:
-        facts = train_command(data, out, preset, config, seconds, seed, resume, progress, device)
+    processes = started_by_torchrun()
+    bar = progress_bar("train") if processes.first else contextlib.nullcontext(quiet)
+    with limited_access(group_of([data])), bar as progress:
+        facts = train_command(
+            data, out, preset, config, seconds, seed, resume, progress, device, processes
+        )
+    if not processes.first:
+        return
     finish(
         f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; diffuse albedo of the people "
         f"held out ({facts['held_out']}): {facts['said']}",

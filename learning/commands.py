@@ -22,6 +22,7 @@ from learning.errors import MapsError
 from learning.infer import infer
 from learning.maps import TexturedHead, load_head
 from learning.presets import preset
+from learning.processes import ALONE, Processes, joined
 from learning.relight import (
     lit_texture,
     read_light,
@@ -215,9 +216,10 @@ def train_command(
     resume: bool,
     progress: ProgressCallback,
     device_name: str = "auto",
+    processes: Processes = ALONE,
 ) -> dict[str, Any]:
-    """Train; returns the facts."""
-    device = choose_device(device_name)
+    """Train, as one of the processes; returns the facts."""
+    device = choose_device(device_name, processes.local_rank)
     overrides = read_toml(config) if config else {}
     if seconds is not None:
         overrides["seconds"] = seconds
@@ -226,11 +228,11 @@ def train_command(
     resolved = preset(preset_name, overrides, str(config) if config else f"preset {preset_name}")
     store = open_store(data)
     result: TrainResult[Score] | TrainResult[FaceScore]
-    with memory_of(device, out, _smaller_batch(resolved.batch)):
+    with joined(processes, device), memory_of(device, out, _smaller_batch(resolved.batch)):
         if isinstance(resolved, WholeTrainConfig):
-            result = train_faces(store, out, resolved, resume, progress, device)
+            result = train_faces(store, out, resolved, resume, progress, device, processes)
         else:
-            result = train(store, out, resolved, resume, progress, device)
+            result = train(store, out, resolved, resume, progress, device, processes)
     return {
         "steps": result.steps,
         "examples": result.examples,
@@ -238,6 +240,7 @@ def train_command(
         **dataclasses.asdict(result.score),
         "said": result.score.sentence(),
         "device": str(device),
+        "processes": processes.count,
         "seconds": result.seconds,
     }
 

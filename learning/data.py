@@ -201,12 +201,15 @@ class PatchData:
 
     def batch(self, places: list[tuple[int, int, int]], rng: np.random.Generator) -> Batch:
         """Light patches at random; the same place gives another pair each time."""
-        return join([self._example(place, rng) for place in places])
+        return self._batch(places, rng.spawn(len(places)))
 
-    def draw(self, count: int, rng: np.random.Generator) -> Batch:
-        """A batch of random patches."""
-        chosen = rng.integers(0, len(self.places), count)
-        return self.batch([self.places[int(i)] for i in chosen], rng)
+    def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> Batch:
+        """A batch of random patches, or a share of it: what is drawn is the whole batch's."""
+        chosen = rng.integers(0, len(self.places), count)[share]
+        return self._batch([self.places[int(i)] for i in chosen], rng.spawn(count)[share])
+
+    def _batch(self, places: list[tuple[int, int, int]], rngs: list[np.random.Generator]) -> Batch:
+        return join([self._example(*of) for of in zip(places, rngs, strict=True)])
 
     def patch(self, place: tuple[int, int, int]) -> Region:
         """A patch's maps, from memory where they were read before."""

@@ -85,7 +85,7 @@ def moved(value: T, device: torch.device) -> T:
         found = [moved(one, device) for one in value]
     elif isinstance(value, dict):
         found = {name: moved(one, device) for name, one in value.items()}
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 @contextlib.contextmanager
@@ -104,16 +104,13 @@ def memory_of(device: torch.device, where: str | Path, hint: str) -> Iterator[No
         yield
     except RuntimeError as error:
         # For Apple's GPUs torch has no class of this error.
-        full = isinstance(error, torch.OutOfMemoryError) or "MPS backend out of memory" in str(
-            error
-        )
-        if not full:
+        said = " ".join(str(error).split())
+        if not isinstance(error, torch.OutOfMemoryError) and "MPS backend out of" not in said:
             raise
-        said = ". ".join(" ".join(str(error).split()).split(". ")[:3])
         raise DeviceMemoryError(
             where,
             field=f"memory of {device}",
-            found=said.rstrip("."),
+            found=". ".join(said.split(". ")[:3]).rstrip("."),
             expected="work that fits",
             hint=hint,
         ) from None

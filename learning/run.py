@@ -19,9 +19,11 @@ from torch import Tensor
 from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpoint, save_tensors
 from learning.errors import CheckpointError, TrainingError
 from learning.guard import LEAP, Guard
+from learning.processes import ALONE, Processes
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.config import as_dict
 from lightstage.formats.values import parse_json
+from lightstage.interrupts import held
 from processing.dataset import Store
 
 METRICS = "metrics.jsonl"
@@ -92,6 +94,7 @@ class Run:
         about: the checkpoint's other fields.
         first: step to begin with.
         began: monotonic seconds.
+        processes: that train together; the first alone writes.
     """
 
     out: Path
@@ -99,41 +102,78 @@ class Run:
     about: dict[str, Any]
     first: int
     began: float
+    processes: Processes = ALONE
 
     def steps(self, learner: Learner, total: int, progress: ProgressCallback = quiet) -> int:
         """Train until the steps or the seconds are used up; returns the steps done in all.
 
-        A checkpoint is saved every `save_seconds`, and when the training is interrupted. Where the
-        losses go astray, the step's batch is kept in `stopped-STEP.safetensors`.
+        A checkpoint is saved every `save_seconds`, and when the training is interrupted: once the
+        step is whole, in all processes after the same one. Where the losses go astray, the step's
+        batch is kept in `stopped-STEP.safetensors`.
 
         Raises:
             TrainingError: losses that are not finite, or that leapt and stay high.
         """
-        finished, saved = self.first, time.monotonic()
+        finished, saved, whole = self.first, time.monotonic(), True
         guard = Guard()
-        try:
-            for step, done in _steps(self.first, total, self.config.seconds, progress):
-                losses = learner.step(step, done)
-                finished = step + 1
-                if not all(map(math.isfinite, losses.values())):
-                    raise self._astray(learner, step, f"losses {losses}", "finite ones")
-                if guard.leapt(losses[learner.watched]):
-                    found = f"{learner.watched} {LEAP:g} times as large as it was before"
-                    raise self._astray(learner, step, found, "a loss that falls")
-                if step % self.config.log_steps == 0:
-                    self.log({"step": step, **losses})
-                if time.monotonic() - saved > self.config.save_seconds:
-                    save_checkpoint(self.out, finished, learner.tensors(), self.about)
-                    saved = time.monotonic()
-        except KeyboardInterrupt:
-            save_checkpoint(self.out, finished, learner.tensors(), self.about)
-            raise
+        with held() as signals:
+            try:
+                for step, done in self._steps(total, progress):
+                    whole = False
+                    losses = self._mean(learner.step(step, done))
+                    finished, whole = step + 1, True
+                    if not all(map(math.isfinite, losses.values())):
+                        raise self._astray(learner, step, f"losses {losses}", "finite ones")
+                    if guard.leapt(losses[learner.watched]):
+                        found = f"{learner.watched} {LEAP:g} times as large as it was before"
+                        raise self._astray(learner, step, found, "a loss that falls")
+                    if step % self.config.log_steps == 0:
+                        self.log({"step": step, **losses})
+                    if time.monotonic() - saved > self.config.save_seconds:
+                        self._save(learner, finished, self.about)
+                        saved = time.monotonic()
+                    if any(self.processes.mean([float(signals.came)])):
+                        raise KeyboardInterrupt
+            except KeyboardInterrupt:
+                # Of a step that was cut short, weights may be new and the optimiser's state old.
+                if whole:
+                    self._save(learner, finished, self.about)
+                raise
         return finished
+
+    def _steps(self, total: int, progress: ProgressCallback) -> Iterator[tuple[int, float]]:
+        """Step numbers with the share that is done, until the steps or the time are used up.
+
+        The time is the first process's.
+        """
+        began, step, seconds = time.monotonic(), self.first, self.config.seconds
+        shown = progress if self.processes.first else quiet
+        while True:
+            spent = time.monotonic() - began
+            done = self.processes.of_first(step / total if seconds is None else spent / seconds)
+            if done >= 1:
+                return
+            yield step, done
+            step += 1
+            if seconds is None:
+                shown(step, total)
+            else:
+                shown(min(int(time.monotonic() - began), int(seconds)), max(1, int(seconds)))
+
+    def _mean(self, losses: dict[str, float]) -> dict[str, float]:
+        """The processes' losses as those of the whole batch."""
+        return dict(zip(losses, self.processes.mean(list(losses.values())), strict=True))
+
+    def _save(self, learner: Learner, steps: int, about: dict[str, Any]) -> Path:
+        if not self.processes.first:
+            return self.out / INDEX
+        return save_checkpoint(self.out, steps, learner.tensors(), about)
 
     def _astray(self, learner: Learner, step: int, found: str, expected: str) -> TrainingError:
         kept = self.out / f"stopped-{step:07d}.safetensors"
-        self.out.mkdir(parents=True, exist_ok=True)
-        save_tensors(kept, learner.batch(step))
+        if self.processes.first:
+            self.out.mkdir(parents=True, exist_ok=True)
+            save_tensors(kept, learner.batch(step))
         return TrainingError(
             self.out,
             field=f"step {step}",
@@ -150,12 +190,14 @@ class Run:
         figures = {f.name: getattr(score, f.name) for f in dataclasses.fields(score)}
         self.log({"step": steps, **figures})
         about = {**self.about, "metrics": figures}
-        index = save_checkpoint(self.out, steps, learner.tensors(), about)
+        index = self._save(learner, steps, about)
         seconds = time.monotonic() - self.began
         return TrainResult(index, steps, seconds, examples, self.about["held_out"], score)
 
     def log(self, values: dict[str, Any]) -> None:
         """Add a line to the metrics."""
+        if not self.processes.first:
+            return
         self.out.mkdir(parents=True, exist_ok=True)
         line = {**values, "seconds": round(time.monotonic() - self.began, 2)}
         with (self.out / METRICS).open("a") as handle:
@@ -169,6 +211,7 @@ def begin(
     held_out: set[str],
     resume: bool,
     load: Callable[[Checkpoint], None],
+    processes: Processes = ALONE,
 ) -> Run:
     """Begin a run in a folder, or go on with the one that is there.
 
@@ -179,6 +222,7 @@ def begin(
         held_out: people who are not trained on.
         resume: go on.
         load: takes over the state of the checkpoint that is gone on with.
+        processes: that train together.
 
     Raises:
         CheckpointError: nothing to resume, another configuration or other data; or, without
@@ -197,7 +241,8 @@ def begin(
         _check_same(checkpoint, config, store)
         load(checkpoint)
         first = checkpoint.step
-        _drop_half_line(out / METRICS)
+        if processes.first:
+            _drop_half_line(out / METRICS)
     elif (out / INDEX).exists():
         raise CheckpointError(
             out / INDEX,
@@ -213,7 +258,7 @@ def begin(
         "texture_rows": store.scans[0].rows,
         "metrics": {},
     }
-    return Run(out, config, about, first, began)
+    return Run(out, config, about, first, began, processes)
 
 
 def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
@@ -241,25 +286,6 @@ def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
             hint="Add people to the store; scans of one person all go to one side.",
         )
     return set(people[-held_out:]), set(people[:-held_out])
-
-
-def _steps(
-    first: int, total: int, seconds: float | None, progress: ProgressCallback
-) -> Iterator[tuple[int, float]]:
-    """Step numbers with the share that is done, until the steps or the time are used up."""
-    began = time.monotonic()
-    step = first
-    while True:
-        spent = time.monotonic() - began
-        done = step / total if seconds is None else spent / seconds
-        if done >= 1:
-            return
-        yield step, done
-        step += 1
-        if seconds is None:
-            progress(step, total)
-        else:
-            progress(min(int(time.monotonic() - began), int(seconds)), max(1, int(seconds)))
 
 
 def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:

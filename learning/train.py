@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -18,6 +20,7 @@ from learning.losses import maps_loss, rendering_loss
 from learning.networks.discriminator import Discriminators, feature_loss, verdict_loss
 from learning.networks.generator import IN_CHANNELS, OUT_CHANNELS, Generator, initialise
 from learning.presets import TrainConfig
+from learning.processes import ALONE, Processes
 from learning.run import TrainResult, begin, split
 from learning.score import Score, score
 from lightstage.commands import ProgressCallback, quiet
@@ -27,10 +30,12 @@ from processing.dataset import Store
 class Trainer:
     """Networks and optimisers, one step at a time."""
 
-    def __init__(self, config: TrainConfig, device: torch.device = CPU) -> None:
+    def __init__(
+        self, config: TrainConfig, device: torch.device = CPU, processes: Processes = ALONE
+    ) -> None:
         """Networks on a device, with random weights of the configuration's seed."""
         torch.manual_seed(config.seed)
-        self.config = config
+        self.config, self.processes = config, processes
         self.generator = Generator(config.generator)
         self.discriminators = Discriminators(IN_CHANNELS + OUT_CHANNELS, config.discriminator)
         # Drawn on the processor, so that every device begins with the same weights.
@@ -55,9 +60,18 @@ class Trainer:
                 group["lr"] = rate
         return rate
 
-    def step(self, batch: Batch, rng: np.random.Generator) -> dict[str, float]:
-        """One step of both; returns the losses."""
-        config = self.config
+    def step(
+        self, batch: Batch, rng: np.random.Generator | Sequence[np.random.Generator]
+    ) -> dict[str, float]:
+        """One step of both; returns the losses. `rng`: see `rendering_loss`."""
+        config, processes = self.config, self.processes
+        if processes.count > 1:
+            (texel_mm,) = processes.mean([batch.skin.texel_mm])
+            batch = dataclasses.replace(
+                batch, skin=dataclasses.replace(batch.skin, texel_mm=texel_mm)
+            )
+        # Of this process's covered texels; patches are as many in each process.
+        own = processes.weight(batch.covered.sum())
         found = self.generator(batch.inputs) * batch.covered_channels
         real_pair = torch.cat([batch.inputs, batch.target], dim=1)
         judged_real = self.discriminators(real_pair)
@@ -66,6 +80,7 @@ class Trainer:
         judging = 0.5 * (verdict_loss(judged_fake, False) + verdict_loss(judged_real, True))
         self._discriminator_adam.zero_grad(set_to_none=True)
         judging.backward()
+        processes.average_gradients(self.discriminators.parameters())
         self._discriminator_adam.step()
 
         self.discriminators.requires_grad_(False)
@@ -77,14 +92,15 @@ class Trainer:
         parts = {
             "adversarial": verdict_loss(judged, True),
             "features": config.feature_weight * feature_loss(real_features, judged),
-            "maps": config.map_weight * maps_loss(found, batch),
+            "maps": own * config.map_weight * maps_loss(found, batch),
         }
         if config.render_weight > 0:
             rendered = rendering_loss(found, batch, config.environments, config.lights, rng)
-            parts["rendering"] = config.render_weight * rendered
+            parts["rendering"] = own * config.render_weight * rendered
         total = torch.stack(list(parts.values())).sum()
         self._generator_adam.zero_grad(set_to_none=True)
         total.backward()
+        processes.average_gradients(self.generator.parameters())
         self._generator_adam.step()
         self.discriminators.requires_grad_(True)
         losses = {name: float(value.detach()) for name, value in parts.items()}
@@ -125,10 +141,11 @@ class PatchLearner:
 
     def step(self, number: int, done: float) -> dict[str, float]:
         """See `Learner`."""
-        rng = self._rng(number)
+        rng, count = self._rng(number), self._trainer.config.batch
         rate = self._trainer.set_rate(done)
-        batch = self._data.draw(self._trainer.config.batch, rng)
-        losses = self._trainer.step(moved(batch, device_of(self._trainer.generator)), rng)
+        share = self._trainer.processes.share(count)
+        batch = moved(self._data.draw(count, rng, share), device_of(self._trainer.generator))
+        losses = self._trainer.step(batch, rng.spawn(count)[share])
         return {"learning_rate": rate, **losses}
 
     def batch(self, number: int) -> dict[str, Tensor]:
@@ -151,6 +168,7 @@ def train(
     resume: bool = False,
     progress: ProgressCallback = quiet,
     device: torch.device = CPU,
+    processes: Processes = ALONE,
 ) -> TrainResult[Score]:
     """Train, score on the people held out, leave a checkpoint and metrics.jsonl in `out`.
 
@@ -164,6 +182,7 @@ def train(
         resume: go on from the checkpoint in `out`.
         progress: called with steps, or seconds where the time is given.
         device: where the networks run; what they are fed with is made on the processor.
+        processes: that train together, of which this is one. The batch is that of all of them.
 
     Raises:
         TrainingError: too few people or patches, or losses that are not finite.
@@ -172,8 +191,11 @@ def train(
     """
     require_within(config, "training")
     held_out, trained_on = split(store, config.data.held_out_subjects)
-    trainer = Trainer(config, device)
-    run = begin(out, config, store, held_out, resume, trainer.load)
+    processes.share(config.batch)
+    trainer = Trainer(config, device, processes)
+    run = begin(out, config, store, held_out, resume, trainer.load, processes)
+    for network in (trainer.generator, trainer.discriminators):
+        processes.same_tensors(network.state_dict().values())
     rng = np.random.default_rng([config.seed, 1])
     parts = (config.data, config.lights, config.augment)
     data = PatchData(store, trained_on, *parts, rng, config.shading)

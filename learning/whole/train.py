@@ -18,6 +18,7 @@ from learning.encoding import srgb_from_linear
 from learning.limits import require_within
 from learning.losses import masked_mean
 from learning.networks.whole_face import WholeFaceNetwork
+from learning.processes import ALONE, Processes
 from learning.run import TrainResult, begin, split
 from learning.whole.config import WholeTrainConfig
 from learning.whole.detail import Shares, bands, enlarged
@@ -33,10 +34,15 @@ WARM_UP_STEPS = 50
 class WholeFaceTrainer:
     """The network and its optimiser, one step at a time."""
 
-    def __init__(self, config: WholeTrainConfig, device: torch.device = CPU) -> None:
+    def __init__(
+        self,
+        config: WholeTrainConfig,
+        device: torch.device = CPU,
+        processes: Processes = ALONE,
+    ) -> None:
         """Random weights of the configuration's seed, on a device."""
         torch.manual_seed(config.seed)
-        self.config = config
+        self.config, self.processes = config, processes
         # Drawn on the processor, so that every device begins with the same weights.
         self.network = WholeFaceNetwork(config.network).to(device)
         self._adam = torch.optim.AdamW(
@@ -50,6 +56,9 @@ class WholeFaceTrainer:
         for group in self._adam.param_groups:
             group["lr"] = rate
         losses = face_losses(self.network, batch)
+        if self.processes.count > 1:
+            own = self.processes.weight(batch.weight.sum())
+            losses = {name: own * value for name, value in losses.items()}
         weights = {
             "diffuse": 1.0,
             "specular": self.config.specular_weight,
@@ -58,6 +67,7 @@ class WholeFaceTrainer:
         total = torch.stack([weights[name] * value for name, value in losses.items()]).sum()
         self._adam.zero_grad(set_to_none=True)
         total.backward()
+        self.processes.average_gradients(self.network.parameters())
         self._adam.step()
         return {"learning_rate": rate, **{name: float(v.detach()) for name, v in losses.items()}}
 
@@ -85,7 +95,8 @@ class FaceLearner:
 
     def step(self, number: int, done: float) -> dict[str, float]:
         """See `Learner`."""
-        batch = moved(self._drawn(number), device_of(self._trainer.network))
+        share = self._trainer.processes.share(self._trainer.config.batch)
+        batch = moved(self._drawn(number, share), device_of(self._trainer.network))
         return self._trainer.step(batch, number, done)
 
     def batch(self, number: int) -> dict[str, Tensor]:
@@ -93,9 +104,10 @@ class FaceLearner:
         drawn = self._drawn(number)
         return {f.name: getattr(drawn, f.name) for f in dataclasses.fields(drawn)}
 
-    def _drawn(self, number: int) -> FaceBatch:
+    def _drawn(self, number: int, share: slice = slice(None)) -> FaceBatch:
         config = self._trainer.config
-        return self._faces.draw(config.batch, np.random.default_rng([config.seed, 2, number]))
+        rng = np.random.default_rng([config.seed, 2, number])
+        return self._faces.draw(config.batch, rng, share)
 
     def tensors(self) -> dict[str, dict[str, Tensor]]:
         """See `Learner`."""
@@ -131,6 +143,7 @@ def train_faces(
     resume: bool = False,
     progress: ProgressCallback = quiet,
     device: torch.device = CPU,
+    processes: Processes = ALONE,
 ) -> TrainResult[FaceScore]:
     """Train on whole faces; arguments, errors and what is left in `out` as `learning.train.train`.
 
@@ -138,8 +151,9 @@ def train_faces(
     """
     require_within(config, "training")
     held_out, trained_on = split(store, config.faces.held_out_subjects)
-    trainer = WholeFaceTrainer(config, device)
-    run = begin(out, config, store, held_out, resume, trainer.load)
+    processes.share(config.batch)
+    trainer = WholeFaceTrainer(config, device, processes)
+    run = begin(out, config, store, held_out, resume, trainer.load, processes)
     rng = np.random.default_rng([config.seed, 1])
 
     def faces_of(people: set[str], how: FacesConfig, skins: AugmentConfig) -> Faces:
@@ -153,6 +167,7 @@ def train_faces(
     network = trainer.network
     if not run.first:
         network.keep(faces.in_common(config.network.modes))
+    processes.same_tensors(network.state_dict().values())
     steps = run.steps(FaceLearner(trainer, faces), config.steps, progress)
     network.eval()
     network.detail_shares.copy_(torch.tensor(fit_shares(network, faces, config)))
