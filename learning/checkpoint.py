@@ -2,6 +2,8 @@
 
     RUN/checkpoint.json            the index: configuration, data, code, metrics, names and hashes
     RUN/generator-STEP.safetensors (a whole face's network: network-STEP.safetensors)
+    RUN/average-STEP.safetensors   the same network with its weights' moving average, where there is
+                                   one: it is scored and inferred with
     RUN/training-STEP.safetensors  discriminators and optimisers, to go on from
 
 The JSON is renamed into place last, so a run always has one whole checkpoint.
@@ -31,6 +33,8 @@ from lightstage.formats.paths import check_name, path_inside
 
 SCHEMA = "lightstage.checkpoint/1"
 INDEX = "checkpoint.json"
+AVERAGE = "average"
+"""Role of the network with averaged weights. Older checkpoints have none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +51,7 @@ class Checkpoint:
         texture_rows: of the maps trained on, which is the size of skin's detail for the network.
         code_version: of this package when it was saved.
         metrics: when it was saved.
-        files: role (generator or network, training) to {name, sha256}.
+        files: role (generator or network, average, training) to {name, sha256}.
     """
 
     folder: Path
@@ -73,7 +77,7 @@ def save_checkpoint(
     Args:
         folder: the run.
         step: training steps done.
-        tensors: role (generator or network, training) to named tensors.
+        tensors: role (generator or network, average, training) to named tensors.
         about: the other fields of `Checkpoint`.
 
     Returns:
@@ -183,7 +187,7 @@ def load_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
 
 
 def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
-    """The generator of a checkpoint, ready to infer with.
+    """The generator of a checkpoint, ready to infer with: averaged where it kept an average.
 
     Raises:
         CheckpointError, FormatError, ConfigError: as `read_checkpoint`, or weights of another
@@ -195,7 +199,7 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
     with torch.device("meta"):
         generator = Generator(config)
     generator.to_empty(device="cpu")
-    fill(generator, load_tensors(checkpoint, "generator"), where)
+    fill(generator, _trained(checkpoint, "generator"), where)
     return generator.eval(), checkpoint
 
 
@@ -205,8 +209,13 @@ def load_whole_face(path: Path) -> tuple[WholeFaceNetwork, Checkpoint]:
     config = make_config(WholeFaceConfig, checkpoint.config.get("network", {}), where)
     require_within(config, where, "network")
     network = WholeFaceNetwork(config)
-    fill(network, load_tensors(checkpoint, "network"), where)
+    fill(network, _trained(checkpoint, "network"), where)
     return network.eval(), checkpoint
+
+
+def _trained(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
+    """The weights to infer with: the average where one was kept, the role's own else."""
+    return load_tensors(checkpoint, AVERAGE if AVERAGE in checkpoint.files else role)
 
 
 def shipped_weights() -> Path:

@@ -41,6 +41,7 @@ class TrainConfig:
         environments: n_L of the rendering loss.
         shading: the renderer's formulas for the training's pictures and the rendering loss: `paper`
             as printed, `physical` or `ggx` (see learning.render.shading).
+        ema: decay of the weights' moving average, which is scored and inferred with; 0 for none.
         seed: of everything random.
         log_steps: steps between lines of metrics.jsonl.
         save_seconds: time between checkpoints.
@@ -65,6 +66,7 @@ class TrainConfig:
     map_weight: float = 0.0
     environments: int = 3
     shading: Mode = "paper"
+    ema: float = 0.0
     seed: int = 0
     log_steps: int = 20
     save_seconds: float = 60.0

@@ -10,7 +10,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -18,8 +18,10 @@ from torch import Tensor
 
 from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpoint, save_tensors
 from learning.errors import CheckpointError, TrainingError
+from learning.event_file import EventFile
 from learning.guard import LEAP, Guard
 from learning.processes import ALONE, Processes
+from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.config import as_dict
 from lightstage.formats.values import parse_json
@@ -27,6 +29,8 @@ from lightstage.interrupts import held
 from processing.dataset import Store
 
 METRICS = "metrics.jsonl"
+BEFORE = {"shading": "physical", "ema": 0.0}
+"""What a run did that began before these could be chosen."""
 MOST_TOLD = 4
 """Values that differ from those a run began with, at most, that a message names."""
 
@@ -95,6 +99,7 @@ class Run:
         first: step to begin with.
         began: monotonic seconds.
         processes: that train together; the first alone writes.
+        events: of this call, as TensorBoard reads them.
     """
 
     out: Path
@@ -103,6 +108,7 @@ class Run:
     first: int
     began: float
     processes: Processes = ALONE
+    events: EventFile | None = None
 
     def steps(self, learner: Learner, total: int, progress: ProgressCallback = quiet) -> int:
         """Train until the steps or the seconds are used up; returns the steps done in all.
@@ -184,13 +190,21 @@ class Run:
         )
 
     def end(
-        self, learner: Learner, steps: int, examples: int, score: ScoreT
+        self,
+        learner: Learner,
+        steps: int,
+        examples: int,
+        score: ScoreT,
+        samples: Sequence[Sample] = (),
     ) -> TrainResult[ScoreT]:
-        """Save the trained network with its figures."""
+        """Save the trained network with its figures, and a sheet of some samples."""
         figures = {f.name: getattr(score, f.name) for f in dataclasses.fields(score)}
         self.log({"step": steps, **figures})
         about = {**self.about, "metrics": figures}
         index = self._save(learner, steps, about)
+        if samples and self.processes.first:
+            title = f"{self.out.name} after {steps} steps"
+            write_samples(self.out, title, score.sentence(), samples)
         seconds = time.monotonic() - self.began
         return TrainResult(index, steps, seconds, examples, self.about["held_out"], score)
 
@@ -202,6 +216,9 @@ class Run:
         line = {**values, "seconds": round(time.monotonic() - self.began, 2)}
         with (self.out / METRICS).open("a") as handle:
             handle.write(json.dumps(line) + "\n")
+        if self.events is not None:
+            scalars = {name: float(v) for name, v in values.items() if name != "step"}
+            self.events.add(int(values["step"]), scalars)
 
 
 def begin(
@@ -258,7 +275,7 @@ def begin(
         "texture_rows": store.scans[0].rows,
         "metrics": {},
     }
-    return Run(out, config, about, first, began, processes)
+    return Run(out, config, about, first, began, processes, EventFile(out))
 
 
 def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
@@ -299,8 +316,7 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
             hint="Resume with the --preset that the run began with, or choose another --out.",
         )
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")
-    # Before the shading could be chosen it was `physical`.
-    begun = {"shading": "physical", **checkpoint.config}
+    begun = {**BEFORE, **checkpoint.config}
     # How long to go on is a new decision each time.
     differing = {
         name: values for name, values in _differences(begun, wanted).items() if name != "seconds"

@@ -12,9 +12,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learning.checkpoint import INDEX, Checkpoint, adam_tensors, fill, fill_adam, load_tensors
+from learning.average import follow, moving_average
+from learning.checkpoint import (
+    AVERAGE,
+    INDEX,
+    Checkpoint,
+    adam_tensors,
+    fill,
+    fill_adam,
+    load_tensors,
+)
 from learning.data import Batch, PatchData
 from learning.devices import CPU, device_of, moved
+from learning.encoding import decode_maps
 from learning.limits import require_within
 from learning.losses import maps_loss, rendering_loss
 from learning.networks.discriminator import Discriminators, feature_loss, verdict_loss
@@ -22,6 +32,7 @@ from learning.networks.generator import IN_CHANNELS, OUT_CHANNELS, Generator, in
 from learning.presets import TrainConfig
 from learning.processes import ALONE, Processes
 from learning.run import TrainResult, begin, split
+from learning.samples import MOST, Sample
 from learning.score import Score, score
 from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
@@ -42,6 +53,7 @@ class Trainer:
         for network in (self.generator, self.discriminators):
             initialise(network)
             network.to(device)
+        self.average = moving_average(self.generator) if config.ema else None
         betas = (config.beta1, config.beta2)
         self._generator_adam = torch.optim.Adam(
             self.generator.parameters(), config.learning_rate, betas
@@ -61,9 +73,12 @@ class Trainer:
         return rate
 
     def step(
-        self, batch: Batch, rng: np.random.Generator | Sequence[np.random.Generator]
+        self,
+        batch: Batch,
+        rng: np.random.Generator | Sequence[np.random.Generator],
+        number: int = 0,
     ) -> dict[str, float]:
-        """One step of both; returns the losses. `rng`: see `rendering_loss`."""
+        """Step `number` of both; returns the losses. `rng`: see `rendering_loss`."""
         config, processes = self.config, self.processes
         if processes.count > 1:
             (texel_mm,) = processes.mean([batch.skin.texel_mm])
@@ -103,12 +118,19 @@ class Trainer:
         processes.average_gradients(self.generator.parameters())
         self._generator_adam.step()
         self.discriminators.requires_grad_(True)
+        if self.average is not None:
+            follow(self.average, self.generator, config.ema, number)
         losses = {name: float(value.detach()) for name, value in parts.items()}
         return {**losses, "discriminators": float(judging.detach())}
 
+    @property
+    def trained(self) -> Generator:
+        """The generator to score and to infer with: the average where there is one."""
+        return (self.generator if self.average is None else self.average).eval()
+
     def tensors(self) -> dict[str, dict[str, Tensor]]:
         """All state, by the checkpoint's roles."""
-        return {
+        state = {
             "generator": dict(self.generator.state_dict()),
             "training": {
                 **{f"discriminators.{k}": v for k, v in self.discriminators.state_dict().items()},
@@ -116,6 +138,9 @@ class Trainer:
                 **adam_tensors(self._discriminator_adam, "discriminator_adam"),
             },
         }
+        if self.average is not None:
+            state[AVERAGE] = dict(self.average.state_dict())
+        return state
 
     def load(self, checkpoint: Checkpoint) -> None:
         """Take over a checkpoint's state."""
@@ -123,6 +148,8 @@ class Trainer:
         with torch.no_grad():
             saved = load_tensors(checkpoint, "training")
             fill(self.generator, load_tensors(checkpoint, "generator"), where)
+            if self.average is not None:
+                fill(self.average, load_tensors(checkpoint, AVERAGE), where)
             prefix = "discriminators."
             own = {k[len(prefix) :]: v for k, v in saved.items() if k.startswith(prefix)}
             fill(self.discriminators, own, where)
@@ -145,7 +172,7 @@ class PatchLearner:
         rate = self._trainer.set_rate(done)
         share = self._trainer.processes.share(count)
         batch = moved(self._data.draw(count, rng, share), device_of(self._trainer.generator))
-        losses = self._trainer.step(batch, rng.spawn(count)[share])
+        losses = self._trainer.step(batch, rng.spawn(count)[share], number)
         return {"learning_rate": rate, **losses}
 
     def batch(self, number: int) -> dict[str, Tensor]:
@@ -203,6 +230,28 @@ def train(
     learner = PatchLearner(trainer, data)
     total = max(1, math.ceil(config.epochs * len(data.places) / config.batch))
     steps = run.steps(learner, total, progress)
-    trainer.generator.eval()
-    result = score(trainer.generator, scored, data, config.score_patches, config.seed)
-    return run.end(learner, steps, len(data.places), result)
+    result = score(trainer.trained, scored, data, config.score_patches, config.seed)
+    samples = _samples(trainer.trained, scored, store, config.seed)
+    return run.end(learner, steps, len(data.places), result, samples)
+
+
+def _samples(generator: Generator, held_out: PatchData, store: Store, seed: int) -> list[Sample]:
+    """Patches from over the people held out, and what the generator makes of them."""
+    rng = np.random.default_rng([seed, 5])
+    count = min(MOST, len(held_out.places))
+    found = []
+    for index in np.linspace(0, len(held_out.places) - 1, count).round().astype(int):
+        batch = held_out.batch([held_out.places[index]], rng)
+        with torch.inference_mode():
+            said = generator(batch.inputs.to(device_of(generator))).to(CPU)
+        albedo = decode_maps(said, batch.reference).diffuse_albedo
+        name = store.scans[batch.places[0][0]].subject
+        found.append(
+            Sample(
+                name,
+                batch.texture,
+                albedo * batch.covered,
+                batch.skin.diffuse_albedo * batch.covered,
+            )
+        )
+    return found

@@ -31,6 +31,7 @@ class WholeTrainConfig:
         deviation_weight: of the expected error's likelihood.
         shading: the renderer's formulas for the training's pictures.
         detail_pairs: pairs at the textures' own size that the shares of detail are fitted to.
+        ema: decay of the weights' moving average, which is scored and inferred with; 0 for none.
         seed: of everything random.
         log_steps: steps between lines of metrics.jsonl.
         save_seconds: time between checkpoints.
@@ -51,6 +52,7 @@ class WholeTrainConfig:
     deviation_weight: float = 0.01
     shading: Mode = "physical"
     detail_pairs: int = 8
+    ema: float = 0.0
     seed: int = 0
     log_steps: int = 20
     save_seconds: float = 60.0

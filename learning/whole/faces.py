@@ -147,6 +147,11 @@ class Faces:
             self.faces.append(self._face(maps, skin, rng))
             progress(done + 1, len(self._scans))
 
+    @property
+    def names(self) -> list[str]:
+        """Whose scan each face is."""
+        return [scan.subject for scan in self._scans]
+
     def in_common(self, modes: int) -> KnownPeople:
         """What the people have in common, and the directions in which their albedo differs."""
         shrunk = [

@@ -12,7 +12,16 @@ import torch
 from torch import Tensor
 
 from learning.augment import AugmentConfig
-from learning.checkpoint import INDEX, Checkpoint, adam_tensors, fill, fill_adam, load_tensors
+from learning.average import follow, moving_average
+from learning.checkpoint import (
+    AVERAGE,
+    INDEX,
+    Checkpoint,
+    adam_tensors,
+    fill,
+    fill_adam,
+    load_tensors,
+)
 from learning.devices import CPU, device_of, moved
 from learning.encoding import srgb_from_linear
 from learning.limits import require_within
@@ -20,6 +29,7 @@ from learning.losses import masked_mean
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.processes import ALONE, Processes
 from learning.run import TrainResult, begin, split
+from learning.samples import MOST, Sample
 from learning.whole.config import WholeTrainConfig
 from learning.whole.detail import Shares, bands, enlarged
 from learning.whole.faces import FaceBatch, Faces, FacesConfig
@@ -45,6 +55,7 @@ class WholeFaceTrainer:
         self.config, self.processes = config, processes
         # Drawn on the processor, so that every device begins with the same weights.
         self.network = WholeFaceNetwork(config.network).to(device)
+        self.average = moving_average(self.network) if config.ema else None
         self._adam = torch.optim.AdamW(
             self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay
         )
@@ -69,18 +80,31 @@ class WholeFaceTrainer:
         total.backward()
         self.processes.average_gradients(self.network.parameters())
         self._adam.step()
+        if self.average is not None:
+            follow(self.average, self.network, self.config.ema, number)
         return {"learning_rate": rate, **{name: float(v.detach()) for name, v in losses.items()}}
+
+    @property
+    def trained(self) -> WholeFaceNetwork:
+        """The network to score and to infer with: the average where there is one."""
+        return (self.network if self.average is None else self.average).eval()
 
     def tensors(self) -> dict[str, dict[str, Tensor]]:
         """All state, by the checkpoint's roles."""
-        return {
+        state = {
             "network": dict(self.network.state_dict()),
             "training": adam_tensors(self._adam, "adam"),
         }
+        if self.average is not None:
+            state[AVERAGE] = dict(self.average.state_dict())
+        return state
 
     def load(self, checkpoint: Checkpoint) -> None:
         """Take over a checkpoint's state."""
-        fill(self.network, load_tensors(checkpoint, "network"), checkpoint.folder / INDEX)
+        where = checkpoint.folder / INDEX
+        fill(self.network, load_tensors(checkpoint, "network"), where)
+        if self.average is not None:
+            fill(self.average, load_tensors(checkpoint, AVERAGE), where)
         fill_adam(self._adam, load_tensors(checkpoint, "training"), "adam")
 
 
@@ -169,10 +193,25 @@ def train_faces(
         network.keep(faces.in_common(config.network.modes))
     processes.same_tensors(network.state_dict().values())
     steps = run.steps(FaceLearner(trainer, faces), config.steps, progress)
-    network.eval()
-    network.detail_shares.copy_(torch.tensor(fit_shares(network, faces, config)))
-    result = score_faces(network, scored, config.score_lights, config.seed)
-    return run.end(FaceLearner(trainer, faces), steps, len(faces.faces), result)
+    trained = trainer.trained
+    shares = torch.tensor(fit_shares(trained, faces, config))
+    for one in {network, trained}:
+        one.detail_shares.copy_(shares)
+    result = score_faces(trained, scored, config.score_lights, config.seed)
+    samples = _samples(trained, scored, config.seed)
+    return run.end(FaceLearner(trainer, faces), steps, len(faces.faces), result, samples)
+
+
+def _samples(network: WholeFaceNetwork, held_out: Faces, seed: int) -> list[Sample]:
+    """Each scan of the people held out under one light, and what the network makes of it."""
+    rng = np.random.default_rng([seed, 5])
+    found = []
+    for index, name in enumerate(held_out.names[:MOST]):
+        pair = held_out.batch([index], rng)
+        with torch.inference_mode():
+            said = moved(network(pair.inputs.to(device_of(network))), CPU)
+        found.append(Sample(name, pair.texture, said.diffuse_albedo, pair.diffuse_albedo))
+    return found
 
 
 def fit_shares(network: WholeFaceNetwork, faces: Faces, config: WholeTrainConfig) -> list[float]:

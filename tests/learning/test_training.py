@@ -394,7 +394,10 @@ def test_training_learns_scores_and_writes_whole_files(store_path: Path, tmp_pat
     assert lines[-1]["psnr_db"] == result.score.psnr_db
     assert result.held_out == ["person-2"]
     names = {path.name for path in (tmp_path / "run").iterdir()}
+    (events,) = (name for name in names if name.startswith("events.out.tfevents."))
     assert names == {
+        events,
+        "samples.html",
         "checkpoint.json",
         "metrics.jsonl",
         "generator-0000024.safetensors",
