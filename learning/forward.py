@@ -48,7 +48,8 @@ class Forward(Generic[SaidT]):
         self._half = half_of(config.precision, device)
         self._device = device
         self._compiled: Callable[[Tensor], Any] | None = None
-        # On processors compiling costs a minute or more, and a step is no faster by as much.
+        # On processors a step of the default networks is 1 % (whole faces, beside channels last)
+        # and 15 % (patches) faster compiled, and the first one takes half a minute or more.
         if config.compile == "on" or (config.compile == "auto" and device.type == "cuda"):
             self._compiled = torch.compile(network)
         self._must = config.compile == "on"

@@ -31,6 +31,8 @@ from processing.dataset import Store
 METRICS = "metrics.jsonl"
 BEFORE = {"shading": "physical", "ema": 0.0}
 """What a run did that began before these could be chosen."""
+FREE = ("seconds", "precision", "compile")
+"""How long to go on, and how fast on the device at hand, are new decisions each time."""
 MOST_TOLD = 4
 """Values that differ from those a run began with, at most, that a message names."""
 
@@ -317,9 +319,8 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
         )
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")
     begun = {**BEFORE, **checkpoint.config}
-    # How long to go on is a new decision each time.
     differing = {
-        name: values for name, values in _differences(begun, wanted).items() if name != "seconds"
+        name: values for name, values in _differences(begun, wanted).items() if name not in FREE
     }
     if differing:
         told = list(differing)[:MOST_TOLD]

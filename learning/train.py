@@ -25,6 +25,7 @@ from learning.checkpoint import (
 from learning.data import Batch, PatchData
 from learning.devices import CPU, device_of, moved
 from learning.encoding import decode_maps
+from learning.forward import Forward
 from learning.limits import require_within
 from learning.losses import maps_loss, rendering_loss
 from learning.networks.discriminator import Discriminators, feature_loss, verdict_loss
@@ -53,7 +54,12 @@ class Trainer:
         for network in (self.generator, self.discriminators):
             initialise(network)
             network.to(device)
+        self.discriminators.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = moving_average(self.generator) if config.ema else None
+        self._generate: Forward[Tensor] = Forward(self.generator, device, config)
+        # Compiled they would be compiled anew for each of the ways in which they are called.
+        uncompiled = dataclasses.replace(config, compile="off")
+        self._judge: Forward[list[list[Tensor]]] = Forward(self.discriminators, device, uncompiled)
         betas = (config.beta1, config.beta2)
         self._generator_adam = torch.optim.Adam(
             self.generator.parameters(), config.learning_rate, betas
@@ -87,10 +93,10 @@ class Trainer:
             )
         # Of this process's covered texels; patches are as many in each process.
         own = processes.weight(batch.covered.sum())
-        found = self.generator(batch.inputs) * batch.covered_channels
+        found = self._generate(batch.inputs) * batch.covered_channels
         real_pair = torch.cat([batch.inputs, batch.target], dim=1)
-        judged_real = self.discriminators(real_pair)
-        judged_fake = self.discriminators(torch.cat([batch.inputs, found.detach()], dim=1))
+        judged_real = self._judge(real_pair)
+        judged_fake = self._judge(torch.cat([batch.inputs, found.detach()], dim=1))
         # Halved, so that the discriminators learn at half the generator's pace [Wang2018].
         judging = 0.5 * (verdict_loss(judged_fake, False) + verdict_loss(judged_real, True))
         self._discriminator_adam.zero_grad(set_to_none=True)
@@ -99,11 +105,11 @@ class Trainer:
         self._discriminator_adam.step()
 
         self.discriminators.requires_grad_(False)
-        judged = self.discriminators(torch.cat([batch.inputs, found], dim=1))
+        judged = self._judge(torch.cat([batch.inputs, found], dim=1))
         # By the discriminators as they are now, as the fake pair is judged: features of those of
         # before the step would differ even where the generator is right.
         with torch.no_grad():
-            real_features = self.discriminators(real_pair)
+            real_features = self._judge(real_pair)
         parts = {
             "adversarial": verdict_loss(judged, True),
             "features": config.feature_weight * feature_loss(real_features, judged),

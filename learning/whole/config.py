@@ -6,6 +6,7 @@ import dataclasses
 from typing import ClassVar
 
 from learning.augment import AugmentConfig
+from learning.forward import Compile, Precision
 from learning.networks.whole_face import WholeFaceConfig
 from learning.render.environments import RandomLightConfig
 from learning.render.shading import Mode
@@ -31,6 +32,9 @@ class WholeTrainConfig:
         deviation_weight: of the expected error's likelihood.
         shading: the renderer's formulas for the training's pictures.
         detail_pairs: pairs at the textures' own size that the shares of detail are fitted to.
+        precision: of the network's steps: `bf16` computes in bfloat16 and keeps weights and losses
+            in float32, where a CUDA GPU has it; `auto`: where it is.
+        compile: through torch.compile: `on`, `off`; `auto`: on CUDA alone.
         ema: decay of the weights' moving average, which is scored and inferred with; 0 for none.
         seed: of everything random.
         log_steps: steps between lines of metrics.jsonl.
@@ -52,6 +56,8 @@ class WholeTrainConfig:
     deviation_weight: float = 0.01
     shading: Mode = "physical"
     detail_pairs: int = 8
+    precision: Precision = "auto"
+    compile: Compile = "auto"
     ema: float = 0.0
     seed: int = 0
     log_steps: int = 20

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
@@ -24,9 +25,10 @@ from learning.checkpoint import (
 )
 from learning.devices import CPU, device_of, moved
 from learning.encoding import srgb_from_linear
+from learning.forward import Forward
 from learning.limits import require_within
 from learning.losses import masked_mean
-from learning.networks.whole_face import WholeFaceNetwork
+from learning.networks.whole_face import WholeFace, WholeFaceNetwork
 from learning.processes import ALONE, Processes
 from learning.run import TrainResult, begin, split
 from learning.samples import MOST, Sample
@@ -53,9 +55,13 @@ class WholeFaceTrainer:
         """Random weights of the configuration's seed, on a device."""
         torch.manual_seed(config.seed)
         self.config, self.processes = config, processes
-        # Drawn on the processor, so that every device begins with the same weights.
+        # Drawn on the processor, so that every device begins with the same weights. A step takes
+        # 87 ms of one core with channels last and 105 without; the generator of patches gains
+        # nothing, its discriminators a quarter.
         self.network = WholeFaceNetwork(config.network).to(device)
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = moving_average(self.network) if config.ema else None
+        self._forward: Forward[WholeFace] = Forward(self.network, device, config)
         self._adam = torch.optim.AdamW(
             self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay
         )
@@ -66,7 +72,7 @@ class WholeFaceTrainer:
         rate *= 0.5 + 0.5 * math.cos(math.pi * min(1.0, done))
         for group in self._adam.param_groups:
             group["lr"] = rate
-        losses = face_losses(self.network, batch)
+        losses = face_losses(self._forward, batch)
         if self.processes.count > 1:
             own = self.processes.weight(batch.weight.sum())
             losses = {name: own * value for name, value in losses.items()}
@@ -138,7 +144,7 @@ class FaceLearner:
         return self._trainer.tensors()
 
 
-def face_losses(network: WholeFaceNetwork, batch: FaceBatch) -> dict[str, Tensor]:
+def face_losses(network: Callable[[Tensor], WholeFace], batch: FaceBatch) -> dict[str, Tensor]:
     """Squared errors of what the network says, and how badly it knows its own error.
 
     Returns:

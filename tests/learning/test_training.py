@@ -346,7 +346,7 @@ class Perfect(torch.nn.Module):
 def test_a_perfect_generator_matches_the_features_exactly(store_path: Path) -> None:
     batch = patches(store_path).draw(2, np.random.default_rng(3))
     trainer = Trainer(TINY)
-    trainer.generator = Perfect(batch.target)  # type: ignore[assignment]
+    trainer._generate = Perfect(batch.target)  # type: ignore[assignment]
     for step in range(3):
         assert trainer.step(batch, np.random.default_rng(step))["features"] == 0.0
 
