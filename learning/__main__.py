@@ -225,7 +225,10 @@ def train(
         return
     finish(
         f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; diffuse albedo of the people "
-        f"held out ({facts['held_out']}): {facts['said']}",
+        f"held out ({facts['held_out']}): {facts['said']}; of the steps' time on "
+        f"{facts['device']}: data {100 * facts['share_data']:.0f} %, rendering "
+        f"{100 * facts['share_rendering']:.0f} %, network {100 * facts['share_network']:.0f} %, "
+        f"waiting for batches {100 * facts['share_idle']:.0f} %",
         facts,
         as_json,
     )

@@ -241,6 +241,7 @@ def train_command(
         "said": result.score.sentence(),
         "device": str(device),
         "processes": processes.count,
+        **{f"share_{name}": share for name, share in result.shares.items()},
         "seconds": result.seconds,
     }
 

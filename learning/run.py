@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 from torch import Tensor
 
 from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpoint, save_tensors
+from learning.clock import NETWORK, Clock
 from learning.errors import CheckpointError, TrainingError
 from learning.event_file import EventFile
 from learning.guard import LEAP, Guard
@@ -80,6 +81,7 @@ class TrainResult(Generic[ScoreT]):
         examples: patches or scans trained on.
         held_out: people who were not.
         score: of the people held out.
+        shares: of the steps' time: `data`, `rendering`, `network`, `idle` (see learning.clock).
     """
 
     checkpoint: Path
@@ -88,6 +90,7 @@ class TrainResult(Generic[ScoreT]):
     examples: int
     held_out: list[str]
     score: ScoreT
+    shares: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,6 +105,8 @@ class Run:
         began: monotonic seconds.
         processes: that train together; the first alone writes.
         events: of this call, as TensorBoard reads them.
+        clock: of this call's steps. What makes batches and renders counts its own parts on it; what
+            is left of a step counts as the network's.
     """
 
     out: Path
@@ -111,6 +116,7 @@ class Run:
     began: float
     processes: Processes = ALONE
     events: EventFile | None = None
+    clock: Clock = dataclasses.field(default_factory=Clock)
 
     def steps(self, learner: Learner, total: int, progress: ProgressCallback = quiet) -> int:
         """Train until the steps or the seconds are used up; returns the steps done in all.
@@ -128,7 +134,8 @@ class Run:
             try:
                 for step, done in self._steps(total, progress):
                     whole = False
-                    losses = self._mean(learner.step(step, done))
+                    with self.clock.part(NETWORK):
+                        losses = self._mean(learner.step(step, done))
                     finished, whole = step + 1, True
                     if not all(map(math.isfinite, losses.values())):
                         raise self._astray(learner, step, f"losses {losses}", "finite ones")
@@ -201,14 +208,17 @@ class Run:
     ) -> TrainResult[ScoreT]:
         """Save the trained network with its figures, and a sheet of some samples."""
         figures = {f.name: getattr(score, f.name) for f in dataclasses.fields(score)}
-        self.log({"step": steps, **figures})
+        shares = self.clock.shares()
+        said = {f"share_{name}": round(share, 4) for name, share in shares.items()}
+        self.log({"step": steps, **figures, **said})
         about = {**self.about, "metrics": figures}
         index = self._save(learner, steps, about)
         if samples and self.processes.first:
             title = f"{self.out.name} after {steps} steps"
             write_samples(self.out, title, score.sentence(), samples)
         seconds = time.monotonic() - self.began
-        return TrainResult(index, steps, seconds, examples, self.about["held_out"], score)
+        held_out = self.about["held_out"]
+        return TrainResult(index, steps, seconds, examples, held_out, score, shares)
 
     def log(self, values: dict[str, Any]) -> None:
         """Add a line to the metrics."""

@@ -22,6 +22,7 @@ from learning.checkpoint import (
     fill_adam,
     load_tensors,
 )
+from learning.clock import IDLE, RENDERING, Clock
 from learning.data import Batch, PatchData
 from learning.devices import CPU, device_of, moved
 from learning.encoding import decode_maps
@@ -43,11 +44,14 @@ class Trainer:
     """Networks and optimisers, one step at a time."""
 
     def __init__(
-        self, config: TrainConfig, device: torch.device = CPU, processes: Processes = ALONE
+        self,
+        config: TrainConfig,
+        device: torch.device = CPU,
+        processes: Processes = ALONE,
     ) -> None:
         """Networks on a device, with random weights of the configuration's seed."""
         torch.manual_seed(config.seed)
-        self.config, self.processes = config, processes
+        self.config, self.processes, self.clock = config, processes, Clock()
         self.generator = Generator(config.generator)
         self.discriminators = Discriminators(IN_CHANNELS + OUT_CHANNELS, config.discriminator)
         # Drawn on the processor, so that every device begins with the same weights.
@@ -116,7 +120,8 @@ class Trainer:
             "maps": own * config.map_weight * maps_loss(found, batch),
         }
         if config.render_weight > 0:
-            rendered = rendering_loss(found, batch, config.environments, config.lights, rng)
+            with self.clock.part(RENDERING):
+                rendered = rendering_loss(found, batch, config.environments, config.lights, rng)
             parts["rendering"] = own * config.render_weight * rendered
         total = torch.stack(list(parts.values())).sum()
         self._generator_adam.zero_grad(set_to_none=True)
@@ -164,7 +169,11 @@ class Trainer:
 
 
 class PatchLearner:
-    """The networks, fed with random patches."""
+    """The networks, fed with random patches.
+
+    Not made ahead: the rendering loss uses the compiled renderer meanwhile, which two threads may
+    not enter at once where numba has neither OpenMP nor TBB.
+    """
 
     watched: ClassVar[str] = "maps"
 
@@ -177,7 +186,9 @@ class PatchLearner:
         rng, count = self._rng(number), self._trainer.config.batch
         rate = self._trainer.set_rate(done)
         share = self._trainer.processes.share(count)
-        batch = moved(self._data.draw(count, rng, share), device_of(self._trainer.generator))
+        with self._trainer.clock.part(IDLE):
+            drawn = self._data.draw(count, rng, share)
+        batch = moved(drawn, device_of(self._trainer.generator))
         losses = self._trainer.step(batch, rng.spawn(count)[share], number)
         return {"learning_rate": rate, **losses}
 
@@ -231,7 +242,8 @@ def train(
         processes.same_tensors(network.state_dict().values())
     rng = np.random.default_rng([config.seed, 1])
     parts = (config.data, config.lights, config.augment)
-    data = PatchData(store, trained_on, *parts, rng, config.shading)
+    trainer.clock = run.clock
+    data = PatchData(store, trained_on, *parts, rng, config.shading, clock=run.clock)
     scored = PatchData(store, held_out, *parts, rng, config.shading)
     learner = PatchLearner(trainer, data)
     total = max(1, math.ceil(config.epochs * len(data.places) / config.batch))

@@ -10,6 +10,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from learning import augment
+from learning.clock import DATA, RENDERING, Clock
 from learning.encoding import shrink
 from learning.maps import from_batch, to_batch, typical_texel_mm
 from learning.networks.whole_face import KnownPeople, WholeFaceConfig, face_input
@@ -134,8 +135,13 @@ class Faces:
         rng: np.random.Generator,
         mode: Mode = "physical",
         progress: ProgressCallback = quiet,
+        clock: Clock | None = None,
     ) -> None:
-        """Read and shrink the scans, and bake the shadows of random sets of lights."""
+        """Read and shrink the scans, and bake the shadows of random sets of lights.
+
+        What is drawn counts on `clock` as data and rendering.
+        """
+        self._clock = clock or Clock()
         self._store, self._config = store, config
         self._lights, self._variation = lights, variation
         self._size = (size.rows, size.columns)
@@ -179,7 +185,8 @@ class Faces:
     def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> FaceBatch:
         """A batch of random scans, or a share of it: what is drawn is the whole batch's."""
         faces = [self.faces[int(index)] for index in rng.integers(0, len(self.faces), count)]
-        return self._batch(faces[share], rng.spawn(count)[share], _mean_texel_mm(faces))
+        with self._clock.part(DATA):
+            return self._batch(faces[share], rng.spawn(count)[share], _mean_texel_mm(faces))
 
     def batch(self, chosen: list[int], rng: np.random.Generator) -> FaceBatch:
         """Light some scans at random; the same scan gives another pair each time."""
@@ -238,7 +245,7 @@ class Faces:
         count = environment.rgb.shape[1]
         seen = torch.cat([_padded(visibility, count) for visibility in shadows])
         skin = _joined(skins, texel_mm)
-        with torch.no_grad():
+        with torch.no_grad(), self._clock.part(RENDERING):
             return shade(skin, environment, self._options, seen).clamp_min(0), skin
 
     def _photographed(

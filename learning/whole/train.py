@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import ClassVar
 
@@ -23,10 +24,12 @@ from learning.checkpoint import (
     fill_adam,
     load_tensors,
 )
+from learning.clock import IDLE, Clock
 from learning.devices import CPU, device_of, moved
 from learning.encoding import srgb_from_linear
 from learning.forward import Forward
 from learning.limits import require_within
+from learning.loader import Ahead
 from learning.losses import masked_mean
 from learning.networks.whole_face import WholeFace, WholeFaceNetwork
 from learning.processes import ALONE, Processes
@@ -115,24 +118,37 @@ class WholeFaceTrainer:
 
 
 class FaceLearner:
-    """The network, fed with random faces."""
+    """The network, fed with random faces, made in a thread of their own once it is `ahead`."""
 
     watched: ClassVar[str] = "diffuse"
 
-    def __init__(self, trainer: WholeFaceTrainer, faces: Faces) -> None:
-        """Train `trainer` on `faces`."""
-        self._trainer, self._faces = trainer, faces
+    def __init__(self, trainer: WholeFaceTrainer, faces: Faces, clock: Clock | None = None) -> None:
+        """Train `trainer` on `faces`; what a step waits for its batch counts on `clock`."""
+        self._trainer, self._faces, self._clock = trainer, faces, clock or Clock()
+        self._batches: Ahead[FaceBatch] | None = None
+
+    @contextlib.contextmanager
+    def ahead(self) -> Iterator[None]:
+        """Within the block each step's batch is made while the network takes the one before."""
+        with Ahead(self._own_share) as self._batches:
+            yield
+        self._batches = None
 
     def step(self, number: int, done: float) -> dict[str, float]:
         """See `Learner`."""
-        share = self._trainer.processes.share(self._trainer.config.batch)
-        batch = moved(self._drawn(number, share), device_of(self._trainer.network))
+        with self._clock.part(IDLE):
+            made = self._own_share(number) if self._batches is None else self._batches.get(number)
+        batch = moved(made, device_of(self._trainer.network))
         return self._trainer.step(batch, number, done)
 
     def batch(self, number: int) -> dict[str, Tensor]:
         """See `Learner`."""
-        drawn = self._drawn(number)
+        aside = None if self._batches is None else self._batches.aside
+        drawn = self._drawn(number) if aside is None else aside(self._drawn, number)
         return {f.name: getattr(drawn, f.name) for f in dataclasses.fields(drawn)}
+
+    def _own_share(self, number: int) -> FaceBatch:
+        return self._drawn(number, self._trainer.processes.share(self._trainer.config.batch))
 
     def _drawn(self, number: int, share: slice = slice(None)) -> FaceBatch:
         config = self._trainer.config
@@ -186,10 +202,13 @@ def train_faces(
     run = begin(out, config, store, held_out, resume, trainer.load, processes)
     rng = np.random.default_rng([config.seed, 1])
 
-    def faces_of(people: set[str], how: FacesConfig, skins: AugmentConfig) -> Faces:
-        return Faces(store, people, config.network, how, config.lights, skins, rng, config.shading)
+    def faces_of(
+        people: set[str], how: FacesConfig, skins: AugmentConfig, clock: Clock | None = None
+    ) -> Faces:
+        size, lights, mode = config.network, config.lights, config.shading
+        return Faces(store, people, size, how, lights, skins, rng, mode, clock=clock)
 
-    faces = faces_of(trained_on, config.faces, config.augment)
+    faces = faces_of(trained_on, config.faces, config.augment, run.clock)
     # Scored are people as they are, and all of their faces.
     whole = dataclasses.replace(config.faces, partial_share=0.0)
     own = dataclasses.replace(config.augment, melanin=0.0, haemoglobin=0.0)
@@ -198,14 +217,16 @@ def train_faces(
     if not run.first:
         network.keep(faces.in_common(config.network.modes))
     processes.same_tensors(network.state_dict().values())
-    steps = run.steps(FaceLearner(trainer, faces), config.steps, progress)
+    learner = FaceLearner(trainer, faces, run.clock)
+    with learner.ahead():
+        steps = run.steps(learner, config.steps, progress)
     trained = trainer.trained
     shares = torch.tensor(fit_shares(trained, faces, config))
     for one in {network, trained}:
         one.detail_shares.copy_(shares)
     result = score_faces(trained, scored, config.score_lights, config.seed)
     samples = _samples(trained, scored, config.seed)
-    return run.end(FaceLearner(trainer, faces), steps, len(faces.faces), result, samples)
+    return run.end(learner, steps, len(faces.faces), result, samples)
 
 
 def _samples(network: WholeFaceNetwork, held_out: Faces, seed: int) -> list[Sample]:
