@@ -7,6 +7,7 @@ if __name__ == "__main__":
 
     end_without_traceback()  # until the imports below are done
 
+import contextlib
 import os
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +21,7 @@ from lightstage.commands import (
     output_file,
     output_folder,
     progress_bar,
+    quiet,
     run_app,
 )
 from lightstage.formats.access import group_of, limited_access
@@ -45,6 +47,13 @@ ShadowsOption = Annotated[
 ]
 RigOption = Annotated[Path | None, typer.Option(help="rig.json; the default rig without it.")]
 CameraOption = Annotated[str, typer.Option(help="Camera of the rig.")]
+DeviceOption = Annotated[
+    str,
+    typer.Option(
+        help="Where the network runs: `cpu`, `cuda`, `cuda:N`, `mps`; `auto`: a GPU where there is "
+        "one."
+    ),
+]
 TemplateOption = Annotated[
     Path | None, typer.Option(help="Template whose shininess and translucency maps to use.")
 ]
@@ -202,16 +211,27 @@ def train(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the preset's.")] = None,
     resume: Annotated[bool, typer.Option(help="Go on from the run's checkpoint.")] = False,
+    device: DeviceOption = "auto",
     as_json: bool = JsonFlag,
 ) -> None:
     """Train a network on a dataset; one person is held out and scored."""
     from learning.commands import train_command
+    from learning.processes import started_by_torchrun
 
-    with limited_access(group_of([data])), progress_bar("train") as progress:
-        facts = train_command(data, out, preset, config, seconds, seed, resume, progress)
+    processes = started_by_torchrun()
+    bar = progress_bar("train") if processes.first else contextlib.nullcontext(quiet)
+    with limited_access(group_of([data])), bar as progress:
+        facts = train_command(
+            data, out, preset, config, seconds, seed, resume, progress, device, processes
+        )
+    if not processes.first:
+        return
     finish(
         f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; {facts['scored']} of the "
-        f"people held out ({facts['held_out']}): {facts['said']}",
+        f"people held out ({facts['held_out']}): {facts['said']}; of the steps' time on "
+        f"{facts['device']}: data {100 * facts['share_data']:.0f} %, rendering "
+        f"{100 * facts['share_rendering']:.0f} %, network {100 * facts['share_network']:.0f} %, "
+        f"waiting for batches {100 * facts['share_idle']:.0f} %",
         facts,
         as_json,
     )
@@ -241,13 +261,14 @@ def infer(
             "the network's own answer. 20 where not given, for whole-face networks alone."
         ),
     ] = None,
+    device: DeviceOption = "auto",
     as_json: bool = JsonFlag,
 ) -> None:
     """Infer albedo, normals and the light from a texture with light in it."""
     from learning.commands import infer_command
 
     with limited_access(group_of([texture.parent])), progress_bar("infer") as progress:
-        facts = infer_command(texture, mesh, checkpoint, out, head_pose, refine, progress)
+        facts = infer_command(texture, mesh, checkpoint, out, head_pose, refine, progress, device)
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels in {facts['tiles']} tiles, "
         + ("" if facts["lamps"] is None else f"{facts['lamps']} lamps found, ")
@@ -274,13 +295,14 @@ def upscale(
         int | None,
         typer.Option(help="The enlargement to make sure of; the network has one, mostly 8."),
     ] = None,
+    device: DeviceOption = "auto",
     as_json: bool = JsonFlag,
 ) -> None:
     """Enlarge a texture by super-resolution, without tiles that show."""
     from learning.commands import upscale_command
 
     with limited_access(group_of([picture.parent])), progress_bar("upscale") as progress:
-        facts = upscale_command(picture, checkpoint, out, times, progress)
+        facts = upscale_command(picture, checkpoint, out, times, progress, device)
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels, {facts['times']} times as large; "
         f"trained on textures of {facts['trained_rows']} rows; {facts['seconds']:.1f} s",

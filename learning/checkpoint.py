@@ -2,6 +2,8 @@
 
     RUN/checkpoint.json            the index: configuration, data, code, metrics, names and hashes
     RUN/generator-STEP.safetensors (a whole face's network: network-STEP.safetensors)
+    RUN/average-STEP.safetensors   the same network with its weights' moving average, where there is
+                                   one: it is scored and inferred with
     RUN/training-STEP.safetensors  discriminators and optimisers, to go on from
 
 The JSON is renamed into place last, so a run always has one whole checkpoint.
@@ -32,6 +34,8 @@ from lightstage.formats.paths import check_name, path_inside
 
 SCHEMA = "lightstage.checkpoint/1"
 INDEX = "checkpoint.json"
+AVERAGE = "average"
+"""Role of the network with averaged weights. Older checkpoints have none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +52,7 @@ class Checkpoint:
         texture_rows: of the maps trained on, which is the size of skin's detail for the network.
         code_version: of this package when it was saved.
         metrics: when it was saved.
-        files: role (generator or network, training) to {name, sha256}.
+        files: role (generator or network, average, training) to {name, sha256}.
     """
 
     folder: Path
@@ -74,7 +78,7 @@ def save_checkpoint(
     Args:
         folder: the run.
         step: training steps done.
-        tensors: role (generator or network, training) to named tensors.
+        tensors: role (generator or network, average, training) to named tensors.
         about: the other fields of `Checkpoint`.
 
     Returns:
@@ -96,9 +100,9 @@ def save_checkpoint(
 
 
 def save_tensors(path: Path, named: dict[str, Tensor]) -> Path:
-    """Write tensors by their names; returns `path`."""
+    """Write tensors by their names, wherever they are; returns `path`."""
     with atomic_path(path) as beside:
-        save_file({name: value.contiguous() for name, value in named.items()}, beside)
+        save_file({n: value.detach().cpu().contiguous() for n, value in named.items()}, beside)
         # safetensors makes its files the owner's alone, whatever the user's umask says.
         beside.chmod(0o666 & ~_umask())
     return path
@@ -184,7 +188,7 @@ def load_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
 
 
 def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
-    """The generator of a checkpoint, ready to infer with.
+    """The generator of a checkpoint, ready to infer with: averaged where it kept an average.
 
     Raises:
         CheckpointError, FormatError, ConfigError: as `read_checkpoint`, or weights of another
@@ -196,7 +200,7 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
     with torch.device("meta"):
         generator = Generator(config)
     generator.to_empty(device="cpu")
-    fill(generator, load_tensors(checkpoint, "generator"), where)
+    fill(generator, _trained(checkpoint, "generator"), where)
     return generator.eval(), checkpoint
 
 
@@ -206,7 +210,7 @@ def load_whole_face(path: Path) -> tuple[WholeFaceNetwork, Checkpoint]:
     config = make_config(WholeFaceConfig, checkpoint.config.get("network", {}), where)
     require_within(config, where, "network")
     network = WholeFaceNetwork(config)
-    fill(network, load_tensors(checkpoint, "network"), where)
+    fill(network, _trained(checkpoint, "network"), where)
     return network.eval(), checkpoint
 
 
@@ -216,8 +220,13 @@ def load_super_resolution(path: Path) -> tuple[Rcan, Checkpoint]:
     config = make_config(RcanConfig, checkpoint.config.get("network", {}), where)
     require_within(config, where, "network")
     network = Rcan(config)
-    fill(network, load_tensors(checkpoint, "network"), where)
+    fill(network, _trained(checkpoint, "network"), where)
     return network.eval(), checkpoint
+
+
+def _trained(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
+    """The weights to infer with: the average where one was kept, the role's own else."""
+    return load_tensors(checkpoint, AVERAGE if AVERAGE in checkpoint.files else role)
 
 
 def shipped_weights() -> Path:
@@ -278,6 +287,7 @@ def fill_adam(optimiser: torch.optim.Adam, tensors: dict[str, Tensor], prefix: s
         if name.startswith(prefix + "."):
             _, index, field = name.rsplit(".", 2)
             state.setdefault(int(index), {})[field] = value
+    # Moves the state to where the weights are.
     optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
 
 

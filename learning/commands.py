@@ -18,10 +18,12 @@ from learning.checkpoint import (
     shipped_weights,
 )
 from learning.data import DataConfig
+from learning.devices import choose_device, memory_of
 from learning.errors import MapsError
 from learning.infer import infer
 from learning.maps import TexturedHead, load_head
 from learning.presets import preset
+from learning.processes import ALONE, Processes, joined
 from learning.relight import (
     lit_texture,
     read_light,
@@ -60,6 +62,7 @@ DEFAULT_RIG_SCALE = 1080 / 6016
 REFINE_SECONDS = 20.0
 """Of `infer`, at most, where nothing else is asked for; most textures take less."""
 LIGHT = "light.json"
+ON_CPU = "Infer with --device cpu."
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
 
 
@@ -217,8 +220,11 @@ def train_command(
     seed: int | None,
     resume: bool,
     progress: ProgressCallback,
+    device_name: str = "auto",
+    processes: Processes = ALONE,
 ) -> dict[str, Any]:
-    """Train; returns the facts."""
+    """Train, as one of the processes; returns the facts."""
+    device = choose_device(device_name, processes.local_rank)
     overrides = read_toml(config) if config else {}
     if seconds is not None:
         overrides["seconds"] = seconds
@@ -227,12 +233,13 @@ def train_command(
     resolved = preset(preset_name, overrides, str(config) if config else f"preset {preset_name}")
     store = open_store(data)
     result: TrainResult[Score] | TrainResult[FaceScore] | TrainResult[UpscaleScore]
-    if isinstance(resolved, WholeTrainConfig):
-        result = train_faces(store, out, resolved, resume, progress)
-    elif isinstance(resolved, UpscaleTrainConfig):
-        result = train_upscaling(store, out, resolved, resume, progress)
-    else:
-        result = train(store, out, resolved, resume, progress)
+    with joined(processes, device), memory_of(device, out, _smaller_batch(resolved.batch)):
+        if isinstance(resolved, WholeTrainConfig):
+            result = train_faces(store, out, resolved, resume, progress, device, processes)
+        elif isinstance(resolved, UpscaleTrainConfig):
+            result = train_upscaling(store, out, resolved, resume, progress, device, processes)
+        else:
+            result = train(store, out, resolved, resume, progress, device, processes)
     return {
         "steps": result.steps,
         "examples": result.examples,
@@ -240,8 +247,18 @@ def train_command(
         **dataclasses.asdict(result.score),
         "scored": "textures" if isinstance(result.score, UpscaleScore) else "diffuse albedo",
         "said": result.score.sentence(),
+        "device": str(device),
+        "processes": processes.count,
+        **{f"share_{name}": share for name, share in result.shares.items()},
         "seconds": result.seconds,
     }
+
+
+def _smaller_batch(batch: int) -> str:
+    """What to try where a GPU's memory does not hold a training."""
+    if batch == 1:
+        return "Set a smaller patch_px or width by --config, or train with --device cpu."
+    return f"Set batch = {batch // 2} by --config; --resume asks for the batch that the run has."
 
 
 def infer_command(
@@ -252,11 +269,13 @@ def infer_command(
     head_pose: Path | None,
     refine: float | None,
     progress: ProgressCallback,
+    device_name: str = "auto",
 ) -> dict[str, Any]:
     """Infer the maps of a texture, with the shipped weights where none are named; the facts."""
     began = time.monotonic()
     if refine is not None and not 0 <= refine <= 3600:
         raise ConfigError("--refine", found=str(refine), expected="0 to 3600 seconds")
+    device = choose_device(device_name)
     about = read_checkpoint(checkpoint or shipped_weights())
     image = read_exr(texture, finite=True)
     if image.ndim != 3:
@@ -267,7 +286,10 @@ def infer_command(
     if about.family == "whole_face":
         network, _ = load_whole_face(about.folder)
         seconds = REFINE_SECONDS if refine is None else refine
-        found = infer_whole_face(network, image, shape, pose, named, refine_seconds=seconds)
+        with memory_of(device, texture, ON_CPU):
+            found = infer_whole_face(
+                network, image, shape, pose, named, refine_seconds=seconds, device=device
+            )
     else:
         if refine:
             raise ConfigError(
@@ -280,7 +302,8 @@ def infer_command(
         image, notes = resampled_texture(image, about.texture_rows, texture)
         data = make_config(DataConfig, about.config.get("data", {}), about.folder)
         turned = np.eye(3) if pose is None else pose[:, :3]
-        found = infer(generator, data, image, shape, turned, progress, named)
+        with memory_of(device, texture, ON_CPU):
+            found = infer(generator.to(device), data, image, shape, turned, progress, named)
     for name, values in found.maps.items():
         write_map(out / f"{name}.exr", name, values)
     if found.light is not None:
@@ -293,6 +316,7 @@ def infer_command(
         "columns": columns,
         "tiles": found.tiles,
         "step": about.step,
+        "device": str(device),
         "lamps": None if found.light is None else len(found.light.rgb),
         "notes": [*notes, *found.notes],
         "seconds": time.monotonic() - began,
@@ -305,9 +329,11 @@ def upscale_command(
     out: Path,
     times: int | None,
     progress: ProgressCallback,
+    device_name: str = "auto",
 ) -> dict[str, Any]:
     """Enlarge a picture; returns the facts."""
     began = time.monotonic()
+    device = choose_device(device_name)
     network, about = load_super_resolution(checkpoint)
     own = network.config.times
     if times not in (None, own):
@@ -318,7 +344,9 @@ def upscale_command(
             hint="Another --checkpoint may have been trained for another; network.times of a "
             "training may be 2, 4 or 8.",
         )
-    large = upscale(network, read_exr(picture, finite=True), picture, progress)
+    image = read_exr(picture, finite=True)
+    with memory_of(device, picture, ON_CPU):
+        large = upscale(network.to(device), image, picture, progress)
     write_exr(out, large)
     rows, columns = large.shape[:2]
     return {
@@ -327,5 +355,6 @@ def upscale_command(
         "times": own,
         "step": about.step,
         "trained_rows": about.texture_rows,
+        "device": str(device),
         "seconds": time.monotonic() - began,
     }

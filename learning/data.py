@@ -11,6 +11,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from learning import augment
+from learning.clock import DATA, RENDERING, Clock
 from learning.encoding import (
     Reference,
     absolute_reference,
@@ -165,13 +166,17 @@ class PatchData:
         rng: np.random.Generator,
         mode: Mode = "physical",
         progress: ProgressCallback = quiet,
+        clock: Clock | None = None,
     ) -> None:
         """Find the patches and bake the shadows of random light sets; `mode` is of the shading.
+
+        What is drawn counts on `clock` as data and rendering.
 
         Raises:
             TrainingError: no patch is covered enough.
         """
         self._store, self._config = store, config
+        self._clock = clock or Clock()
         self._lights, self._variation = lights, variation
         self._options = ShadeOptions(mode)
         self._patches: collections.OrderedDict[tuple[int, int, int], Region]
@@ -201,12 +206,16 @@ class PatchData:
 
     def batch(self, places: list[tuple[int, int, int]], rng: np.random.Generator) -> Batch:
         """Light patches at random; the same place gives another pair each time."""
-        return join([self._example(place, rng) for place in places])
+        return self._batch(places, rng.spawn(len(places)))
 
-    def draw(self, count: int, rng: np.random.Generator) -> Batch:
-        """A batch of random patches."""
-        chosen = rng.integers(0, len(self.places), count)
-        return self.batch([self.places[int(i)] for i in chosen], rng)
+    def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> Batch:
+        """A batch of random patches, or a share of it: what is drawn is the whole batch's."""
+        chosen = rng.integers(0, len(self.places), count)[share]
+        with self._clock.part(DATA):
+            return self._batch([self.places[int(i)] for i in chosen], rng.spawn(count)[share])
+
+    def _batch(self, places: list[tuple[int, int, int]], rngs: list[np.random.Generator]) -> Batch:
+        return join([self._example(*of) for of in zip(places, rngs, strict=True)])
 
     def patch(self, place: tuple[int, int, int]) -> Region:
         """A patch's maps, from memory where they were read before."""
@@ -241,8 +250,9 @@ class PatchData:
         covered = (skin.area > 0).to(skin.area)
         with torch.no_grad():
             # As printed light is negative behind the horizon, which no photograph shows.
-            texture = shade(skin, environment, options, seen).clamp_min(0) * covered
-            whole_texture = shade(whole_skin, environment, options, whole_seen).clamp_min(0)
+            with self._clock.part(RENDERING):
+                texture = shade(skin, environment, options, seen).clamp_min(0) * covered
+                whole_texture = shade(whole_skin, environment, options, whole_seen).clamp_min(0)
             whole_covered = (whole_skin.area > 0).to(texture)
             whole_texture = whole_texture * whole_covered
             shape_normal = region.maps["shape_normal"]

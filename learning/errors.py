@@ -17,5 +17,9 @@ class CheckpointError(LearningError):
     """A checkpoint that is missing, damaged or of another network."""
 
 
+class DeviceMemoryError(LearningError):
+    """A network, its batch or its tile that a GPU's memory does not hold."""
+
+
 class TrainingError(LearningError):
     """Training data that cannot be trained on, or a training that diverged."""

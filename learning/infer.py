@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from learning.data import DataConfig
+from learning.devices import CPU, device_of
 from learning.encoding import (
     absolute_reference,
     decode_maps,
@@ -146,8 +147,9 @@ def run_tiles(
     """Run a generator over a large picture.
 
     Args:
-        generator: 9 channels to 13; its own instance norms are untouched afterwards.
-        inputs: (1, 6, rows, columns), the channels that change from tile to tile.
+        generator: 9 channels to 13, on any device; its own instance norms are untouched afterwards.
+        inputs: (1, 6, rows, columns), the channels that change from tile to tile; on the processor,
+            as the result is: a GPU holds one tile at a time.
         context: (1, 3, patch_px, patch_px), the same for all tiles.
         patch_px: side of a tile; tiles overlap by half.
         progress: called with tiles done of both passes.
@@ -163,6 +165,8 @@ def run_tiles(
     hooks = [m.register_forward_hook(dense.hook(i)) for i, m in enumerate(norms)]
     tiles = [(i, j) for i in range(len(grid[0])) for j in range(len(grid[1]))]
     window = _window(patch_px)
+    device = device_of(generator)
+    context = context.to(device)
     total = inputs.new_zeros(1, OUT_CHANNELS, rows, columns)
     weight = inputs.new_zeros(1, 1, rows, columns)
     moments = inputs.new_zeros(2, 3, rows, columns)
@@ -173,7 +177,8 @@ def run_tiles(
                     top, left = grid[0][i], grid[1][j]
                     part = (..., slice(top, top + patch_px), slice(left, left + patch_px))
                     dense.tile = (i, j)
-                    found = generator(torch.cat([inputs[part], context], dim=1))
+                    tile = torch.cat([inputs[part].to(device), context], dim=1)
+                    found = generator(tile).to(CPU)
                     if dense.second_pass:
                         total[part] += found * window
                         weight[part] += window
@@ -238,7 +243,9 @@ class DenseNorm:
         at = origins[self.tile[axis]] + (np.arange(count) + 0.5) * self._patch / count
         eye = np.eye(len(origins))
         centres = origins + self._patch / 2
-        return torch.from_numpy(np.stack([np.interp(at, centres, row) for row in eye]))
+        weights = np.stack([np.interp(at, centres, row) for row in eye])
+        # Apple's GPUs take no double precision.
+        return torch.from_numpy(weights.astype(np.float32))
 
 
 def _origins(length: int, patch_px: int) -> list[int]:

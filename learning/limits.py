@@ -83,6 +83,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "epochs": (1, 1_000_000),
     "seconds": (_POSITIVE, _ANY),
     "learning_rate": (_POSITIVE, 1),
+    "ema": (0, 0.999999),
     "beta1": (0, 0.999999),
     "beta2": (0, 0.999999),
     "constant_share": (0, 1),

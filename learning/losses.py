@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from learning.data import Batch
 from learning.encoding import OWN_CHANNELS, decode_maps
-from learning.render.environments import RandomLightConfig, around
+from learning.render.environments import RandomLightConfig, apart, around, stack
 from learning.render.shading import shade
 
 
@@ -19,7 +20,7 @@ def rendering_loss(
     batch: Batch,
     environments: int,
     lights: RandomLightConfig,
-    rng: np.random.Generator,
+    rng: np.random.Generator | Sequence[np.random.Generator],
 ) -> Tensor:
     """How different the found skin looks from the true one, in some environments [Lattas2021].
 
@@ -33,15 +34,17 @@ def rendering_loss(
         batch: the truth.
         environments: n_L.
         lights: how far the draws go.
-        rng: randomness.
+        rng: randomness; or one for each patch, so that its lights do not depend on the others'.
     """
     skin = decode_maps(found, batch.reference).on(batch.skin)
     total = found.new_zeros(())
     of_truth, of_found = batch.options, dataclasses.replace(batch.options, fade_normals=True)
+    rngs = rng.spawn(len(found)) if isinstance(rng, np.random.Generator) else rng
+    targets = list(zip(apart(batch.environment), rngs, strict=True)) if environments else []
     for index in range(environments + 1):
         environment = batch.environment
         if index:
-            environment = around(batch.environment, rng, lights)
+            environment = stack([around(target, own, lights) for target, own in targets])
         with torch.no_grad():
             truth = shade(batch.skin, environment, of_truth)
         difference = shade(skin, environment, of_found) - truth

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 from learning.augment import AugmentConfig
 from learning.data import DataConfig
+from learning.forward import Compile, Precision
 from learning.limits import require_within
 from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
@@ -42,6 +43,10 @@ class TrainConfig:
         environments: n_L of the rendering loss.
         shading: the renderer's formulas for the training's pictures and the rendering loss: `paper`
             as printed, `physical` or `ggx` (see learning.render.shading).
+        precision: of the network's steps: `bf16` computes in bfloat16 and keeps weights and losses
+            in float32, where a CUDA GPU has it; `auto`: where it is.
+        compile: through torch.compile: `on`, `off`; `auto`: on CUDA alone.
+        ema: decay of the weights' moving average, which is scored and inferred with; 0 for none.
         seed: of everything random.
         log_steps: steps between lines of metrics.jsonl.
         save_seconds: time between checkpoints.
@@ -66,6 +71,9 @@ class TrainConfig:
     map_weight: float = 0.0
     environments: int = 3
     shading: Mode = "paper"
+    precision: Precision = "auto"
+    compile: Compile = "auto"
+    ema: float = 0.0
     seed: int = 0
     log_steps: int = 20
     save_seconds: float = 60.0

@@ -10,21 +10,30 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from torch import Tensor
 
 from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpoint, save_tensors
+from learning.clock import NETWORK, Clock
 from learning.errors import CheckpointError, TrainingError
+from learning.event_file import EventFile
 from learning.guard import LEAP, Guard
+from learning.processes import ALONE, Processes
+from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.config import as_dict
 from lightstage.formats.values import parse_json
+from lightstage.interrupts import held
 from processing.dataset import Store
 
 METRICS = "metrics.jsonl"
+BEFORE = {"shading": "physical", "ema": 0.0}
+"""What a run did that began before these could be chosen."""
+FREE = ("seconds", "precision", "compile")
+"""How long to go on, and how fast on the device at hand, are new decisions each time."""
 MOST_TOLD = 4
 """Values that differ from those a run began with, at most, that a message names."""
 
@@ -72,6 +81,7 @@ class TrainResult(Generic[ScoreT]):
         examples: patches or scans trained on.
         held_out: people who were not.
         score: of the people held out.
+        shares: of the steps' time: `data`, `rendering`, `network`, `idle` (see learning.clock).
     """
 
     checkpoint: Path
@@ -80,6 +90,7 @@ class TrainResult(Generic[ScoreT]):
     examples: int
     held_out: list[str]
     score: ScoreT
+    shares: dict[str, float] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +103,10 @@ class Run:
         about: the checkpoint's other fields.
         first: step to begin with.
         began: monotonic seconds.
+        processes: that train together; the first alone writes.
+        events: of this call, as TensorBoard reads them.
+        clock: of this call's steps. What makes batches and renders counts its own parts on it; what
+            is left of a step counts as the network's.
     """
 
     out: Path
@@ -99,41 +114,81 @@ class Run:
     about: dict[str, Any]
     first: int
     began: float
+    processes: Processes = ALONE
+    events: EventFile | None = None
+    clock: Clock = dataclasses.field(default_factory=Clock)
 
     def steps(self, learner: Learner, total: int, progress: ProgressCallback = quiet) -> int:
         """Train until the steps or the seconds are used up; returns the steps done in all.
 
-        A checkpoint is saved every `save_seconds`, and when the training is interrupted. Where the
-        losses go astray, the step's batch is kept in `stopped-STEP.safetensors`.
+        A checkpoint is saved every `save_seconds`, and when the training is interrupted: once the
+        step is whole, in all processes after the same one. Where the losses go astray, the step's
+        batch is kept in `stopped-STEP.safetensors`.
 
         Raises:
             TrainingError: losses that are not finite, or that leapt and stay high.
         """
-        finished, saved = self.first, time.monotonic()
+        finished, saved, whole = self.first, time.monotonic(), True
         guard = Guard()
-        try:
-            for step, done in _steps(self.first, total, self.config.seconds, progress):
-                losses = learner.step(step, done)
-                finished = step + 1
-                if not all(map(math.isfinite, losses.values())):
-                    raise self._astray(learner, step, f"losses {losses}", "finite ones")
-                if guard.leapt(losses[learner.watched]):
-                    found = f"{learner.watched} {LEAP:g} times as large as it was before"
-                    raise self._astray(learner, step, found, "a loss that falls")
-                if step % self.config.log_steps == 0:
-                    self.log({"step": step, **losses})
-                if time.monotonic() - saved > self.config.save_seconds:
-                    save_checkpoint(self.out, finished, learner.tensors(), self.about)
-                    saved = time.monotonic()
-        except KeyboardInterrupt:
-            save_checkpoint(self.out, finished, learner.tensors(), self.about)
-            raise
+        with held() as signals:
+            try:
+                for step, done in self._steps(total, progress):
+                    whole = False
+                    with self.clock.part(NETWORK):
+                        losses = self._mean(learner.step(step, done))
+                    finished, whole = step + 1, True
+                    if not all(map(math.isfinite, losses.values())):
+                        raise self._astray(learner, step, f"losses {losses}", "finite ones")
+                    if guard.leapt(losses[learner.watched]):
+                        found = f"{learner.watched} {LEAP:g} times as large as it was before"
+                        raise self._astray(learner, step, found, "a loss that falls")
+                    if step % self.config.log_steps == 0:
+                        self.log({"step": step, **losses})
+                    if time.monotonic() - saved > self.config.save_seconds:
+                        self._save(learner, finished, self.about)
+                        saved = time.monotonic()
+                    if any(self.processes.mean([float(signals.came)])):
+                        raise KeyboardInterrupt
+            except KeyboardInterrupt:
+                # Of a step that was cut short, weights may be new and the optimiser's state old.
+                if whole:
+                    self._save(learner, finished, self.about)
+                raise
         return finished
+
+    def _steps(self, total: int, progress: ProgressCallback) -> Iterator[tuple[int, float]]:
+        """Step numbers with the share that is done, until the steps or the time are used up.
+
+        The time is the first process's.
+        """
+        began, step, seconds = time.monotonic(), self.first, self.config.seconds
+        shown = progress if self.processes.first else quiet
+        while True:
+            spent = time.monotonic() - began
+            done = self.processes.of_first(step / total if seconds is None else spent / seconds)
+            if done >= 1:
+                return
+            yield step, done
+            step += 1
+            if seconds is None:
+                shown(step, total)
+            else:
+                shown(min(int(time.monotonic() - began), int(seconds)), max(1, int(seconds)))
+
+    def _mean(self, losses: dict[str, float]) -> dict[str, float]:
+        """The processes' losses as those of the whole batch."""
+        return dict(zip(losses, self.processes.mean(list(losses.values())), strict=True))
+
+    def _save(self, learner: Learner, steps: int, about: dict[str, Any]) -> Path:
+        if not self.processes.first:
+            return self.out / INDEX
+        return save_checkpoint(self.out, steps, learner.tensors(), about)
 
     def _astray(self, learner: Learner, step: int, found: str, expected: str) -> TrainingError:
         kept = self.out / f"stopped-{step:07d}.safetensors"
-        self.out.mkdir(parents=True, exist_ok=True)
-        save_tensors(kept, learner.batch(step))
+        if self.processes.first:
+            self.out.mkdir(parents=True, exist_ok=True)
+            save_tensors(kept, learner.batch(step))
         return TrainingError(
             self.out,
             field=f"step {step}",
@@ -144,22 +199,38 @@ class Run:
         )
 
     def end(
-        self, learner: Learner, steps: int, examples: int, score: ScoreT
+        self,
+        learner: Learner,
+        steps: int,
+        examples: int,
+        score: ScoreT,
+        samples: Sequence[Sample] = (),
     ) -> TrainResult[ScoreT]:
-        """Save the trained network with its figures."""
+        """Save the trained network with its figures, and a sheet of some samples."""
         figures = {f.name: getattr(score, f.name) for f in dataclasses.fields(score)}
-        self.log({"step": steps, **figures})
+        shares = self.clock.shares()
+        said = {f"share_{name}": round(share, 4) for name, share in shares.items()}
+        self.log({"step": steps, **figures, **said})
         about = {**self.about, "metrics": figures}
-        index = save_checkpoint(self.out, steps, learner.tensors(), about)
+        index = self._save(learner, steps, about)
+        if samples and self.processes.first:
+            title = f"{self.out.name} after {steps} steps"
+            write_samples(self.out, title, score.sentence(), samples)
         seconds = time.monotonic() - self.began
-        return TrainResult(index, steps, seconds, examples, self.about["held_out"], score)
+        held_out = self.about["held_out"]
+        return TrainResult(index, steps, seconds, examples, held_out, score, shares)
 
     def log(self, values: dict[str, Any]) -> None:
         """Add a line to the metrics."""
+        if not self.processes.first:
+            return
         self.out.mkdir(parents=True, exist_ok=True)
         line = {**values, "seconds": round(time.monotonic() - self.began, 2)}
         with (self.out / METRICS).open("a") as handle:
             handle.write(json.dumps(line) + "\n")
+        if self.events is not None:
+            scalars = {name: float(v) for name, v in values.items() if name != "step"}
+            self.events.add(int(values["step"]), scalars)
 
 
 def begin(
@@ -169,6 +240,7 @@ def begin(
     held_out: set[str],
     resume: bool,
     load: Callable[[Checkpoint], None],
+    processes: Processes = ALONE,
 ) -> Run:
     """Begin a run in a folder, or go on with the one that is there.
 
@@ -179,6 +251,7 @@ def begin(
         held_out: people who are not trained on.
         resume: go on.
         load: takes over the state of the checkpoint that is gone on with.
+        processes: that train together.
 
     Raises:
         CheckpointError: nothing to resume, another configuration or other data; or, without
@@ -197,7 +270,8 @@ def begin(
         _check_same(checkpoint, config, store)
         load(checkpoint)
         first = checkpoint.step
-        _drop_half_line(out / METRICS)
+        if processes.first:
+            _drop_half_line(out / METRICS)
     elif (out / INDEX).exists():
         raise CheckpointError(
             out / INDEX,
@@ -213,7 +287,7 @@ def begin(
         "texture_rows": store.scans[0].rows,
         "metrics": {},
     }
-    return Run(out, config, about, first, began)
+    return Run(out, config, about, first, began, processes, EventFile(out))
 
 
 def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
@@ -243,25 +317,6 @@ def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
     return set(people[-held_out:]), set(people[:-held_out])
 
 
-def _steps(
-    first: int, total: int, seconds: float | None, progress: ProgressCallback
-) -> Iterator[tuple[int, float]]:
-    """Step numbers with the share that is done, until the steps or the time are used up."""
-    began = time.monotonic()
-    step = first
-    while True:
-        spent = time.monotonic() - began
-        done = step / total if seconds is None else spent / seconds
-        if done >= 1:
-            return
-        yield step, done
-        step += 1
-        if seconds is None:
-            progress(step, total)
-        else:
-            progress(min(int(time.monotonic() - began), int(seconds)), max(1, int(seconds)))
-
-
 def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
     where = checkpoint.folder / INDEX
     if checkpoint.family != config.family:
@@ -273,11 +328,9 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
             hint="Resume with the --preset that the run began with, or choose another --out.",
         )
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")
-    # Before the shading could be chosen it was `physical`.
-    begun = {"shading": "physical", **checkpoint.config}
-    # How long to go on is a new decision each time.
+    begun = {**BEFORE, **checkpoint.config}
     differing = {
-        name: values for name, values in _differences(begun, wanted).items() if name != "seconds"
+        name: values for name, values in _differences(begun, wanted).items() if name not in FREE
     }
     if differing:
         told = list(differing)[:MOST_TOLD]

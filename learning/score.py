@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from learning.data import Batch, PatchData
+from learning.devices import CPU, device_of
 from learning.encoding import decode_colour, decode_maps, encode_colour, srgb_from_linear
 from learning.errors import TrainingError
 from learning.networks.generator import Generator
@@ -81,9 +82,10 @@ def score(
             hint="Was the store written anew meanwhile?",
         )
     tone = torch.stack([_tone(trained_on.draw(1, rng)) for _ in range(2 * count)]).mean(dim=0)
-    found = []
+    device = device_of(generator)
     with torch.inference_mode():
-        found = [decode_maps(generator(b.inputs), b.reference) for b in batches]
+        said = [generator(b.inputs.to(device)).to(CPU) for b in batches]
+    found = [decode_maps(channels, b.reference) for channels, b in zip(said, batches, strict=True)]
 
     def mean_square(values: list[Tensor]) -> float:
         texels = [

@@ -6,11 +6,25 @@ import contextlib
 import signal
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _interrupted = threading.Event()
 _once = threading.Event()
+AGAIN_S = 1.0
+"""A second signal this long after the first is somebody who will not wait: it is never held back.
+One key may reach a process several times, from the terminal and from who started it."""
+
+
+class Held:
+    """Whether a signal has come within `held`, and when."""
+
+    came: bool = False
+    since: float = 0.0
+
+
+_held: list[Held] = []
 
 
 def end_without_traceback() -> None:
@@ -115,8 +129,29 @@ def signals_told(tell: Callable[[], object]) -> Iterator[None]:
         heard.close()
 
 
+@contextlib.contextmanager
+def held() -> Iterator[Held]:
+    """Within the block the first signal interrupts nothing: who asks `came` ends in order.
+
+    For work whose parts belong together, such as a step of a training. A second signal, later than
+    `AGAIN_S` after the first, raises KeyboardInterrupt at once.
+    """
+    here = Held()
+    _held.append(here)
+    try:
+        yield here
+    finally:
+        _held.remove(here)
+
+
 def _interrupt(*_: object) -> None:
     again = _interrupted.is_set()
     _interrupted.set()
-    if not (again and _once.is_set()):
-        raise KeyboardInterrupt
+    if again and _once.is_set():
+        return
+    now = time.monotonic()
+    if _held and (not _held[-1].came or now - _held[-1].since < AGAIN_S):
+        if not _held[-1].came:
+            _held[-1].came, _held[-1].since = True, now
+        return
+    raise KeyboardInterrupt

@@ -146,14 +146,17 @@ class WholeFaceNetwork(nn.Module):
         """Where albedos lie along the modes, in people's standard deviations.
 
         Args:
-            beside: (n, 3, rows, columns) natural logarithms less the mean person's.
+            beside: (n, 3, rows, columns) natural logarithms less the mean person's, on the
+                processor.
             weight: (1, rows, columns), how much a texel counts.
 
         Returns:
             (n, modes), by a ridge regression that hardly feels people's variance; 0 along modes
             that so few people have.
         """
-        modes = (self.albedo_modes * self.mode_deviations.view(-1, 1, 1, 1)).flatten(1).double()
+        # On the processor, since not every device has doubles.
+        modes = (self.albedo_modes * self.mode_deviations.view(-1, 1, 1, 1)).flatten(1)
+        modes = modes.cpu().double()
         counts = weight.expand(3, -1, -1).reshape(-1).double()
         normal = (modes * counts) @ modes.T + RIDGE * torch.eye(len(modes), dtype=torch.float64)
         right = (modes * counts) @ beside.flatten(1).double().T

@@ -100,6 +100,24 @@ def stack(environments: list[Environment]) -> Environment:
     )
 
 
+def apart(environments: Environment) -> list[Environment]:
+    """The inverse of `stack`: one by one, without the black lights that filled sets up."""
+    found = []
+    for index in range(len(environments.rgb)):
+        own = slice(index, index + 1)
+        lit = max(1, int(environments.rgb[index].any(dim=-1).sum()))
+        found.append(
+            Environment(
+                environments.position_mm[own, :lit],
+                environments.rgb[own, :lit],
+                environments.ambient_rgb[own],
+                environments.distant[own, :lit],
+                environments.camera_mm[own],
+            )
+        )
+    return found
+
+
 def random_lights(rng: np.random.Generator, config: RandomLightConfig) -> np.ndarray:
     """Places of one to `lights` point lights: (n, 3) mm.
 

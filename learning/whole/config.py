@@ -6,6 +6,7 @@ import dataclasses
 from typing import ClassVar
 
 from learning.augment import AugmentConfig
+from learning.forward import Compile, Precision
 from learning.networks.whole_face import WholeFaceConfig
 from learning.render.environments import RandomLightConfig
 from learning.render.shading import Mode
@@ -32,6 +33,10 @@ class WholeTrainConfig:
         shading: the renderer's formulas for the training's pictures.
         detail_pairs: pairs at the textures' own size that the shares of detail are fitted to.
         doubt_faces: faces over which the network's error along people's modes is measured.
+        precision: of the network's steps: `bf16` computes in bfloat16 and keeps weights and losses
+            in float32, where a CUDA GPU has it; `auto`: where it is.
+        compile: through torch.compile: `on`, `off`; `auto`: on CUDA alone.
+        ema: decay of the weights' moving average, which is scored and inferred with; 0 for none.
         seed: of everything random.
         log_steps: steps between lines of metrics.jsonl.
         save_seconds: time between checkpoints.
@@ -53,6 +58,9 @@ class WholeTrainConfig:
     shading: Mode = "physical"
     detail_pairs: int = 8
     doubt_faces: int = 256
+    precision: Precision = "auto"
+    compile: Compile = "auto"
+    ema: float = 0.0
     seed: int = 0
     log_steps: int = 20
     save_seconds: float = 60.0

@@ -10,6 +10,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from learning import augment
+from learning.clock import DATA, RENDERING, Clock
 from learning.encoding import shrink
 from learning.maps import from_batch, to_batch, typical_texel_mm
 from learning.networks.whole_face import KnownPeople, WholeFaceConfig, face_input
@@ -137,8 +138,13 @@ class Faces:
         rng: np.random.Generator,
         mode: Mode = "physical",
         progress: ProgressCallback = quiet,
+        clock: Clock | None = None,
     ) -> None:
-        """Read and shrink the scans, and bake the shadows of random sets of lights."""
+        """Read and shrink the scans, and bake the shadows of random sets of lights.
+
+        What is drawn counts on `clock` as data and rendering.
+        """
+        self._clock = clock or Clock()
         self._store, self._config = store, config
         self._lights, self._variation = lights, variation
         self._size = (size.rows, size.columns)
@@ -149,6 +155,11 @@ class Faces:
             maps, skin = read_small(store, scan.index, FINER * size.rows, FINER * size.columns)
             self.faces.append(self._face(maps, skin, rng))
             progress(done + 1, len(self._scans))
+
+    @property
+    def names(self) -> list[str]:
+        """Whose scan each face is."""
+        return [scan.subject for scan in self._scans]
 
     def in_common(self, modes: int) -> KnownPeople:
         """What the people have in common, and the directions in which their albedo differs."""
@@ -174,21 +185,24 @@ class Faces:
             deviations,
         )
 
-    def draw(self, count: int, rng: np.random.Generator) -> FaceBatch:
-        """A batch of random scans."""
-        return self.batch([int(i) for i in rng.integers(0, len(self.faces), count)], rng)
+    def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> FaceBatch:
+        """A batch of random scans, or a share of it: what is drawn is the whole batch's."""
+        faces = [self.faces[int(index)] for index in rng.integers(0, len(self.faces), count)]
+        with self._clock.part(DATA):
+            return self._batch(faces[share], rng.spawn(count)[share], _mean_texel_mm(faces))
 
     def batch(self, chosen: list[int], rng: np.random.Generator) -> FaceBatch:
         """Light some scans at random; the same scan gives another pair each time."""
-        texture, skin = self._lit([self.faces[index] for index in chosen], rng)
-        normal, captured = (
-            torch.cat(images)
-            for images in (
-                [self.faces[index].maps["shape_normal"] for index in chosen],
-                [self.faces[index].skin for index in chosen],
-            )
-        )
-        return self._photographed(texture, skin, normal, captured, rng)
+        faces = [self.faces[index] for index in chosen]
+        return self._batch(faces, rng.spawn(len(faces)), _mean_texel_mm(faces))
+
+    def _batch(
+        self, faces: list[Face], rngs: list[np.random.Generator], texel_mm: float
+    ) -> FaceBatch:
+        texture, skin = self._lit(faces, rngs, texel_mm)
+        normal = torch.cat([face.maps["shape_normal"] for face in faces])
+        captured = torch.cat([face.skin for face in faces])
+        return self._photographed(texture, skin, normal, captured, rngs)
 
     def draw_large(self, rng: np.random.Generator) -> LargePair:
         """A random scan, lit at its texture's own size (at most `LARGEST_ROWS`)."""
@@ -216,7 +230,7 @@ class Faces:
     def _large_pair(
         self, face: Face, covered: np.ndarray, captured: np.ndarray, rng: np.random.Generator
     ) -> LargePair:
-        texture, skin = self._lit([face], rng)
+        texture, skin = self._lit([face], [rng], face.texel_mm)
         low = shrink(texture, self._size)
         there = torch.ones_like(low[:, :1])
         normal = unit(shrink(face.maps["shape_normal"], self._size))
@@ -230,26 +244,29 @@ class Faces:
             face_input(low, normal, position, there),
         )
 
-    def _lit(self, faces: list[Face], rng: np.random.Generator) -> tuple[Tensor, SkinMaps]:
+    def _lit(
+        self, faces: list[Face], rngs: list[np.random.Generator], texel_mm: float
+    ) -> tuple[Tensor, SkinMaps]:
         """Faces of one size in random light and complexion: (B, 3, h, w), and their skins."""
-        sets = [int(rng.integers(len(face.light_position_mm))) for face in faces]
-        multiplies = self._options.mode == "paper"
-        environment = stack(
-            [
-                random_environment(rng, self._lights, face.light_position_mm[s], multiplies)
-                for face, s in zip(faces, sets, strict=True)
-            ]
-        )
-        count = environment.rgb.shape[1]
-        seen = torch.cat(
-            [_padded(f.visibility[s], count) for f, s in zip(faces, sets, strict=True)]
-        )
-        skin = _joined([_skin_maps(face, augment.draw(rng, self._variation)) for face in faces])
-        options = self._options
-        if rng.random() < self._config.ggx_share:
-            options = ShadeOptions("ggx")
-        with torch.no_grad():
-            return shade(skin, environment, options, seen).clamp_min(0), skin
+        environments, shadows, skins, modes = [], [], [], []
+        for face, rng in zip(faces, rngs, strict=True):
+            chosen = int(rng.integers(len(face.light_position_mm)))
+            lights, multiplies = face.light_position_mm[chosen], self._options.mode == "paper"
+            environments.append(random_environment(rng, self._lights, lights, multiplies))
+            shadows.append(face.visibility[chosen])
+            skins.append(_skin_maps(face, augment.draw(rng, self._variation)))
+            facets = rng.random() < self._config.ggx_share
+            modes.append("ggx" if facets else self._options.mode)
+        skin = _joined(skins, texel_mm)
+        texture = torch.empty_like(skin.diffuse_albedo)
+        for mode in dict.fromkeys(modes):
+            here = [index for index, own in enumerate(modes) if own == mode]
+            light = stack([environments[index] for index in here])
+            seen = torch.cat([_padded(shadows[index], light.rgb.shape[1]) for index in here])
+            some = skin if len(here) == len(faces) else _joined([skins[i] for i in here], texel_mm)
+            with torch.no_grad(), self._clock.part(RENDERING):
+                texture[here] = shade(some, light, ShadeOptions(mode), seen).clamp_min(0)
+        return texture, skin
 
     def _photographed(
         self,
@@ -257,17 +274,20 @@ class Faces:
         skin: SkinMaps,
         normal: Tensor,
         captured: Tensor,
-        rng: np.random.Generator,
+        rngs: list[np.random.Generator],
     ) -> FaceBatch:
         """At the network's size, with the flaws of photographs and the shape's own normals."""
         config, size = self._config, self._size
         normal = unit(shrink(normal, size))
         small = shrink(texture, size)
         surface = (shrink((skin.area > 0).to(texture), size) > 0.5).to(texture)
-        balance = np.exp(rng.normal(0, config.white_balance, (len(small), 3, 1, 1)))
-        grain = np.exp(rng.normal(0, config.noise, tuple(small.shape)))
-        small = small * torch.from_numpy((balance * grain).astype(np.float32))
-        seen = surface * torch.cat([self._shown(n, rng) for n in normal.split(1)])
+        flaws, shown = [], []
+        for own, rng in zip(normal.split(1), rngs, strict=True):
+            balance = np.exp(rng.normal(0, config.white_balance, (3, 1, 1)))
+            flaws.append(balance * np.exp(rng.normal(0, config.noise, tuple(small.shape[1:]))))
+            shown.append(self._shown(own, rng))
+        small = small * torch.from_numpy(np.stack(flaws).astype(np.float32))
+        seen = surface * torch.cat(shown)
         small = small * seen
         share = shrink(captured, size)
         weight = surface * (config.beside_skin + (1 - config.beside_skin) * (share > 0.5))
@@ -376,12 +396,17 @@ def _skin_maps(face: Face, variation: augment.Variation) -> SkinMaps:
     )
 
 
-def _joined(skins: list[SkinMaps]) -> SkinMaps:
-    """Many skins as one batch; the subsurface kernel is that of the mean texel."""
+def _mean_texel_mm(faces: list[Face]) -> float:
+    """Edge of the mean texel of a batch, whose subsurface kernel is used for all of it."""
+    return float(np.mean([face.texel_mm for face in faces]))
+
+
+def _joined(skins: list[SkinMaps], texel_mm: float) -> SkinMaps:
+    """Many skins as one batch."""
     names = [f.name for f in dataclasses.fields(SkinMaps) if f.name != "texel_mm"]
     return SkinMaps(
         **{name: torch.cat([getattr(skin, name) for skin in skins]) for name in names},
-        texel_mm=float(np.mean([skin.texel_mm for skin in skins])),
+        texel_mm=texel_mm,
     )
 
 

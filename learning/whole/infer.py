@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from learning.devices import CPU, moved
 from learning.encoding import shrink
 from learning.errors import MapsError
 from learning.infer import DISAGREEMENT, Inferred
@@ -49,6 +51,7 @@ def infer_whole_face(
     named: tuple[str | Path, str | Path] = ("texture", "mesh"),
     shares: list[float] | None = None,
     refine_seconds: float = 0.0,
+    device: torch.device = CPU,
 ) -> Inferred:
     """Infer a texture's reflectance.
 
@@ -63,6 +66,7 @@ def infer_whole_face(
         shares: of each band of the texture's detail, 0..1; the network's own where None.
         refine_seconds: time to find the texture's light and refine the answer by it (see
             `learning.whole.refine`); 0 for the network's answer.
+        device: where the network runs, as a copy; all else is the processor's.
 
     Returns:
         Maps of the texture's size in the mesh's axes; zero where no surface is. Both normals are
@@ -99,8 +103,10 @@ def infer_whole_face(
     require_upright(_image(small), _image(pattern), named[0])
     low_normal = _turned(unit(shrink(to_batch(normal), shape)), head_from_mesh)
     shown = (shrink(seen, shape) > 0.5).float()
+    given = face_input(small * shown, low_normal, low_position, shown)
+    there = network if device == CPU else copy.deepcopy(network).to(device)
     with torch.inference_mode():
-        said = network(face_input(small * shown, low_normal, low_position, shown))
+        said = moved(there(given.to(device)), CPU)
     log_albedo = _image(said.diffuse_albedo.log())
     low_specular = np.exp(_image(said.specular_albedo.log())[..., 0])
     trust = _trust(_image(said.deviation)[..., 0])

@@ -18,7 +18,7 @@ from learning.maps import SHININESS, skin_maps_from
 from learning.render.environments import Environment
 from learning.render.light_dome import even_directions
 from learning.render.occlusion import ShadowCaster
-from learning.render.shading import ShadeOptions, direct
+from learning.render.shading import Mode, ShadeOptions, direct
 from learning.render.uv import UvRaster
 from lightstage.formats.mesh import Mesh
 
@@ -40,9 +40,9 @@ HALF_AT = 0.1
 DARK = 0.05
 """Added to a texture's value before errors are weighed by it: dark texels are mostly noise."""
 ROBUST_ROUNDS = 4
-MODE = "physical"
+MODE: Mode = "ggx"
 F0 = 0.028
-AMBIENT_SHINE = 0.0
+AMBIENT_SHINE = 1.2
 
 Lamps = tuple[tuple[float, float, float], ...]
 """Where lamps stand, mm, head frame."""

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from learning.devices import CPU, device_of, moved
 from learning.encoding import srgb_from_linear
 from learning.errors import TrainingError
 from learning.networks.whole_face import WholeFaceNetwork
@@ -72,10 +73,10 @@ def score_faces(network: WholeFaceNetwork, held_out: Faces, lights: int, seed: i
             expected="maps as they were when the training began",
             hint="Was the store written anew meanwhile?",
         )
-    device = next(network.parameters()).device
+    device = device_of(network)
     with torch.inference_mode():
-        found = [network(pair.inputs.to(device)) for pair in pairs]
-    albedo = [said.diffuse_albedo.cpu() for said in found]
+        found = [moved(network(pair.inputs.to(device)), CPU) for pair in pairs]
+    albedo = [said.diffuse_albedo for said in found]
     mean = network.mean_log_albedo.exp().cpu()
     tones = [mean_colour(pair.diffuse_albedo, pair.skin) for pair in pairs]
     gains = [
@@ -83,8 +84,8 @@ def score_faces(network: WholeFaceNetwork, held_out: Faces, lights: int, seed: i
         for value, pair in zip(albedo, pairs, strict=True)
     ]
     specular = torch.cat([p.specular_albedo[p.skin > 0] for p in pairs])
-    said = [s.specular_albedo.cpu()[p.skin > 0] for s, p in zip(found, pairs, strict=True)]
-    expected = [s.deviation.cpu()[p.skin > 0] for s, p in zip(found, pairs, strict=True)]
+    said = [s.specular_albedo[p.skin > 0] for s, p in zip(found, pairs, strict=True)]
+    expected = [s.deviation[p.skin > 0] for s, p in zip(found, pairs, strict=True)]
     squares = torch.cat(
         [
             (srgb_from_linear(v) - srgb_from_linear(p.diffuse_albedo))

@@ -31,10 +31,21 @@ def write_png(path: Path, pixels: np.ndarray, options: Sequence[int] = ()) -> Pa
         FormatError: another type or shape.
         DiskFullError: no room for it.
     """
+    return write_bytes(path, png_bytes(pixels, path, options))
+
+
+def png_bytes(pixels: np.ndarray, where: str | Path, options: Sequence[int] = ()) -> bytes:
+    """A picture as the bytes of a PNG file; arguments and errors as `write_png`.
+
+    Args:
+        pixels: the picture.
+        where: what to name in an error.
+        options: OpenCV's.
+    """
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
     if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or channels not in (1, 3, 4):
         raise FormatError(
-            path,
+            where,
             found=f"{pixels.dtype} {pixels.shape}",
             expected="uint8 of (h, w), (h, w, 3) or (h, w, 4)",
         )
@@ -42,5 +53,5 @@ def write_png(path: Path, pixels: np.ndarray, options: Sequence[int] = ()) -> Pa
     turned = pixels if pixels.ndim == 2 else pixels[:, :, order]
     done, data = (False, None) if pixels.size == 0 else cv2.imencode(".png", turned, options)
     if not done or data is None:
-        raise FormatError(path, found=f"shape {pixels.shape}", expected="a picture PNG can hold")
-    return write_bytes(path, data.tobytes())
+        raise FormatError(where, found=f"shape {pixels.shape}", expected="a picture PNG can hold")
+    return bytes(data.tobytes())

@@ -346,7 +346,7 @@ class Perfect(torch.nn.Module):
 def test_a_perfect_generator_matches_the_features_exactly(store_path: Path) -> None:
     batch = patches(store_path).draw(2, np.random.default_rng(3))
     trainer = Trainer(TINY)
-    trainer.generator = Perfect(batch.target)  # type: ignore[assignment]
+    trainer._generate = Perfect(batch.target)  # type: ignore[assignment]
     for step in range(3):
         assert trainer.step(batch, np.random.default_rng(step))["features"] == 0.0
 
@@ -394,7 +394,10 @@ def test_training_learns_scores_and_writes_whole_files(store_path: Path, tmp_pat
     assert lines[-1]["psnr_db"] == result.score.psnr_db
     assert result.held_out == ["person-2"]
     names = {path.name for path in (tmp_path / "run").iterdir()}
+    (events,) = (name for name in names if name.startswith("events.out.tfevents."))
     assert names == {
+        events,
+        "samples.html",
         "checkpoint.json",
         "metrics.jsonl",
         "generator-0000024.safetensors",

@@ -1,0 +1,55 @@
+"""What a training's time goes into: making data, rendering, the network, and waiting."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+
+DATA, RENDERING, NETWORK, IDLE = "data", "rendering", "network", "idle"
+"""Making a batch less rendering it; rendering, in batches and in losses; everything else of a step,
+the backward pass of a rendering loss too; what a step waits for its batch, whoever makes it."""
+
+
+class Clock:
+    """Seconds by part; a part within another one counts as the inner one alone.
+
+    A step is a `NETWORK` part. Threads may share a clock. A GPU works on while a part ends: what it
+    is asked for in one part can count in the next that waits for it, which is the network's.
+    """
+
+    def __init__(self) -> None:
+        """Nothing is measured yet."""
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._whole: dict[str, float] = defaultdict(float)
+        self._lock, self._own = threading.Lock(), threading.local()
+
+    @contextlib.contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Count the block's time as a part's."""
+        stack: list[float] = self._own.__dict__.setdefault("inner", [])
+        stack.append(0.0)
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            spent = time.perf_counter() - began
+            inner = stack.pop()
+            if stack:
+                stack[-1] += spent
+            with self._lock:
+                self.seconds[name] += spent - inner
+                self._whole[name] += spent
+
+    def shares(self) -> dict[str, float]:
+        """Each part's share of the steps' time; nothing where there was no step.
+
+        Batches that are made meanwhile in another thread come on top of a step's own parts.
+        """
+        steps = self._whole[NETWORK]
+        if not steps > 0:
+            return {}
+        shares = {name: self.seconds[name] / steps for name in (DATA, RENDERING, NETWORK)}
+        return {**shares, IDLE: self._whole[IDLE] / steps}

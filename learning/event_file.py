@@ -1,0 +1,121 @@
+"""Scalars of a training as TensorBoard reads them, written by hand: one file for each call.
+
+The file is a row of TFRecords: a length (uint64, little-endian), the masked CRC of its eight bytes,
+the bytes, and their masked CRC [TFRecord2024]. The CRC is Castagnoli's [RFC3720-2004], masked as
+((crc >> 15) | (crc << 17)) + 0xa282ead8, so that a CRC of bytes that hold CRCs is no special one.
+Each record is an `Event` of protocol buffers [TensorFlowEvent2024]:
+
+    Event          wall_time double = 1, step int64 = 2, file_version string = 3, summary = 5
+    Summary        value repeated = 1
+    Summary.Value  tag string = 1, simple_value float = 2
+
+TensorBoard itself is no dependency: its package brings a web server, and this is all that is
+needed of it.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+import struct
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+VERSION = "brain.Event:2"
+VARINT, DOUBLE, BYTES, FLOAT = 0, 1, 2, 5
+"""Wire types of protocol buffers."""
+_POLYNOMIAL = 0x82F63B78
+"""Castagnoli's, bits reversed."""
+_MASK = 0xA282EAD8
+
+
+class EventFile:
+    """A file of scalars, made when the first are added; a killed training's last may be half."""
+
+    def __init__(self, folder: Path) -> None:
+        """Nothing is written yet."""
+        self._folder = folder
+        self._path: Path | None = None
+
+    def add(self, step: int, values: Mapping[str, float]) -> None:
+        """Add the finite ones of some scalars, which a step has."""
+        shown = {tag: value for tag, value in values.items() if math.isfinite(value)}
+        records = record(event(time.time(), step, shown))
+        if self._path is None:
+            now = time.time()
+            name = f"events.out.tfevents.{int(now):010d}.{secrets.token_hex(4)}"
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._path = self._folder / name
+            version = _field(3, BYTES, VERSION.encode())
+            records = record(_field(1, DOUBLE, struct.pack("<d", now)) + version) + records
+        with self._path.open("ab") as handle:
+            handle.write(records)
+
+
+def record(data: bytes) -> bytes:
+    """A TFRecord of some bytes."""
+    length = struct.pack("<Q", len(data))
+    return length + _masked(length) + data + _masked(data)
+
+
+def event(wall_time_s: float, step: int, values: Mapping[str, float]) -> bytes:
+    """An `Event` with scalars; `step` is not negative, numbers are told as float32."""
+    summary = b"".join(
+        _field(
+            1,
+            BYTES,
+            _field(1, BYTES, tag.encode()) + _field(2, FLOAT, _float32(value)),
+        )
+        for tag, value in values.items()
+    )
+    return (
+        _field(1, DOUBLE, struct.pack("<d", wall_time_s))
+        + _field(2, VARINT, _varint(step))
+        + _field(5, BYTES, summary)
+    )
+
+
+def crc32c(data: bytes) -> int:
+    """Castagnoli's CRC of some bytes."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc = _TABLE[(crc ^ byte) & 0xFF] ^ (crc >> 8)
+    return crc ^ 0xFFFFFFFF
+
+
+def _masked(data: bytes) -> bytes:
+    crc = crc32c(data)
+    turned = ((crc >> 15) | (crc << 17)) & 0xFFFFFFFF
+    return struct.pack("<I", (turned + _MASK) & 0xFFFFFFFF)
+
+
+def _field(number: int, kind: int, payload: bytes) -> bytes:
+    """A field of a message; of `BYTES` with its length."""
+    length = _varint(len(payload)) if kind == BYTES else b""
+    return _varint(number << 3 | kind) + length + payload
+
+
+def _varint(value: int) -> bytes:
+    """Seven bits a byte, the lowest first; the highest bit says that more follow."""
+    found = bytearray()
+    while value > 0x7F:
+        found.append(value & 0x7F | 0x80)
+        value >>= 7
+    found.append(value)
+    return bytes(found)
+
+
+def _float32(value: float) -> bytes:
+    """The nearest float32, the largest one where it is beyond all."""
+    most = 3.4028234663852886e38
+    return struct.pack("<f", min(max(value, -most), most))
+
+
+def _remainder(byte: int) -> int:
+    for _ in range(8):
+        byte = (byte >> 1) ^ (_POLYNOMIAL if byte & 1 else 0)
+    return byte
+
+
+_TABLE = [_remainder(byte) for byte in range(256)]

@@ -1,0 +1,100 @@
+"""The moving average of weights: what it is, that it is kept, scored and inferred with."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from learning.average import follow, moving_average
+from learning.checkpoint import (
+    INDEX,
+    load_generator,
+    load_tensors,
+    load_whole_face,
+    read_checkpoint,
+)
+from learning.errors import CheckpointError
+from learning.train import train
+from learning.whole.train import train_faces
+from processing.dataset import open_store
+from tests.learning.test_training import TINY as PATCHES
+from tests.learning.test_whole_face import TINY as FACES
+from tests.learning.test_whole_face import stopping_after
+
+SHORT_FACES = dataclasses.replace(FACES, steps=5, detail_pairs=1, score_lights=1, ema=0.9)
+SHORT_PATCHES = dataclasses.replace(PATCHES, score_patches=1, ema=0.9)
+BOTH: dict[str, tuple[Any, Any, Any, str]] = {
+    "faces": (train_faces, SHORT_FACES, load_whole_face, "network"),
+    "patches": (train, SHORT_PATCHES, load_generator, "generator"),
+}
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.5, 0.999])
+def test_an_average_is_that_of_a_plain_twin(decay: float) -> None:
+    rng = np.random.default_rng(0)
+    network = torch.nn.BatchNorm2d(3).double()
+    average = moving_average(network)
+    expected = np.ones(3)
+    for number in range(30):
+        values = rng.normal(size=3)
+        with torch.no_grad():
+            network.weight.copy_(torch.from_numpy(values))
+            network.running_mean.fill_(number)  # type: ignore[union-attr]
+        follow(average, network, decay, number)
+        kept = min(decay, (1 + number) / (10 + number))
+        expected = kept * expected + (1 - kept) * values
+    np.testing.assert_allclose(average.weight.numpy(), expected, rtol=1e-12)
+    assert torch.equal(average.running_mean, torch.full((3,), 29.0).double())  # type: ignore[arg-type]
+    assert not average.weight.requires_grad
+    assert network.weight.requires_grad
+
+
+@pytest.mark.parametrize("family", BOTH)
+def test_a_resumed_training_has_the_same_bits_its_average_too(
+    family: str, store_path: Path, tmp_path: Path
+) -> None:
+    call, config, load, role = BOTH[family]
+    store = open_store(store_path)
+    straight = call(store, tmp_path / "a", config)
+    with pytest.raises(KeyboardInterrupt):
+        call(store, tmp_path / "b", config, progress=stopping_after(2))
+    assert call(store, tmp_path / "b", config, resume=True).score == straight.score
+    first, second = (read_checkpoint(tmp_path / name) for name in "ab")
+    assert first.files == second.files
+    assert set(first.files) == {role, "average", "training"}
+    raw, averaged = (load_tensors(first, name) for name in (role, "average"))
+    found = load(tmp_path / "a")[0].state_dict()
+    apart = 0.0
+    for name, values in found.items():
+        assert torch.equal(values, averaged[name])
+        apart = max(apart, float((values - raw[name]).abs().max()))
+    assert apart > 0
+    # What is no weight is the same in both.
+    for name in ("mean_log_albedo", "detail_shares"):
+        if name in raw:
+            assert torch.equal(raw[name], averaged[name])
+
+
+def test_a_run_of_before_there_was_an_average_goes_on_without_one(
+    store_path: Path, tmp_path: Path
+) -> None:
+    store, run = open_store(store_path), tmp_path / "run"
+    plain = dataclasses.replace(SHORT_FACES, ema=0.0)
+    with pytest.raises(KeyboardInterrupt):
+        train_faces(store, run, plain, progress=stopping_after(2))
+    value = json.loads((run / INDEX).read_text())
+    assert "average" not in value["files"]
+    del value["config"]["ema"]
+    (run / INDEX).write_text(json.dumps(value))
+    with pytest.raises(CheckpointError, match=r"ema: found 0.9 now, expected 0.0, as the run"):
+        train_faces(store, run, SHORT_FACES, resume=True)
+    assert train_faces(store, run, plain, resume=True).steps == 5
+    raw = load_tensors(read_checkpoint(run), "network")
+    for name, values in load_whole_face(run)[0].state_dict().items():
+        assert torch.equal(values, raw[name])

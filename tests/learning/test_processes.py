@@ -1,0 +1,223 @@
+"""Several processes that train one network: as one process with the batch of all of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from learning.checkpoint import (
+    INDEX,
+    load_generator,
+    load_tensors,
+    load_whole_face,
+    read_checkpoint,
+)
+from learning.errors import TrainingError
+from learning.losses import rendering_loss
+from learning.processes import ALONE, Processes, started_by_torchrun
+from learning.render.environments import RandomLightConfig, apart, stack
+from learning.train import train
+from learning.whole.train import train_faces
+from lightstage import interrupts
+from lightstage.errors import ConfigError
+from processing.dataset import open_store
+from tests.learning.test_training import TINY as PATCHES
+from tests.learning.test_training import patches
+from tests.learning.test_whole_face import TINY as FACES
+from tests.learning.test_whole_face import faces_of
+
+ONE_OF_TWO = """
+import sys
+import time
+from pathlib import Path
+import torch
+from learning.processes import joined, started_by_torchrun
+from processing.dataset import open_store
+from tests.learning.test_processes import BOTH
+
+torch.set_num_threads(1)
+store, out = map(Path, sys.argv[1:])
+processes = started_by_torchrun()
+with joined(processes, torch.device("cpu")):
+    for family, (train, config, _) in BOTH.items():
+        train(open_store(store), out / family, config, processes=processes)
+"""
+BOTH: dict[str, tuple[Any, Any, Any]] = {
+    "faces": (train_faces, dataclasses.replace(FACES, batch=4, steps=3), load_whole_face),
+    "patches": (train, dataclasses.replace(PATCHES, batch=4, epochs=1), load_generator),
+}
+"""Of each family: its training, a short configuration, and what reads its weights."""
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+def started(rank: int, port: int, *words: object) -> subprocess.Popen[str]:
+    """One of two processes, as torchrun would start it."""
+    told = {"RANK": rank, "LOCAL_RANK": rank, "WORLD_SIZE": 2, "MASTER_PORT": port}
+    return subprocess.Popen(
+        [sys.executable, *map(str, words)],
+        env={**os.environ, "MASTER_ADDR": "127.0.0.1", **{k: str(v) for k, v in told.items()}},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_two_processes_train_as_one_with_the_batch_of_both(
+    store_path: Path, tmp_path: Path
+) -> None:
+    port = free_port()
+    two = [started(rank, port, "-c", ONE_OF_TWO, store_path, tmp_path / "two") for rank in (0, 1)]
+    for family, (call, config, _) in BOTH.items():
+        call(open_store(store_path), tmp_path / "one" / family, config)
+    for process in two:
+        said = process.communicate(timeout=300)
+        assert process.returncode == 0, said
+        assert said[0] == ""
+    for family, (_, _, load) in BOTH.items():
+        runs = [tmp_path / name / family for name in ("one", "two")]
+        lines = [
+            [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+            for run in runs
+        ]
+        assert [line["step"] for line in lines[1]] == [0, 1, 2, 3]
+        for alone, both in zip(*lines, strict=True):
+            for name in {n for n in alone if n != "seconds" and not n.startswith("share_")}:
+                assert both[name] == pytest.approx(alone[name], rel=2e-3, abs=1e-5), name
+        first, second = (load(run)[0].state_dict() for run in runs)
+        for name, values in first.items():
+            # What instance norm takes away, a bias, has a gradient of rounding alone, which Adam
+            # makes as large as any other.
+            if values.ndim > 1 or family == "faces":
+                torch.testing.assert_close(second[name], values, rtol=2e-3, atol=2e-4)
+
+
+def test_a_share_of_a_batch_is_what_the_whole_batch_has_there(store_path: Path) -> None:
+    """Examples, and the lights of the rendering loss, are those of one process, bit for bit."""
+    faces, places = faces_of(store_path, FACES.faces, FACES.augment), patches(store_path)
+    for draw in (faces.draw, places.draw):
+        whole = draw(4, np.random.default_rng(7))
+        shares = [draw(4, np.random.default_rng(7), Processes(rank, 2).share(4)) for rank in (0, 1)]
+        for name in ("inputs", "texture"):
+            both = torch.cat([getattr(share, name) for share in shares])
+            torch.testing.assert_close(both, getattr(whole, name), rtol=1e-5, atol=1e-6)
+    batch = places.draw(4, np.random.default_rng(7))
+    found = 0.3 * batch.target
+    rngs = [np.random.default_rng(index) for index in range(4)]
+    loss = rendering_loss(found, batch, 2, RandomLightConfig(), rngs)
+    total = torch.zeros(())
+    for rank in (0, 1):
+        own = Processes(rank, 2).share(4)
+        part = places.draw(4, np.random.default_rng(7), own)
+        skin = dataclasses.replace(part.skin, texel_mm=batch.skin.texel_mm)
+        part = dataclasses.replace(part, skin=skin)
+        rngs = [np.random.default_rng(index) for index in range(4)][own]
+        value = rendering_loss(found[own], part, 2, RandomLightConfig(), rngs)
+        total = total + value * part.covered.sum() / batch.covered.sum()
+    torch.testing.assert_close(total, loss, rtol=1e-5, atol=1e-7)
+
+
+def test_environments_come_apart_as_they_were_stacked(store_path: Path) -> None:
+    environment = patches(store_path).draw(4, np.random.default_rng(3)).environment
+    single = apart(environment)
+    counts = {one.rgb.shape[1] for one in single}
+    assert len(counts) > 1
+    again = stack(single)
+    for field in dataclasses.fields(again):
+        assert torch.equal(getattr(again, field.name), getattr(environment, field.name))
+
+
+def test_a_batch_that_the_processes_cannot_share_is_refused() -> None:
+    assert ALONE.share(3) == slice(0, 3)
+    assert Processes(2, 3).share(6) == slice(4, 6)
+    with pytest.raises(ConfigError, match="batch: found 4, for 3 processes, expected a multiple"):
+        Processes(0, 3).share(4)
+
+
+def test_what_torchrun_tells_is_read_and_half_of_it_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("RANK", "WORLD_SIZE", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT"):
+        monkeypatch.delenv(name, raising=False)
+    assert started_by_torchrun() == ALONE
+    monkeypatch.setenv("RANK", "3")
+    with pytest.raises(ConfigError, match=r"WORLD_SIZE.*as torchrun sets them"):
+        started_by_torchrun()
+    for name, value in (("WORLD_SIZE", "8"), ("LOCAL_RANK", "1"), ("MASTER_ADDR", "a"),
+                        ("MASTER_PORT", "1")):  # fmt: skip
+        monkeypatch.setenv(name, value)
+    assert started_by_torchrun() == Processes(3, 8, 1)
+    monkeypatch.setenv("LOCAL_RANK", "x")
+    with pytest.raises(ConfigError, match="as torchrun sets them"):
+        started_by_torchrun()
+
+
+def test_a_process_whose_other_one_is_gone_says_so(tmp_path: Path) -> None:
+    alone = Processes(0, 2)
+    # No group was joined, which torch tells by another error of the same class.
+    with pytest.raises((TrainingError, ValueError), match="process"):
+        alone.mean([1.0])
+
+
+def test_a_signal_waits_for_the_end_of_what_is_held_and_an_impatient_one_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    handlers = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        interrupts.raise_on_signals()
+        with interrupts.held() as signals:
+            assert not signals.came
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGTERM)
+            assert signals.came
+            monkeypatch.setattr(interrupts, "AGAIN_S", 0.0)
+            with pytest.raises(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        interrupts.raise_on_signals()
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def test_the_first_process_alone_writes_and_all_stop_after_the_same_step(
+    store_path: Path, tmp_path: Path
+) -> None:
+    """One of two gets a signal in the midst: both end by it, and the checkpoint is whole."""
+    config = tmp_path / "long.toml"
+    config.write_text(
+        "steps = 100000\nbatch = 2\nlog_steps = 1\n[network]\nrows = 48\ncolumns = 32\nwidth = 4\n"
+        "[faces]\nshadow_sets = 2\n"
+    )
+    words = ["-m", "learning", "train", "--data", store_path, "--out", tmp_path / "run"]
+    words += ["--config", config, "--device", "cpu"]
+    port = free_port()
+    both = [started(rank, port, *words) for rank in (0, 1)]
+    metrics = tmp_path / "run" / "metrics.jsonl"
+    while both[0].poll() is None and not (metrics.exists() and metrics.stat().st_size > 600):
+        time.sleep(0.05)
+    both[1].send_signal(signal.SIGTERM)
+    said = [process.communicate(timeout=120) for process in both]
+    assert [process.returncode for process in both] == [130, 130], said
+    steps = [json.loads(line)["step"] for line in metrics.read_text().splitlines()]
+    checkpoint = read_checkpoint(tmp_path / "run")
+    assert steps == list(range(checkpoint.step))
+    assert load_tensors(checkpoint, "training")["adam.0.step"] == checkpoint.step
+    assert not list(tmp_path.glob(f"**/{INDEX}.*"))
