@@ -7,7 +7,22 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Generic, TypeVar
 
+import numba
+
 BatchT = TypeVar("BatchT")
+SAFE_LAYERS = ("omp", "tbb")
+"""Of numba's layers of threads, those that several threads may use at once [Numba2024]."""
+
+
+def threads_may_render() -> bool:
+    """Whether two threads may use the compiled renderer at once.
+
+    Numba knows its layer once a parallel loop has run: before that the answer is no.
+    """
+    try:
+        return numba.threading_layer() in SAFE_LAYERS
+    except ValueError:
+        return False
 
 
 class Ahead(Generic[BatchT]):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -28,6 +29,7 @@ from learning.devices import CPU, device_of, moved
 from learning.encoding import decode_maps
 from learning.forward import Forward
 from learning.limits import require_within
+from learning.loader import Ahead, threads_may_render
 from learning.losses import maps_loss, rendering_loss
 from learning.networks.discriminator import Discriminators, feature_loss, verdict_loss
 from learning.networks.generator import IN_CHANNELS, OUT_CHANNELS, Generator, initialise
@@ -168,34 +170,54 @@ class Trainer:
         fill_adam(self._discriminator_adam, saved, "discriminator_adam")
 
 
-class PatchLearner:
-    """The networks, fed with random patches.
+Made = tuple[Batch, list[np.random.Generator]]
+"""Patches, and each one's randomness for the rendering loss."""
 
-    Not made ahead: the rendering loss uses the compiled renderer meanwhile, which two threads may
-    not enter at once where numba has neither OpenMP nor TBB.
-    """
+
+class PatchLearner:
+    """The networks, fed with random patches, made in a thread of their own once it is `ahead`."""
 
     watched: ClassVar[str] = "maps"
 
     def __init__(self, trainer: Trainer, data: PatchData) -> None:
-        """Train `trainer` on `data`."""
+        """Train `trainer` on `data`; its clock counts what a step waits for its batch."""
         self._trainer, self._data = trainer, data
+        self._device = device_of(trainer.generator)
+        self._batches: Ahead[Made] | None = None
+
+    @contextlib.contextmanager
+    def ahead(self) -> Iterator[None]:
+        """Within the block each step's batch is made while the networks take the one before."""
+        with Ahead(self._own_share) as self._batches:
+            yield
+        self._batches = None
 
     def step(self, number: int, done: float) -> dict[str, float]:
         """See `Learner`."""
-        rng, count = self._rng(number), self._trainer.config.batch
         rate = self._trainer.set_rate(done)
-        share = self._trainer.processes.share(count)
+        # On a processor the rendering loss uses the compiled renderer too.
+        together = self._device != CPU or threads_may_render()
         with self._trainer.clock.part(IDLE):
-            drawn = self._data.draw(count, rng, share)
-        batch = moved(drawn, device_of(self._trainer.generator))
-        losses = self._trainer.step(batch, rng.spawn(count)[share], number)
+            if self._batches is not None and together:
+                batch, rngs = self._batches.get(number)
+            else:
+                batch, rngs = self._own_share(number)
+        losses = self._trainer.step(moved(batch, self._device), rngs, number)
         return {"learning_rate": rate, **losses}
 
     def batch(self, number: int) -> dict[str, Tensor]:
         """See `Learner`."""
-        drawn = self._data.draw(self._trainer.config.batch, self._rng(number))
+        aside = None if self._batches is None else self._batches.aside
+        drawn, _ = self._drawn(number) if aside is None else aside(self._drawn, number)
         return {name: getattr(drawn, name) for name in ("inputs", "target", "covered", "texture")}
+
+    def _own_share(self, number: int) -> Made:
+        return self._drawn(number, self._trainer.processes.share(self._trainer.config.batch))
+
+    def _drawn(self, number: int, share: slice = slice(None)) -> Made:
+        rng, count = self._rng(number), self._trainer.config.batch
+        batch = self._data.draw(count, rng, share)
+        return batch, rng.spawn(count)[share]
 
     def _rng(self, number: int) -> np.random.Generator:
         return np.random.default_rng([self._trainer.config.seed, 2, number])
@@ -247,7 +269,8 @@ def train(
     scored = PatchData(store, held_out, *parts, rng, config.shading)
     learner = PatchLearner(trainer, data)
     total = max(1, math.ceil(config.epochs * len(data.places) / config.batch))
-    steps = run.steps(learner, total, progress)
+    with learner.ahead():
+        steps = run.steps(learner, total, progress)
     result = score(trainer.trained, scored, data, config.score_patches, config.seed)
     samples = _samples(trainer.trained, scored, store, config.seed)
     return run.end(learner, steps, len(data.places), result, samples)

@@ -9,7 +9,7 @@ import pytest
 
 from learning import clock as clocks
 from learning.clock import DATA, IDLE, NETWORK, RENDERING, Clock
-from learning.loader import Ahead
+from learning.loader import Ahead, threads_may_render
 
 
 def test_a_part_within_another_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,6 +59,20 @@ def test_a_batch_follows_from_its_number_however_it_was_made() -> None:
     assert set(numbers) >= {2, 3, 4, 5, 9}
     assert len(numbers) <= 7
     assert all(name.startswith("batches") for _, name in made)
+
+
+@pytest.mark.parametrize(("layer", "may"), [("omp", True), ("tbb", True), ("workqueue", False)])
+def test_two_threads_render_where_numba_lets_them(
+    layer: str, may: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("numba.threading_layer", lambda: layer)
+    assert threads_may_render() == may
+
+    def unknown() -> None:
+        raise ValueError("Threading layer is not initialized.")
+
+    monkeypatch.setattr("numba.threading_layer", unknown)
+    assert not threads_may_render()
 
 
 def test_what_goes_wrong_ahead_is_raised_at_its_step() -> None:
