@@ -318,7 +318,7 @@ class SessionWriter(Record):
         if told_before is not None and (file is None or told_before.file is not None):
             return
         with disk_errors(path):
-            facts = {"sha256": sha256_on_disk(path), "size": path.stat().st_size}
+            facts: dict[str, Any] = {"sha256": sha256_on_disk(path), "size": path.stat().st_size}
         self.journal.write(
             "recovered",
             camera=camera,

@@ -346,7 +346,7 @@ def test_a_picture_taken_after_the_lights_were_put_out_is_never_kept_as_the_patt
     with pytest.raises(CaptureError, match="put out meanwhile"):
         bench.run()
     assert "cam1.dng" not in bench.kept("full")
-    assert [line["camera"] for line in bench.events("recovered")] >= ["cam1"]
+    assert "cam1" in [line["camera"] for line in bench.events("recovered")]
 
 
 def test_a_pause_is_dark_and_goes_on_where_it_was(bench):
