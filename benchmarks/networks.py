@@ -40,7 +40,7 @@ FLAWED = 6
 """Simulated people whose textures are spoiled, one of each tone."""
 LEARNED_SEED, LEARNED, LEARNED_LIGHTS, LEARNED_ROWS = 901, 4, 3, 288
 """Whom the regression on neighbours is fitted to: people, lights of each, rows."""
-QUICK_LIGHTS = ("hard-oblique", "studio", "behind")
+QUICK_LIGHTS = ("hard-oblique", "studio", "from-behind")
 TIMED_LIGHTS = ("front", "hard-oblique")
 SETTLES_SECONDS = 900.0
 """Refinement ends by itself long before on a quiet machine; a busy one then finds the same."""

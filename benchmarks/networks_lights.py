@@ -31,7 +31,7 @@ GROUPS = {
     "random": "random",
     "warm-cool": "coloured",
     "red-green": "coloured",
-    "behind": "behind",
+    "from-behind": "behind",
     "rim": "behind",
     "hard-oblique": "hard",
     "hard-side": "hard",
@@ -78,7 +78,7 @@ def light_of(name: str, seed: int) -> LightSet:
             [[0.8, 0.3, 0.25], [0.2, 0.5, 0.3]],
             0.1,
         ),
-        "behind": _lamps(name, [[900, 300, -250]], [[1.2] * 3], 0.3),
+        "from-behind": _lamps(name, [[900, 300, -250]], [[1.2] * 3], 0.3),
         "hard-oblique": _lamps(name, [[800, 600, 600]], [[1.1] * 3], HARD_AMBIENT),
         "hard-side": _lamps(name, [[-1100, 100, 150]], [[1.2] * 3], HARD_AMBIENT),
         "hard-above": _lamps(name, [[100, 1000, 450]], [[1.1] * 3], HARD_AMBIENT),
@@ -191,11 +191,11 @@ class LitPoints:
         """The subject, and which places of it."""
         self._scene, self.points = scene, points
         self._view = views(points.position, points.geometric)
-        self._bits: dict[str, np.ndarray] = {}
+        self._bits: dict[bytes, np.ndarray] = {}
         self._around: np.ndarray | None = None
 
     def under(self, lights: LightSet) -> np.ndarray:
-        """(n, 3) light toward the camera, linear; a light set's name stands for its lamps."""
+        """(n, 3) light toward the camera, linear."""
         out = self.relit(lights, self.points)
         if lights.ambient_rgb.any():
             if self._around is None:
@@ -254,13 +254,14 @@ class LitPoints:
     def kept(self, chosen: np.ndarray) -> LitPoints:
         """Some of the places, with the rays that were cast for them."""
         other = LitPoints(self._scene, self.points.of(chosen))
-        other._bits = {name: bits[chosen] for name, bits in self._bits.items()}
+        other._bits = {lamps: bits[chosen] for lamps, bits in self._bits.items()}
         return other
 
     def _seen(self, lights: LightSet) -> np.ndarray:
         """(n, bytes) bits of the lamps that each place sees."""
-        if lights.name in self._bits:
-            return self._bits[lights.name]
+        key = lights.position_mm.tobytes()
+        if key in self._bits:
+            return self._bits[key]
         count = len(self.points.position)
         bits = np.zeros((count, (len(lights.rgb) + 7) // 8), np.uint8)
         for index, lamp in enumerate(lights.position_mm.astype(np.float32)):
@@ -269,7 +270,7 @@ class LitPoints:
             target = np.broadcast_to(lamp, (len(above), 3))
             free = ~self._scene.blocked(self.points.start[above], target)
             bits[above[free], index >> 3] |= np.uint8(1 << (index & 7))
-        self._bits[lights.name] = bits
+        self._bits[key] = bits
         return bits
 
 
