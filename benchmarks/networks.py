@@ -71,8 +71,10 @@ def main() -> None:
     count = asked.count or (1 if asked.quick else None)
     heads = []
     for kind in asked.people.split(","):
-        least = ICT_COUNT if kind == "ict" else COUNT
-        heads += chosen([kind], count or least, asked.unseen)
+        usual = ICT_COUNT if kind == "ict" else COUNT
+        heads += chosen([kind], count or usual, asked.unseen)
+    if not heads:
+        raise SystemExit("--people: no head of these kinds is there")
     task = Task(
         rows=asked.rows or (384 if asked.quick else ROWS),
         lights=_lights(asked.lights, QUICK_LIGHTS if asked.quick else tuple(GROUPS)),
@@ -83,9 +85,6 @@ def main() -> None:
         flawed=frozenset([who.name for who in heads if who.kind == "simulated"][:FLAWED]),
     )
     lit = _all(heads, task, asked.jobs)
-    if asked.sheet:
-        strips = {(each.name, each.light): each.strip for each in lit if each.strip is not None}
-        write_sheet(strips, asked.sheet)
     title = "Learning, whole-face network"
     title += f" of {asked.checkpoint.name}" if asked.checkpoint else ""
     title += ", quick" if asked.quick else ""
@@ -94,6 +93,9 @@ def main() -> None:
         write_guesses(f"{title}: {kind}", [e for e in lit if e.kind == kind], task.rows)
     write_others(f"{title}: other maps", lit, seconds(heads[0], task))
     write_flaws(f"{title}: textures that people have", lit)
+    if asked.sheet:
+        strips = {(each.name, each.light): each.strip for each in lit if each.strip is not None}
+        write_sheet(strips, asked.sheet)
 
 
 def _lights(asked: str | None, usual: tuple[str, ...]) -> tuple[str, ...]:

@@ -86,7 +86,7 @@ class Lit:
         albedo: by what was guessed; empty where the texture was refused.
         other: of the refined answer; None where it was refused.
         strip: pictures for a sheet, or None.
-        flaws: by flaw and by `REFINED` or `NETWORK`.
+        flaws: by flaw and by `REFINED` or `NETWORK`, but for those that were refused.
     """
 
     kind: str
@@ -253,9 +253,13 @@ def flawed(
     for name, image in spoiled.items():
         image = image.astype(np.float32)
         for guess, seconds in ((REFINED, task.refine_seconds), (NETWORK, 0.0)):
-            answer = infer_whole_face(
-                network, image, head.mesh, head.head_from_world, refine_seconds=seconds
-            )
+            try:
+                answer = infer_whole_face(
+                    network, image, head.mesh, head.head_from_world, refine_seconds=seconds
+                )
+            except MapsError as error:
+                print(f"{head.who.name}, {name}: refused: {error}", flush=True)
+                continue
             out[name, guess] = albedo_score(answer.maps["diffuse_albedo"], true, head.skin)
     return out
 

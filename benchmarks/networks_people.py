@@ -32,7 +32,7 @@ from sim.scans.ict_subject import ict_subject
 from sim.scans.ict_tile import LEFT_EYE, RIGHT_EYE, SKIN_PARTS, parts_of
 from sim.scans.lps import load_scan, scan_folder
 
-SEED, ICT_SEED = 900, 910
+SEED, ICT_SEED, ICT_APART_SEED = 900, 910, 911
 KINDS = ("simulated", "ict", "scan")
 FARTHEST_MM = 2.0
 """A texel farther from the true surface shows nothing of it: the inside of the mouth."""
@@ -111,8 +111,9 @@ def chosen(kinds: list[str], count: int, unseen: bool) -> list[Who]:
             if ict_folder() is None:
                 print("left out: no ICT Face Model Light under LIGHTSTAGE_DATA")
                 continue
-            half = _persons(ICT_SEED, 2 * count)[count:] if unseen else _persons(ICT_SEED, count)
-            found += [Who(kind, p.name.replace("person", "ict"), p) for p in half]
+            half = _persons(ICT_APART_SEED if unseen else ICT_SEED, count)
+            name = "apart" if unseen else "ict"
+            found += [Who(kind, p.name.replace("person", name), p) for p in half]
         elif kind == "scan":
             if scan_folder() is None:
                 print("left out: no scanned head under LIGHTSTAGE_DATA")

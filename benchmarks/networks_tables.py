@@ -124,13 +124,13 @@ def write_flaws(title: str, lit: list[Lit]) -> None:
     for flaw in dict.fromkeys(name for each in some for name, _ in each.flaws):
         cells = [flaw]
         for guess in (REFINED, NETWORK):
-            scores = [each.flaws[flaw, guess] for each in some]
+            scores = [each.flaws[flaw, guess] for each in some if (flaw, guess) in each.flaws]
             cells += [f"{db(s.raw for s in scores):.2f}", f"{db(s.gain for s in scores):.2f}"]
-        rows.append(cells)
+        rows.append([*cells, str(len(scores))])
     lights = ", ".join(dict.fromkeys(each.light for each in some))
     record(
         title,
-        ["texture", "refined dB", "after gain", "network dB", "after gain"],
+        ["texture", "refined dB", "after gain", "network dB", "after gain", "textures"],
         rows,
         f"{len({each.name for each in some})} simulated people under {lights}; errors over all "
         "skin, of one side only what was not photographed too.",

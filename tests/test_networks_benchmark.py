@@ -32,6 +32,7 @@ from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 from sim.light.scene import Scene
 from sim.people.subject import Subject
+from sim.scans.ict import ict_folder
 
 SIDE = 24
 
@@ -232,6 +233,18 @@ def test_simulated_people_are_of_all_tones_in_equal_shares() -> None:
     heads = chosen(["simulated"], 12, unseen=False)
     assert sorted(head.tone or 0 for head in heads) == sorted(2 * [1, 2, 3, 4, 5, 6])
     assert "simulated" in KINDS
+
+
+def test_people_of_ict_that_are_kept_apart_are_none_of_the_others() -> None:
+    if ict_folder() is None:
+        pytest.skip("no ICT Face Model Light")
+    seen, apart = (
+        {head.person.seed for head in chosen(["ict"], count, unseen) if head.person}
+        for count, unseen in ((12, False), (3, True))
+    )
+    assert len(seen) == 12
+    assert len(apart) == 3
+    assert not seen & apart
 
 
 def test_a_folder_without_heads_is_refused_by_name(tmp_path: object) -> None:
