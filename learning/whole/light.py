@@ -18,7 +18,7 @@ from learning.maps import SHININESS, skin_maps_from
 from learning.render.environments import Environment
 from learning.render.light_dome import even_directions
 from learning.render.occlusion import ShadowCaster
-from learning.render.shading import Mode, ShadeOptions, direct
+from learning.render.shading import ShadeOptions, direct
 from learning.render.uv import UvRaster
 from lightstage.formats.mesh import Mesh
 
@@ -40,9 +40,13 @@ HALF_AT = 0.1
 DARK = 0.05
 """Added to a texture's value before errors are weighed by it: dark texels are mostly noise."""
 ROBUST_ROUNDS = 4
-MODE: Mode = "ggx"
+SHADING = ShadeOptions("ggx")
+"""Facets with Fresnel's rise: what mirrors light at grazing angles is no skin."""
 F0 = 0.028
-AMBIENT_SHINE = 1.2
+"""Skin's reflectance at normal incidence, on which Fresnel's rise is told."""
+AMBIENT_SHINE = 1.3
+"""What a face mirrors of light from everywhere, over the specular albedo: Fresnel's reflectance at
+n = 1.4 over F0 in the mean over directions up to 60 degrees from the normal."""
 
 Lamps = tuple[tuple[float, float, float], ...]
 """Where lamps stand, mm, head frame."""
@@ -99,12 +103,11 @@ class LitSurface:
         exponent = torch.full_like(self._skin.shininess, shininess)
         skin = dataclasses.replace(self._skin, shininess=exponent)
         with torch.inference_mode():
-            found = direct(skin, each, ShadeOptions(MODE), torch.from_numpy(visible))
-            lobe_all = found[1] if found[2] is None else found[1] + found[2] / F0
-        irradiance, lobe = (
-            x[:, 0].numpy()[:, self.covered].T.astype(float) for x in (found[0], lobe_all)
-        )
-        return irradiance, lobe
+            given, lobe, rim = direct(skin, each, SHADING, torch.from_numpy(visible))
+            assert rim is not None
+            both = (given, lobe + rim / F0)
+        irradiance, shine = (x[:, 0].numpy()[:, self.covered].T.astype(float) for x in both)
+        return irradiance, shine
 
     def openness(self) -> np.ndarray:
         """(n,) share of even light from all round that reaches a texel, weighted by the cosine."""
@@ -229,9 +232,8 @@ class LightFit:
     def _with_ambient(
         self, irradiance: np.ndarray, lobe: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        return np.column_stack([irradiance, self.openness]), np.column_stack(
-            [lobe, AMBIENT_SHINE * self.openness]
-        )
+        around = AMBIENT_SHINE * self.openness
+        return np.column_stack([irradiance, self.openness]), np.column_stack([lobe, around])
 
     def _solved(
         self,
