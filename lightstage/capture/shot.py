@@ -153,8 +153,8 @@ def take_shot(
     findings = [finding for each in taken for finding in each.findings]
     findings += _missed(shot.pattern, cameras, failed, writer)
     lost = any(isinstance(error, LightLostError) for error in failed.values())
-    late = frozenset(name for name, error in failed.items() if isinstance(error, LateCameraError))
-    return ShotTaken(tuple(taken), tuple(findings), light.lit_s, lost, late)
+    hung = frozenset(name for name, error in failed.items() if isinstance(error, LateCameraError))
+    return ShotTaken(tuple(taken), tuple(findings), light.lit_s, lost, hung)
 
 
 def _come_home(
