@@ -192,7 +192,9 @@ def occlusion(
 
 @app.command()
 def train(
-    data: Annotated[Path, typer.Option(help="Store made by `lightstage-processing dataset`.")],
+    data: Annotated[
+        Path, typer.Option(help="Store made by `lightstage-processing dataset build`.")
+    ],
     out: Annotated[Path, output_folder("--out", help="Folder of the run: checkpoint and metrics.")],
     preset: Annotated[
         str,
@@ -206,7 +208,7 @@ def train(
         float | None,
         typer.Option(
             help="Time for the steps of this call, instead of the preset's number of them; reading "
-            "the people and scoring come besides."
+            "the people, the first step, which compiles, and scoring come besides."
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the preset's.")] = None,
@@ -214,7 +216,7 @@ def train(
     device: DeviceOption = "auto",
     as_json: bool = JsonFlag,
 ) -> None:
-    """Train a network on a dataset; one person is held out and scored."""
+    """Train a network on a dataset; some people are held out and scored."""
     from learning.commands import train_command
     from learning.processes import started_by_torchrun
 
@@ -258,7 +260,7 @@ def infer(
         float | None,
         typer.Option(
             help="Seconds, at most, to find the texture's light and refine the albedo by it; 0 for "
-            "the network's own answer. 20 where not given, for whole-face networks alone."
+            "the network's own answer. 60 where not given, for whole-face networks alone; most textures take 5 to 20."
         ),
     ] = None,
     device: DeviceOption = "auto",
@@ -270,7 +272,8 @@ def infer(
     with limited_access(group_of([texture.parent])), progress_bar("infer") as progress:
         facts = infer_command(texture, mesh, checkpoint, out, head_pose, refine, progress, device)
     finish(
-        f"{out}: {facts['rows']} x {facts['columns']} texels in {facts['tiles']} tiles, "
+        f"{out}: {facts['rows']} x {facts['columns']} texels, "
+        + (f"{facts['tiles']} tiles, " if facts["tiles"] > 1 else "")
         + ("" if facts["lamps"] is None else f"{facts['lamps']} lamps found, ")
         + f"{facts['seconds']:.1f} s"
         + "".join(f"; {note}" for note in facts["notes"]),

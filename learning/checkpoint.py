@@ -84,13 +84,20 @@ def save_checkpoint(
     Returns:
         Path of the index.
     """
-    files = {}
-    for role, named in tensors.items():
-        path = save_tensors(folder / f"{role}-{step:07d}.safetensors", named)
-        files[role] = {"name": path.name, "sha256": sha256_file(path)}
+    files: dict[str, dict[str, str]] = {}
     index = folder / INDEX
-    value = {"schema": SCHEMA, "step": step, **about, "code_version": code_version()}
-    write_json(index, {**value, "files": files})
+    known = set(folder.glob("*.safetensors"))
+    try:
+        for role, named in tensors.items():
+            path = save_tensors(folder / f"{role}-{step:07d}.safetensors", named)
+            files[role] = {"name": path.name, "sha256": sha256_file(path)}
+        value = {"schema": SCHEMA, "step": step, **about, "code_version": code_version()}
+        write_json(index, {**value, "files": files})
+    except OSError:
+        # A full disk is not made fuller by weights that nothing names.
+        for path in set(folder.glob("*.safetensors")) - known:
+            path.unlink()
+        raise
     kept = {entry["name"] for entry in files.values()}
     names = [f"{role}-*.safetensors" for role in tensors]
     old = [path for name in names for path in folder.glob(name) if path.name not in kept]

@@ -51,7 +51,7 @@ from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
-from lightstage.formats.mesh import read_mesh
+from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder, write_map
 from lightstage.formats.template import load_template
 from lightstage.rig import Camera, default_rig, load_rig
@@ -59,7 +59,7 @@ from processing.dataset import open_store, read_head_pose
 
 DEFAULT_RIG_SCALE = 1080 / 6016
 """Without a rig, pictures are 720 x 1080 pixels."""
-REFINE_SECONDS = 20.0
+REFINE_SECONDS = 60.0
 """Of `infer`, at most, where nothing else is asked for; most textures take less."""
 LIGHT = "light.json"
 ON_CPU = "Infer with --device cpu."
@@ -205,10 +205,22 @@ def _camera(rig: Path | None, camera: str) -> Camera:
 
 
 def _head(maps: Path, mesh: Path, template: Path | None) -> TexturedHead:
+    if not mesh.exists():
+        raise MapsError(
+            mesh,
+            found="no such file",
+            expected="the mesh of the maps",
+            hint="Name it by --mesh; the atlas of a capture has its registered_mesh.obj one folder "
+            "up.",
+        )
     shape = read_mesh(mesh)
-    if shape.uvs is None:
-        raise MapsError(mesh, field="uv", found="none", expected="the maps' texture coordinates")
+    _require_uv(shape, mesh)
     return load_head(maps, shape, load_template(template) if template else None)
+
+
+def _require_uv(shape: Mesh, where: Path) -> None:
+    if shape.uvs is None:
+        raise MapsError(where, field="uv", found="none", expected="the maps' texture coordinates")
 
 
 def train_command(
@@ -277,11 +289,19 @@ def infer_command(
         raise ConfigError("--refine", found=str(refine), expected="0 to 3600 seconds")
     device = choose_device(device_name)
     about = read_checkpoint(checkpoint or shipped_weights())
+    if texture.suffix.lower() != ".exr" and texture.exists():
+        raise MapsError(
+            texture,
+            found=f"suffix {texture.suffix!r}",
+            expected=".exr, linear light",
+            hint="Decode an sRGB picture to linear light and write that as OpenEXR.",
+        )
     image = read_exr(texture, finite=True)
     if image.ndim != 3:
         raise MapsError(texture, found="one channel", expected="R G B")
     pose = read_head_pose(head_pose) if head_pose else None
     shape, named = read_mesh(mesh), (texture, mesh)
+    _require_uv(shape, mesh)
     notes: list[str] = []
     if about.family == "whole_face":
         network, _ = load_whole_face(about.folder)

@@ -6,6 +6,7 @@ What is trained is a `Learner`; this is what all of them share.
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
 import json
 import math
 import os
@@ -20,7 +21,7 @@ from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpo
 from learning.clock import NETWORK, Clock
 from learning.errors import CheckpointError, TrainingError
 from learning.event_file import EventFile
-from learning.guard import LEAP, Guard
+from learning.guard import LEAP, WINDOW, Guard
 from learning.processes import ALONE, Processes
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
@@ -30,6 +31,8 @@ from lightstage.interrupts import held
 from processing.dataset import Store
 
 METRICS = "metrics.jsonl"
+OWN = (METRICS, "*.safetensors", "events.*", "samples.html", ".*")
+"""What a run that stopped before its first checkpoint leaves; hidden files are half-written ones."""
 BEFORE = {"shading": "physical", "ema": 0.0}
 """What a run did that began before these could be chosen."""
 FREE = ("seconds", "precision", "compile")
@@ -140,7 +143,9 @@ class Run:
                     if not all(map(math.isfinite, losses.values())):
                         raise self._astray(learner, step, f"losses {losses}", "finite ones")
                     if guard.leapt(losses[learner.watched]):
-                        found = f"{learner.watched} {LEAP:g} times as large as it was before"
+                        found = (
+                            f"{learner.watched} {LEAP:g} times its lowest mean of {WINDOW} steps"
+                        )
                         raise self._astray(learner, step, found, "a loss that falls")
                     if step % self.config.log_steps == 0:
                         self.log({"step": step, **losses})
@@ -169,6 +174,9 @@ class Run:
             if done >= 1:
                 return
             yield step, done
+            if step == self.first:
+                # The first step compiles loops, for a minute on a busy machine.
+                began = time.monotonic()
             step += 1
             if seconds is None:
                 shown(step, total)
@@ -186,6 +194,7 @@ class Run:
 
     def _astray(self, learner: Learner, step: int, found: str, expected: str) -> TrainingError:
         kept = self.out / f"stopped-{step:07d}.safetensors"
+        before = "the last checkpoint is kept" if (self.out / INDEX).exists() else "none was saved"
         if self.processes.first:
             self.out.mkdir(parents=True, exist_ok=True)
             save_tensors(kept, learner.batch(step))
@@ -194,8 +203,8 @@ class Run:
             field=f"step {step}",
             found=found,
             expected=expected,
-            hint=f"Lower learning_rate and begin in another --out. {kept.name} holds the batch; "
-            "the last checkpoint is kept.",
+            hint=f"Lower learning_rate and begin in another --out. {kept.name} holds the batch; of "
+            f"checkpoints, {before}.",
         )
 
     def end(
@@ -279,6 +288,8 @@ def begin(
             expected="an empty folder",
             hint="Go on with --resume, or choose another --out.",
         )
+    elif processes.first:
+        _require_own(out)
     about = {
         "family": config.family,
         "config": as_dict(config),
@@ -288,6 +299,19 @@ def begin(
         "metrics": {},
     }
     return Run(out, config, about, first, began, processes, EventFile(out))
+
+
+def _require_own(out: Path) -> None:
+    """CheckpointError where a new run's folder holds anything but what a run leaves."""
+    there = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
+    other = [name for name in there if not any(fnmatch.fnmatch(name, own) for own in OWN)]
+    if other:
+        raise CheckpointError(
+            out,
+            found=f"{other[0]} and {len(there) - 1} more" if len(there) > 1 else other[0],
+            expected="an empty or a new folder",
+            hint="A run has a folder of its own; choose another --out.",
+        )
 
 
 def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
@@ -310,9 +334,10 @@ def split(store: Store, held_out: int) -> tuple[set[str], set[str]]:
         raise TrainingError(
             store.path,
             field="subjects",
-            found=f"{len(people)}",
-            expected=f"more than the {held_out} held out, and at least one of those",
-            hint="Add people to the store; scans of one person all go to one side.",
+            found=str(len(people)),
+            expected=f"{held_out + 1} people or more: {held_out} held out, the others trained on",
+            hint="Add people to the store, or lower held_out_subjects (at least 1); scans of one "
+            "person all go to one side.",
         )
     return set(people[-held_out:]), set(people[:-held_out])
 

@@ -164,6 +164,13 @@ def open_store(path: Path) -> Store:
             hint="Gather them first: lightstage-processing dataset build "
             f"{shlex.quote(str(path))}/* --out STORE",
         )
+    if not file.exists():
+        raise DatasetError(
+            path,
+            found="no dataset.json" if path.is_dir() else "no such folder",
+            expected="a store",
+            hint="Name the folder that `lightstage-processing dataset build` wrote.",
+        )
     value = read_json(file)
     check_schema(file, value, SCHEMA)
     if value.get("kind") != "store":
