@@ -32,7 +32,7 @@ from processing.dataset import Store
 
 METRICS = "metrics.jsonl"
 OWN = (METRICS, "*.safetensors", "events.*", "samples.html", ".*")
-"""What a run that stopped before its first checkpoint leaves; hidden files are half-written ones."""
+"""What a run that stopped before its first checkpoint leaves, half-written files too."""
 BEFORE = {"shading": "physical", "ema": 0.0}
 """What a run did that began before these could be chosen."""
 FREE = ("seconds", "precision", "compile")

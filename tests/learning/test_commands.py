@@ -185,10 +185,12 @@ def test_whole_faces_are_the_default_and_infer_keeps_a_textures_size(
     assert run(monkeypatch, *train) == 0
     assert "after the best gain a channel" in capsys.readouterr().out
     texture = read_exr(people[1].atlas_path("diffuse_albedo"))
-    odd = write_exr(tmp_path / "odd.exr", texture[:72, :56])
+    odd = write_exr(
+        tmp_path / "odd.exr", cv2.resize(texture, (50, 75), interpolation=cv2.INTER_AREA)
+    )
     base = ["infer", "--mesh", people[1].registered_mesh, "--texture", odd]
     assert run(monkeypatch, *base, "--out", tmp_path / "maps", "--checkpoint", run_folder) == 0
-    assert read_exr(tmp_path / "maps" / "diffuse_albedo.exr").shape == (72, 56, 3)
+    assert read_exr(tmp_path / "maps" / "diffuse_albedo.exr").shape == (75, 50, 3)
     assert np.isfinite(read_lights(tmp_path / "maps" / "light.json").ambient_rgb).all()
     # Without refinement no light is known, and none of an earlier call stays.
     again = [*base, "--out", tmp_path / "maps", "--checkpoint", run_folder, "--refine", "0"]
