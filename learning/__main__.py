@@ -260,7 +260,8 @@ def infer(
         float | None,
         typer.Option(
             help="Seconds, at most, to find the texture's light and refine the albedo by it; 0 for "
-            "the network's own answer. 60 where not given, for whole-face networks alone; most textures take 5 to 20."
+            "the network's own answer. 60 where not given, for whole-face networks alone; most "
+            "textures take 5 to 20."
         ),
     ] = None,
     device: DeviceOption = "auto",
