@@ -42,6 +42,9 @@ RIGHT: dict[str, dict[str, str]] = {
     "learning infer": {
         "--texture": "texture", "--mesh": "mesh", "--checkpoint": "run", "--out": NEW,
     },
+    "learning upscale": {
+        "picture": "texture", "--checkpoint": "super-resolution", "--out": NEW,
+    },
     "sim import-ict": {"path": "session", "--out": NEW},
     "sim import-scan": {"file": "mesh", "--out": NEW},
     "sim stage": {},
