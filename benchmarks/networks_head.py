@@ -45,8 +45,8 @@ from processing.colour import srgb_from_linear
 REFINED, NETWORK, FIT = "refined", "network", "the fit without a network"
 OWN_LIGHT = "lit by learning's renderer"
 FLAW_LIGHTS = ("front", "hard-oblique")
-FIT_EVERY = 3
-"""The fit without a network is as slow as refinement: it is tried under each third light."""
+FIT_EVERY = 5
+"""The fit without a network is as slow as refinement: it is tried under each fifth light."""
 COARSER = 2
 """New lights are seen at each second texel of each second row."""
 

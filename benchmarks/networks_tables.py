@@ -39,7 +39,7 @@ def write_guesses(title: str, lit: list[Lit], texture_rows: int) -> None:
             "diffuse albedo",
             "PSNR dB",
             "after the best gain a channel",
-            f"worst of {len(tones)} tones, dB",
+            f"worst of {len(tones)} tones, dB" if tones else "worst tone, dB",
             "detail in patches",
             "textures",
         ],
