@@ -12,11 +12,8 @@ The fit without a network: the refinement of `learning.whole.refine`, begun with
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import dataclasses
-from collections.abc import Iterator
-from unittest import mock
 
 import cv2
 import numpy as np
@@ -152,15 +149,9 @@ class MeanPerson(nn.Module):
 
 
 def without_network(network: WholeFaceNetwork) -> WholeFaceNetwork:
-    """A network that has learned nothing but what people have in common."""
+    """A network that has learned nothing but what people have in common, and knows it."""
     other = copy.deepcopy(network)
     mean = MeanPerson(network)
     other.forward = mean.forward  # type: ignore[method-assign]
+    other.mode_doubt.copy_(torch.eye(len(other.mode_doubt)))
     return other
-
-
-@contextlib.contextmanager
-def nothing_known() -> Iterator[None]:
-    """Refinement that leaves all of people's variance open, as it is without a network."""
-    with mock.patch("learning.whole.refine.UNSURE", 1.0):
-        yield

@@ -14,7 +14,6 @@ from benchmarks.networks_guesses import (
     Neighbours,
     Texture,
     harmonic_division,
-    nothing_known,
     without_network,
 )
 from benchmarks.networks_lights import CAMERA_MM, light_of, new_lights
@@ -183,10 +182,7 @@ def guesses(
     blurred = infer_whole_face(network, *asked, shares=[0.0] * BANDS)
     albedo["network, without the texture's detail"] = blurred.maps["diffuse_albedo"]
     if with_fit:
-        with nothing_known():
-            fit = infer_whole_face(
-                without_network(network), *asked, refine_seconds=task.refine_seconds
-            )
+        fit = infer_whole_face(without_network(network), *asked, refine_seconds=task.refine_seconds)
         albedo[FIT] = fit.maps["diffuse_albedo"]
     mean_log = network.mean_log_albedo[0].permute(1, 2, 0).numpy()
     mean = enlarged(np.exp(mean_log), *head.shown.shape)
