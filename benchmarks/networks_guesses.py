@@ -17,6 +17,7 @@ import dataclasses
 
 import cv2
 import numpy as np
+import torch
 from torch import Tensor, nn
 
 from learning.networks.whole_face import DARKEST, DEVIATION, WholeFace, WholeFaceNetwork

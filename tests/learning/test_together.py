@@ -23,7 +23,7 @@ from learning.whole.together import (
     explain,
 )
 
-TEXELS = 4000
+TEXELS = 15_000
 DOUBT = 0.3
 
 
