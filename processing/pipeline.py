@@ -23,6 +23,8 @@ from processing.memory import give_back
 from processing.pages import write_processed_report
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
+    REPORT_SCHEMA,
+    MadeFrom,
     Record,
     code_version,
     files_in,
@@ -31,6 +33,7 @@ from processing.records import (
     measured,
     read_records,
     require_own,
+    require_same_session,
     versions,
     write_records,
 )
@@ -42,7 +45,6 @@ from processing.separation.stage import separate
 
 STAGES = ("decode", "separate", "reconstruct", "refine", "register", "atlas")
 WITH_TEMPLATE = ("register", "atlas")
-REPORT_SCHEMA = "processing.report/1"
 
 Bar = Callable[[str], contextlib.AbstractContextManager[ProgressCallback]]
 """Given a stage's name, a context with a progress callback, such as `commands.progress_bar`."""
@@ -69,6 +71,11 @@ class Job:
     config: PipelineConfig
     template: Template | None
     template_hash: str
+
+    @property
+    def made_from(self) -> MadeFrom:
+        """What the folder's records say of the session."""
+        return MadeFrom(self.session.file.id, self.session.file.subject)
 
 
 def read_config(path: Path | None, atlas_rows: int | None = None) -> PipelineConfig:
@@ -141,6 +148,7 @@ def run(
             # Registration needs them an hour later at full size: said now.
             read_points_px(session.root / "landmarks.json")
     job = Job(session, out, config, template, template_hash)
+    require_same_session(out, job.made_from)
     records = read_records(out)
     keys = stage_keys(job, records if only else {})
     planned = _only(only, records, keys) if only else _stale(job, records, keys, last)
@@ -221,8 +229,8 @@ def _run_stage(
 ) -> dict[str, Record]:
     """Run one stage and record it; it and all after it count as not done while it runs."""
     kept = {name: records[name] for name in STAGES[: STAGES.index(stage)] if name in records}
-    if records:
-        write_records(job.out, kept)
+    # Before the stage's first file: a folder says whose it is however early the stage ends.
+    write_records(job.out, job.made_from, kept)
     before = files_in(job.out)
     facts: dict[str, Any] = {}
     with bar(stage) as progress, measured(facts):
@@ -231,7 +239,7 @@ def _run_stage(
     after = files_in(job.out)
     outputs = sorted(name for name in after if after[name] != before.get(name))
     kept[stage] = Record(key, outputs, facts)
-    write_records(job.out, kept)
+    write_records(job.out, job.made_from, kept)
     return kept
 
 
@@ -259,6 +267,7 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
     ]
     report = {
         "schema": REPORT_SCHEMA,
+        "session": job.session.file.id,
         "subject": job.session.file.subject,
         "expression": job.session.file.expression,
         "consent": (job.session.file.model_extra or {}).get("consent"),
