@@ -13,6 +13,7 @@ from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.files import sha256_file, write_json
 from lightstage.formats.landmarks import read_points_px
+from lightstage.formats.lock import locked
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import AtlasConfig, atlas
@@ -24,6 +25,7 @@ from processing.pages import write_processed_report
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
     REPORT_SCHEMA,
+    RUN_LOCK,
     MadeFrom,
     Record,
     code_version,
@@ -148,16 +150,36 @@ def run(
             # Registration needs them an hour later at full size: said now.
             read_points_px(session.root / "landmarks.json")
     job = Job(session, out, config, template, template_hash)
-    require_same_session(out, job.made_from)
-    records = read_records(out)
+    _plan(job, last, only)  # what it refuses is refused before the folder is made
+    with locked(out / RUN_LOCK, _busy(out)):
+        records, keys, planned = _plan(job, last, only)
+        for stage in planned:
+            records = _run_stage(job, stage, keys[stage], records, bar)
+        report = write_report_json(job, records)
+        if planned:
+            write_processed_report(out, report)
+    return {**report, "ran": planned}
+
+
+def _busy(out: Path) -> ProcessingError:
+    return ProcessingError(
+        out,
+        field="--out",
+        found="a folder that another run is writing to",
+        expected="one run at a time",
+        hint="Wait until that one has ended, or choose another --out.",
+    )
+
+
+def _plan(
+    job: Job, last: str, only: str | None
+) -> tuple[dict[str, Record], dict[str, str], list[str]]:
+    """The folder's records, the key of each stage, and the stages to run."""
+    require_same_session(job.out, job.made_from)
+    records = read_records(job.out)
     keys = stage_keys(job, records if only else {})
     planned = _only(only, records, keys) if only else _stale(job, records, keys, last)
-    for stage in planned:
-        records = _run_stage(job, stage, keys[stage], records, bar)
-    report = write_report_json(job, records)
-    if planned:
-        write_processed_report(out, report)
-    return {**report, "ran": planned}
+    return records, keys, planned
 
 
 def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:

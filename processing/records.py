@@ -23,6 +23,8 @@ SCHEMA = "processing.stages/1"
 REPORT_SCHEMA = "processing.report/1"
 MADE_FIRST = ("work", "views", "stages.json")
 """What a stage makes before all else: a folder with one of these is a processed folder."""
+RUN_LOCK = "run.lock"
+"""Held while stages run, so that two runs do not share a folder."""
 REPORTED = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "pycolmap")
 CODE = ("processing", "lightstage/formats", "lightstage/rig.py", "lightstage/patterns/names.py")
 
@@ -67,6 +69,8 @@ def require_own(out: Path) -> None:
         ProcessingError: a folder with files in it, none of which the stages make.
     """
     names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
+    # A run that was ended at its start leaves the lock alone.
+    names = [name for name in names if name != RUN_LOCK]
     if names and not any(name in names for name in MADE_FIRST):
         raise ProcessingError(
             out,

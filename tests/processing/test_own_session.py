@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -135,3 +137,40 @@ def test_a_store_refuses_an_atlas_that_may_be_of_somebody_else(
     change(processed)
     with pytest.raises(LightstageError, match=said):
         build_store([processed], tmp_path / "store")
+
+
+def test_a_second_run_on_a_folder_is_refused_until_the_first_process_ends(
+    session: Path, processed: Path
+) -> None:
+    holder = (
+        "import sys\nfrom pathlib import Path\n"
+        "from lightstage.errors import LightstageError\n"
+        "from lightstage.formats.lock import locked\n"
+        "with locked(Path(sys.argv[1]), LightstageError('busy')):\n"
+        "    print('held', flush=True)\n    sys.stdin.read()\n"
+    )
+    renamed(session, id="s-1", subject="anna")
+    words = [sys.executable, "-c", holder, str(processed / "run.lock")]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == b"held\n"
+        before = everything(processed)
+        with pytest.raises(LightstageError, match=f"{processed}.* another run is writing to"):
+            run(session, processed, TEMPLATE, PipelineConfig(), until="decode")
+        assert everything(processed) == before
+        first.kill()
+    assert run(session, processed, TEMPLATE, PipelineConfig(), until="decode")["ran"] == ["decode"]
+
+
+def test_the_lock_of_an_ended_run_is_no_foreign_file(session: Path, tmp_path: Path) -> None:
+    out = tmp_path / "new"
+    out.mkdir()
+    (out / "run.lock").touch()
+    assert run(session, out, TEMPLATE, PipelineConfig(), until="decode")["ran"] == ["decode"]
+    assert "run.lock" not in read_records(out)["decode"].outputs
+
+
+def test_a_refused_stage_makes_no_folder(session: Path, tmp_path: Path) -> None:
+    with pytest.raises(LightstageError, match="the stages before it"):
+        run(session, tmp_path / "new", TEMPLATE, PipelineConfig(), only="refine")
+    assert not (tmp_path / "new").exists()
