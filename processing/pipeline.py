@@ -12,7 +12,6 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.files import sha256_file, write_json
-from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.lock import locked
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
@@ -41,7 +40,7 @@ from processing.records import (
 )
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
-from processing.registration.stage import RegisterConfig, register
+from processing.registration.stage import RegisterConfig, clicked_landmarks, register
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 
@@ -148,7 +147,7 @@ def run(
         template, template_hash = load_template(template_path), hash_folder(template_path)
         if not config.register.landmark_command:
             # Registration needs them an hour later at full size: said now.
-            read_points_px(session.root / "landmarks.json")
+            clicked_landmarks(session)
     job = Job(session, out, config, template, template_hash)
     _plan(job, last, only)  # what it refuses is refused before the folder is made
     with locked(out / RUN_LOCK, _busy(out)):
