@@ -64,6 +64,22 @@ def raise_once() -> None:
         raise KeyboardInterrupt
 
 
+@contextlib.contextmanager
+def handlers_kept() -> Iterator[None]:
+    """Put Python's handlers back after a block whose libraries may set some beneath them.
+
+    Only the main thread may set a handler; another one leaves what the libraries set.
+    """
+    before = {number: signal.getsignal(number) for number in NUMBERS}
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in before.items():
+                if handler is not None:  # None: not Python's, and so not known here
+                    signal.signal(number, handler)
+
+
 def interrupted() -> bool:
     """Whether a signal has come.
 

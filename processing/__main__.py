@@ -188,9 +188,9 @@ def build(
     as_json: bool = JsonFlag,
 ) -> None:
     """The lab's store: whole maps of every scan."""
-    from processing.dataset import build_store, open_store, without_people_files
+    from processing.dataset import STORE, build_store, open_store, without_people_files
 
-    _require_new(out, overwrite)
+    _require_new(out, STORE, overwrite)
     folders, passed = without_people_files(processed)
     with limited_access(group_of(folders)), progress_bar("dataset build") as progress:
         build_store(folders, out, progress)
@@ -246,10 +246,10 @@ def publish(
 ) -> None:
     """The anonymous form: small patches apart from each other, turned, shuffled, some left out."""
     from lightstage.formats.files import read_json
-    from processing.dataset import PublishConfig, open_store
+    from processing.dataset import DATASET, PUBLISHED, PublishConfig, open_store
     from processing.dataset import publish as publish_store
 
-    _require_new(out, overwrite)
+    _require_new(out, PUBLISHED, overwrite)
     asked: dict[str, Any] = {
         "patch_px": patch,
         "gap": gap,
@@ -258,8 +258,9 @@ def publish(
     }
     config = PublishConfig(**{k: v for k, v in asked.items() if v is not None})
     with progress_bar("dataset publish") as progress:
-        publish_store(open_store(store), out, seed, config, progress)
-    written = read_json(out / "dataset.json")
+        opened = open_store(store, "These patches are published already.")
+        publish_store(opened, out, seed, config, progress)
+    written = read_json(out / DATASET)
     counts, unasked = written["counts"], written["consent"]["subjects_without"]
     said = f"{counts['patches']} patches of {counts['subjects']} subjects"
     if unasked:
@@ -268,8 +269,12 @@ def publish(
     finish(f"{out}: {said}", {**facts, "subjects_without_consent": unasked}, as_json)
 
 
-def _require_new(out: Path, overwrite: bool) -> None:
-    """Refuse to replace a dataset that is there already, unless told to."""
+def _require_new(out: Path, kind: str, overwrite: bool) -> None:
+    """Refuse to replace a dataset that is there already, unless told to and of this kind."""
+    from lightstage.formats.files import require_replaceable
+    from processing.dataset import DATASET
+
+    require_replaceable(out, DATASET, kind)
     if not overwrite and out.is_dir() and any(out.iterdir()):
         raise ProcessingError(
             out,

@@ -12,7 +12,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.files import sha256_file, write_json
-from lightstage.formats.landmarks import read_points_px
+from lightstage.formats.lock import locked
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import AtlasConfig, atlas
@@ -23,6 +23,9 @@ from processing.memory import give_back
 from processing.pages import write_processed_report
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
+    REPORT_SCHEMA,
+    RUN_LOCK,
+    MadeFrom,
     Record,
     code_version,
     files_in,
@@ -31,18 +34,18 @@ from processing.records import (
     measured,
     read_records,
     require_own,
+    require_same_session,
     versions,
     write_records,
 )
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
-from processing.registration.stage import RegisterConfig, register
+from processing.registration.stage import RegisterConfig, clicked_landmarks, register
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 
 STAGES = ("decode", "separate", "reconstruct", "refine", "register", "atlas")
 WITH_TEMPLATE = ("register", "atlas")
-REPORT_SCHEMA = "processing.report/1"
 
 Bar = Callable[[str], contextlib.AbstractContextManager[ProgressCallback]]
 """Given a stage's name, a context with a progress callback, such as `commands.progress_bar`."""
@@ -69,6 +72,11 @@ class Job:
     config: PipelineConfig
     template: Template | None
     template_hash: str
+
+    @property
+    def made_from(self) -> MadeFrom:
+        """What the folder's records say of the session."""
+        return MadeFrom(self.session.file.id, self.session.file.subject)
 
 
 def read_config(path: Path | None, atlas_rows: int | None = None) -> PipelineConfig:
@@ -139,17 +147,38 @@ def run(
         template, template_hash = load_template(template_path), hash_folder(template_path)
         if not config.register.landmark_command:
             # Registration needs them an hour later at full size: said now.
-            read_points_px(session.root / "landmarks.json")
+            clicked_landmarks(session)
     job = Job(session, out, config, template, template_hash)
-    records = read_records(out)
+    _plan(job, last, only)  # what it refuses is refused before the folder is made
+    with locked(out / RUN_LOCK, _busy(out)):
+        records, keys, planned = _plan(job, last, only)
+        for stage in planned:
+            records = _run_stage(job, stage, keys[stage], records, bar)
+        report = write_report_json(job, records)
+        if planned:
+            write_processed_report(out, report)
+    return {**report, "ran": planned}
+
+
+def _busy(out: Path) -> ProcessingError:
+    return ProcessingError(
+        out,
+        field="--out",
+        found="a folder that another run is writing to",
+        expected="one run at a time",
+        hint="Wait until that one has ended, or choose another --out.",
+    )
+
+
+def _plan(
+    job: Job, last: str, only: str | None
+) -> tuple[dict[str, Record], dict[str, str], list[str]]:
+    """The folder's records, the key of each stage, and the stages to run."""
+    require_same_session(job.out, job.made_from)
+    records = read_records(job.out)
     keys = stage_keys(job, records if only else {})
     planned = _only(only, records, keys) if only else _stale(job, records, keys, last)
-    for stage in planned:
-        records = _run_stage(job, stage, keys[stage], records, bar)
-    report = write_report_json(job, records)
-    if planned:
-        write_processed_report(out, report)
-    return {**report, "ran": planned}
+    return records, keys, planned
 
 
 def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:
@@ -221,8 +250,8 @@ def _run_stage(
 ) -> dict[str, Record]:
     """Run one stage and record it; it and all after it count as not done while it runs."""
     kept = {name: records[name] for name in STAGES[: STAGES.index(stage)] if name in records}
-    if records:
-        write_records(job.out, kept)
+    # Before the stage's first file: a folder says whose it is however early the stage ends.
+    write_records(job.out, job.made_from, kept)
     before = files_in(job.out)
     facts: dict[str, Any] = {}
     with bar(stage) as progress, measured(facts):
@@ -231,7 +260,7 @@ def _run_stage(
     after = files_in(job.out)
     outputs = sorted(name for name in after if after[name] != before.get(name))
     kept[stage] = Record(key, outputs, facts)
-    write_records(job.out, kept)
+    write_records(job.out, job.made_from, kept)
     return kept
 
 
@@ -259,6 +288,7 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
     ]
     report = {
         "schema": REPORT_SCHEMA,
+        "session": job.session.file.id,
         "subject": job.session.file.subject,
         "expression": job.session.file.expression,
         "consent": (job.session.file.model_extra or {}).get("consent"),

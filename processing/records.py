@@ -20,8 +20,11 @@ from lightstage.formats.files import read_json, sha256_file, write_json
 from processing.errors import ProcessingError
 
 SCHEMA = "processing.stages/1"
+REPORT_SCHEMA = "processing.report/1"
 MADE_FIRST = ("work", "views", "stages.json")
 """What a stage makes before all else: a folder with one of these is a processed folder."""
+RUN_LOCK = "run.lock"
+"""Held while stages run, so that two runs do not share a folder."""
 REPORTED = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "pycolmap")
 CODE = ("processing", "lightstage/formats", "lightstage/rig.py", "lightstage/patterns/names.py")
 
@@ -41,6 +44,24 @@ class Record:
     facts: dict[str, Any]
 
 
+@dataclasses.dataclass(frozen=True)
+class MadeFrom:
+    """The session that a processed folder was made from.
+
+    Attributes:
+        session: the session's id; None where only a report tells, and has none.
+        subject: the person's pseudonym.
+    """
+
+    session: str | None
+    subject: str
+
+    def __str__(self) -> str:
+        """As messages name it."""
+        session = "a session" if self.session is None else f"session {self.session}"
+        return f"{session} of subject {self.subject}"
+
+
 def require_own(out: Path) -> None:
     """Refuse a folder that holds other things than a processed session's.
 
@@ -48,6 +69,8 @@ def require_own(out: Path) -> None:
         ProcessingError: a folder with files in it, none of which the stages make.
     """
     names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
+    # A run that was ended at its start leaves the lock alone.
+    names = [name for name in names if name != RUN_LOCK]
     if names and not any(name in names for name in MADE_FIRST):
         raise ProcessingError(
             out,
@@ -58,14 +81,62 @@ def require_own(out: Path) -> None:
         )
 
 
+def require_same_session(out: Path, given: MadeFrom) -> None:
+    """Refuse a folder that was made from another session: one person's maps, another's consent.
+
+    Raises:
+        ProcessingError: stages.json, or report.json where that one does not tell, is of another.
+        FormatError: a file that cannot be read.
+    """
+    found = read_made_from(out) or _reported(out)
+    if found is None:
+        return
+    if found.subject != given.subject or found.session not in (None, given.session):
+        raise ProcessingError(
+            out,
+            field="--out",
+            found=f"a folder made from {found}",
+            expected=f"a new one, or one made from {given}",
+            hint="Choose another --out.",
+        )
+
+
+def read_made_from(out: Path) -> MadeFrom | None:
+    """Which session stages.json is of; None where there is none or an older version wrote it."""
+    path = out / "stages.json"
+    value = read_json(path, SCHEMA).get("made_from") if path.exists() else None
+    if value is None:
+        return None
+    names = value if isinstance(value, dict) else {}
+    session, subject = names.get("session"), names.get("subject")
+    if not (isinstance(session, str) and isinstance(subject, str)):
+        raise FormatError(
+            path, field="made_from", found=repr(value)[:80], expected="session and subject, as text"
+        )
+    return MadeFrom(session, subject)
+
+
+def _reported(out: Path) -> MadeFrom | None:
+    """Which session report.json is of; None where there is none, or no subject in it."""
+    path = out / "report.json"
+    value = read_json(path) if path.exists() else None
+    if not isinstance(value, dict) or not isinstance(value.get("subject"), str):
+        return None
+    session = value.get("session")
+    return MadeFrom(session if isinstance(session, str) else None, value["subject"])
+
+
 def read_records(out: Path) -> dict[str, Record]:
-    """Finished stages by name, in the order they ran; empty where there is no stages.json."""
+    """Finished stages by name, in the order they ran; empty where there is no stages.json.
+
+    Also empty where it does not say of which session its stages are: they may be of two.
+    """
     path = out / "stages.json"
     if not path.exists():
         return {}
     try:
         stages = read_json(path, SCHEMA)["stages"]
-        return {name: Record(**value) for name, value in stages.items()}
+        records = {name: Record(**value) for name, value in stages.items()}
     except (KeyError, TypeError, AttributeError) as error:
         raise FormatError(
             path,
@@ -73,12 +144,14 @@ def read_records(out: Path) -> dict[str, Record]:
             expected="key, outputs and facts of each stage",
             hint="Remove it, and every stage runs again.",
         ) from None
+    return records if read_made_from(out) else {}
 
 
-def write_records(out: Path, records: dict[str, Record]) -> Path:
+def write_records(out: Path, made_from: MadeFrom, records: dict[str, Record]) -> Path:
     """Write stages.json atomically; returns its path."""
     stages = {name: dataclasses.asdict(record) for name, record in records.items()}
-    return write_json(out / "stages.json", {"schema": SCHEMA, "stages": stages})
+    of = dataclasses.asdict(made_from)
+    return write_json(out / "stages.json", {"schema": SCHEMA, "made_from": of, "stages": stages})
 
 
 def hash_of(*values: Any) -> str:

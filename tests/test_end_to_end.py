@@ -134,10 +134,15 @@ def a_second_run_skips_what_is_done(at: Layout) -> None:
     assert (at.processed / "base_mesh.ply").stat().st_mtime_ns == before
 
 
+def is_done(out: Path, stage: str) -> bool:
+    path = out / "stages.json"
+    return path.exists() and stage in read_json(path)["stages"]
+
+
 def an_interrupt_leaves_whole_files(at: Layout, out: Path) -> None:
     running = subprocess.Popen(process(at, out), stderr=subprocess.DEVNULL, process_group=0)
     until = time.monotonic() + 60
-    while not (out / "stages.json").exists() and time.monotonic() < until:
+    while not is_done(out, "decode") and time.monotonic() < until:
         time.sleep(0.05)
     assert running.poll() is None
     os.killpg(running.pid, signal.SIGINT)

@@ -250,6 +250,7 @@ READERS = {
     "stages.json": (
         {
             "schema": "processing.stages/1",
+            "made_from": {"session": "s", "subject": "p"},
             "stages": {"decode": {"key": "k", "outputs": [], "facts": {}}},
         },
         records,

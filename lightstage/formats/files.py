@@ -80,8 +80,41 @@ def leftovers(folder: Path, name: str) -> list[Path]:
     return sorted([*folder.glob(beside), *folder.glob(f"{beside}.old")])
 
 
+def require_replaceable(path: Path, marker: str, kind: str | None = None) -> None:
+    """Refuse an output folder that a command of this kind did not make.
+
+    Args:
+        path: the folder to make or to replace.
+        marker: a file that a folder of this kind holds.
+        kind: the `kind` that the marker, a JSON object, must have; None where its name is enough.
+
+    Raises:
+        FormatError: `path` is a file, or a folder that holds something and is of another kind.
+    """
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return
+    found = ""
+    if not (path / marker).is_file():
+        found = f"something else that holds no {marker}"
+    elif kind is not None:
+        try:
+            value = read_json(path / marker)
+        except FormatError:
+            value = None
+        has = value.get("kind") if isinstance(value, dict) else None
+        if has != kind:
+            found = f"a folder whose {marker} is of kind {has!r}, not {kind!r}"
+    if found:
+        raise FormatError(
+            path,
+            found=found,
+            expected="a new folder, or one made by the same command",
+            hint="Choose another output folder.",
+        )
+
+
 @contextlib.contextmanager
-def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
+def atomic_folder(path: Path, marker: str, kind: str | None = None) -> Iterator[Path]:
     """Yield a new folder beside `path` to fill; on success it takes the place of `path`.
 
     If the block raises, the new folder is removed and `path` is left as it was.
@@ -90,18 +123,13 @@ def atomic_folder(path: Path, marker: str) -> Iterator[Path]:
         path: the folder to make or to replace.
         marker: a file that a folder of this kind holds. A folder that exists, holds something and
             lacks it is somebody else's and is refused.
+        kind: see `require_replaceable`.
 
     Raises:
         FormatError: `path` is a file or a folder of another kind.
         DiskFullError: the disk filled up, whatever the writer raised for it.
     """
-    if path.is_file() or (path.is_dir() and any(path.iterdir()) and not (path / marker).exists()):
-        raise FormatError(
-            path,
-            found=f"something else that holds no {marker}",
-            expected="a new folder, or one made by the same command",
-            hint="Choose another output folder.",
-        )
+    require_replaceable(path, marker, kind)
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{secrets.token_hex(NAME_BYTES)}")
     old = beside.with_name(beside.name + ".old")

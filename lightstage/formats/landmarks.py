@@ -24,6 +24,7 @@ def read_points_px(path: Path) -> dict[str, np.ndarray]:
         FormatError: another scheme, or not 68 entries a camera.
     """
     value = read_json(path, SCHEMA)
+    _require_not_the_other(path, value, "points_px", "points_mm")
     points = value.get("points_px")
     if value.get("scheme") != SCHEME or not isinstance(points, dict):
         raise FormatError(
@@ -45,6 +46,7 @@ def read_points_mm(path: Path) -> np.ndarray:
     value = read_json(path)
     if not isinstance(value, dict) or value.get("scheme") != SCHEME:
         raise FormatError(path, field="scheme", found="another", expected=repr(SCHEME))
+    _require_not_the_other(path, value, "points_mm", "points_px")
     return _array(path, "points_mm", value.get("points_mm"), 3)
 
 
@@ -52,6 +54,24 @@ def write_points_mm(points_mm: np.ndarray, path: Path) -> Path:
     """Write landmarks of a mesh; NaN rows become null."""
     value = {"schema": SCHEMA, "scheme": SCHEME, "points_mm": _entries(points_mm)}
     return write_json(path, value)
+
+
+_OF = {
+    "points_px": "landmarks in a session's pictures, for `run` and `register`",
+    "points_mm": "landmarks on a mesh, for `register-mesh`",
+}
+
+
+def _require_not_the_other(path: Path, value: dict[str, object], wanted: str, other: str) -> None:
+    """Say which of the two kinds of landmarks a file holds in place of the wanted one."""
+    if wanted not in value and other in value:
+        raise FormatError(
+            path,
+            field=other,
+            found=_OF[other],
+            expected=f"{wanted}: {_OF[wanted]}",
+            hint="docs/registration.md shows both files.",
+        )
 
 
 def _array(path: Path, field: str, entries: object, size: int) -> np.ndarray:

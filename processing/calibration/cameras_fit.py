@@ -10,10 +10,10 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-import pycolmap
 
 from lightstage.rig import Camera
 from processing.calibration.boards import Sight
+from processing.colmap import pycolmap
 
 Placed = Mapping[str, Camera]
 """Cameras by id; `cam_from_world` is from the reference camera's frame here."""

@@ -7,10 +7,13 @@ from processing.dataset.scan import (
     read_head_pose,
     without_people_files,
 )
-from processing.dataset.store import Scan, Store, build_store, open_store
+from processing.dataset.store import DATASET, PUBLISHED, STORE, Scan, Store, build_store, open_store
 
 __all__ = [
     "CHANNELS",
+    "DATASET",
+    "PUBLISHED",
+    "STORE",
     "DatasetError",
     "PublishConfig",
     "Scan",

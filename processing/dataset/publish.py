@@ -29,7 +29,7 @@ from processing.dataset.places import Layout, Place, clear_skin, places_of, size
 from processing.dataset.protection import CANNOT_PROTECT
 from processing.dataset.scan import DatasetError
 from processing.dataset.statistics import Statistics
-from processing.dataset.store import PATCH, SCHEMA, Scan, Store
+from processing.dataset.store import DATASET, PATCH, PUBLISHED, SCHEMA, Scan, Store
 
 PATCH_OF_ROWS = 6144
 """Atlas rows at which a patch has `PATCH` texels; other atlases have patches of the same share."""
@@ -132,7 +132,7 @@ def publish(
     kept = np.flatnonzero(rng.random(len(places)) >= config.drop)
     # Dropping all of a few patches would leave nothing to publish.
     order = rng.permutation(kept if len(kept) else len(places))
-    with atomic_folder(out, "dataset.json") as beside:
+    with atomic_folder(out, DATASET, PUBLISHED) as beside:
         group = zarr.create_group(beside, zarr_format=3, attributes={"about": "dataset.json"})
         arrays = {
             name: _create(group, name, len(order), layout.size, channels, config)
@@ -153,10 +153,10 @@ def publish(
         subjects = len({scan.subject for scan in store.scans})
         shown = statistics.facts() if subjects >= config.fewest_subjects else {}
         write_json(
-            beside / "dataset.json",
+            beside / DATASET,
             {
                 "schema": SCHEMA,
-                "kind": "published",
+                "kind": PUBLISHED,
                 "patch": layout.size,
                 "stride": layout.size + layout.gap,
                 "gap": layout.gap,

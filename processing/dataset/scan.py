@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from lightstage.formats.names import require_pseudonym
 from lightstage.formats.people import is_people_file
 from lightstage.formats.processed import ProcessedFolder
 from processing.errors import ProcessingError
+from processing.records import REPORT_SCHEMA, MadeFrom, read_made_from, read_records
 
 CHANNELS: dict[str, int] = {
     "diffuse_albedo": 3,
@@ -82,7 +84,8 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
         Its entry, and its maps by name, (rows, columns, c) float32, in the head frame.
 
     Raises:
-        FormatError, DatasetError: something else than a processed folder, a map that is missing,
+        FormatError, DatasetError: something else than a processed folder, an atlas older than the
+            stages before it, a report of another session than the atlas, a map that is missing,
             damaged or of another size, no subject, a pose that is not rigid.
     """
     _require_processed(root)
@@ -94,6 +97,7 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
         require_pseudonym(report.get(key), root / "report.json", key)
         for key in ("subject", "expression")
     )
+    _require_current_atlas(root, report)
     consent = report.get("consent")
     if consent is not None and not (isinstance(consent, str) and consent):
         raise FormatError(
@@ -169,6 +173,42 @@ def _require_processed(root: Path) -> None:
     else:
         found = "a folder of something else"
     raise DatasetError(root, found=found, expected="a processed folder with atlas/", hint=hint)
+
+
+def _require_current_atlas(root: Path, report: dict[str, Any]) -> None:
+    """Refuse a folder whose report may speak of somebody else than its atlas shows.
+
+    A folder that no stage wrote, such as a simulated person's, has neither a record of the stages
+    nor their report.
+    """
+    if report.get("schema") != REPORT_SCHEMA and not (root / "stages.json").exists():
+        return
+    session = report.get("session")
+    reported = MadeFrom(session if isinstance(session, str) else None, str(report.get("subject")))
+    made_from = read_made_from(root)
+    again = "Run `lightstage-processing run SESSION --out OUT` with the session it is of."
+    if made_from is None or reported.session is None:
+        raise DatasetError(
+            root,
+            found="no record of the session that its maps were made from",
+            expected="one in stages.json and report.json",
+            hint=again,
+        )
+    if made_from != reported:
+        raise DatasetError(
+            root / "report.json",
+            found=str(reported),
+            expected=f"{made_from}, as stages.json has it",
+            hint=again,
+        )
+    if "atlas" not in read_records(root):
+        raise DatasetError(
+            root / "atlas",
+            found="an atlas that is older than the stages before it",
+            expected="one made after them",
+            hint="Run `lightstage-processing run SESSION --out OUT` with the same --config: it "
+            "makes again what is out of date.",
+        )
 
 
 def holds_scans(folder: Path) -> bool:

@@ -28,6 +28,14 @@ from processing.dataset.scan import CHANNELS, DatasetError, ScanEntry, holds_sca
 from processing.dataset.statistics import Statistics
 
 SCHEMA = "lightstage.realfacedb/1"
+DATASET = "dataset.json"
+STORE, PUBLISHED = "store", "published"
+"""Kinds of a dataset; a command replaces only its own."""
+NOT_FOR_TRAINING = (
+    "Published patches lack what training takes besides them: the whole texture (the network's "
+    "second input), the place in it (cast shadows) and the person (to hold some people out). "
+    "docs/dataset.md opens them."
+)
 AVERAGED = ("diffuse_albedo", "specular_albedo")
 PATCH = 512
 STRIDE = 256
@@ -148,14 +156,18 @@ def _open_array(path: Path) -> Any:
         ) from None
 
 
-def open_store(path: Path) -> Store:
+def open_store(path: Path, not_published: str = NOT_FOR_TRAINING) -> Store:
     """Open a store for reading.
+
+    Args:
+        path: the folder.
+        not_published: why the caller takes no published set, for the message that refuses one.
 
     Raises:
         FormatError, DatasetError: no dataset.json, one of another schema, or a published set,
             which holds patches and no maps.
     """
-    file = path / "dataset.json"
+    file = path / DATASET
     if not file.exists() and holds_scans(path):
         raise DatasetError(
             path,
@@ -173,15 +185,13 @@ def open_store(path: Path) -> Store:
         )
     value = read_json(file)
     check_schema(file, value, SCHEMA)
-    if value.get("kind") != "store":
+    if value.get("kind") != STORE:
         raise DatasetError(
             file,
             field="kind",
             found=repr(value.get("kind")),
-            expected="'store'",
-            hint="Name the store that `dataset build` made. Published patches lack what training "
-            "takes besides them: the whole texture (the network's second input), the place in it "
-            "(cast shadows) and the person (to hold some people out). docs/dataset.md opens them.",
+            expected=repr(STORE),
+            hint=f"Name the store that `dataset build` made. {not_published}",
         )
     try:
         scans = tuple(
@@ -231,7 +241,7 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
     entries: list[ScanEntry] = []
     first: tuple[Path, ScanEntry] | None = None
     statistics = Statistics({name: CHANNELS[name] for name in AVERAGED})
-    with atomic_folder(out, "dataset.json") as beside:
+    with atomic_folder(out, DATASET, STORE) as beside:
         for index, root in enumerate(processed):
             try:
                 if root.resolve() in {p.resolve() for p in processed[:index]}:
@@ -249,10 +259,10 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
         if problems:
             raise one_error(problems)
         write_json(
-            beside / "dataset.json",
+            beside / DATASET,
             {
                 "schema": SCHEMA,
-                "kind": "store",
+                "kind": STORE,
                 "patch": PATCH,
                 "stride": STRIDE,
                 "channels": CHANNELS,

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_folder, write_bytes, write_json
+from processing.colmap import pycolmap
 from processing.reconstruction.views import Level, depth_to_points
 
 SCHEMA = "lightstage.colmap-folder/1"

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import pycolmap
 
 from lightstage.commands import ProgressCallback
 from lightstage.rig import Camera
+from processing.colmap import pycolmap
 
 MAX_FEATURES = 1500
 PEAK_THRESHOLD = 0.002

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import pycolmap
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.rig import Camera
+from processing.colmap import pycolmap
 from processing.errors import PoseError
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.matches import find_matches

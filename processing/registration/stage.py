@@ -130,14 +130,24 @@ def _landmarks(
                 np.uint8
             )
         return CommandLandmarks(config.landmark_command).find(pictures)
+    return clicked_landmarks(session)
+
+
+def clicked_landmarks(session: Session) -> dict[str, np.ndarray]:
+    """Landmarks in a session's landmarks.json: camera id to (68, 2) pixels, NaN where hidden.
+
+    Raises:
+        FormatError: the file is not in its form.
+        RegistrationError: no such file, or a camera that the rig lacks.
+    """
     path = session.root / "landmarks.json"
     if not path.is_file():
         raise RegistrationError(
             path,
             found="no such file",
             expected="68 iBUG landmarks in two cameras or more",
-            hint="Click them in the photographs (FORMATS describes landmarks.json), or name a "
-            "program as landmark_command.",
+            hint="Click them in the photographs (docs/registration.md shows landmarks.json), or "
+            "name a program as landmark_command in the table [register] of --config.",
         )
     points_px = ClickedLandmarks(path).find({})
     unknown = sorted(set(points_px) - {camera.id for camera in session.rig.cameras})

@@ -10,6 +10,11 @@ from processing.errors import RegistrationError
 from processing.registration.rigid import Similarity, robust_umeyama, umeyama
 from processing.registration.target import Target
 
+OFF_THE_SCAN = 0.25
+"""Landmarks farther from the surface than this share of their own size do not lie on the scan."""
+SCAN_TIMES = 5.0
+"""A scan in mm is at most so many times as large as the template, or as small: a body, a nose."""
+
 
 def require_surface(scan: Mesh) -> None:
     """Refuse a scan without a usable triangle or with vertices that are not finite.
@@ -69,16 +74,7 @@ def first_pose(
             expected="points that span a volume",
             hint="Add some off that plane, such as the nose tip and the jaw line.",
         )
-    size = _size(world) / _size(head)
-    if not 0.6 < size < 1.6:
-        raise RegistrationError(
-            "landmarks",
-            field="units",
-            found=f"a scan {size:.3g} times as large as the template",
-            expected="both in mm",
-            hint="Scale the scan and its landmarks (metres x 1000, centimetres x 10), or the "
-            "template if that one is not in mm.",
-        )
+    _require_units(target, world, head, template)
     pose, residual = robust_umeyama(head, world, scale=True)
     mirrored = umeyama(head, world, scale=True, reflect=True)
     if np.linalg.det(mirrored.rotation) < 0:
@@ -119,6 +115,36 @@ def first_pose(
             hint="Turn its faces over in a mesh editor.",
         )
     return pose
+
+
+def _require_units(target: Target, world: np.ndarray, head: np.ndarray, template: Template) -> None:
+    """Refuse other units than mm, and say whether landmarks or scan or both have them.
+
+    Landmarks that lie on the scan are in its units. Of those that do not, what is of the template's
+    size is right: the scan's size alone would tell little, as it may be a part of a head or a body.
+    """
+    size = _size(world) / _size(head)
+    away = np.median(target.closest(world).distance_mm)
+    apart = away > OFF_THE_SCAN * _size(world)
+    scan = _size(target.vertices[np.unique(target.triangles)]) / _size(template.mesh.vertices)
+    fits, scan_fits = 0.6 < size < 1.6, 1 / SCAN_TIMES < scan < SCAN_TIMES
+    scale = "(metres x 1000, centimetres x 10)"
+    if fits and apart and not scan_fits:
+        where, found = "scan", f"a scan {scan:.3g} times as large as the template, and landmarks "
+        found += f"{size:.3g} times"
+        hint = f"The landmarks are in mm. Scale the scan {scale}."
+    elif not fits and apart and scan_fits:
+        where, found = "landmarks", f"landmarks {size:.3g} times as far apart as the template's, "
+        found += f"and a scan {scan:.3g} times as large"
+        hint = f"The scan is in mm. Scale the landmarks {scale}."
+    elif not fits:
+        where, found = "landmarks", f"a scan {size:.3g} times as large as the template"
+        hint = (
+            f"Scale the scan and its landmarks {scale}, or the template if that one is not in mm."
+        )
+    else:
+        return
+    raise RegistrationError(where, field="units", found=found, expected="both in mm", hint=hint)
 
 
 def _size(points: np.ndarray) -> float:

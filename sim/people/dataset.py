@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import fcntl
 import functools
 import hashlib
 import itertools
@@ -20,6 +19,7 @@ from pathlib import Path
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import atomic_folder, leftovers, read_json, write_json
+from lightstage.formats.lock import locked
 from lightstage.formats.people import PEOPLE_LIST, PEOPLE_LOCK, PEOPLE_SCHEMA
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.values import parse_json
@@ -254,14 +254,8 @@ def _calm(jobs: int) -> None:
 @contextlib.contextmanager
 def _own(plan: Plan, session: bool = False) -> Iterator[list[tuple[Person, tuple[str, ...]]]]:
     """Lock the folder, write who is in it, and yield what is still to be made."""
-    plan.out.mkdir(parents=True, exist_ok=True)
-    with (plan.out / PEOPLE_LOCK).open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise SimError(
-                plan.out, found="a run that is making it", expected="one run at a time"
-            ) from None
+    busy = SimError(plan.out, found="a run that is making it", expected="one run at a time")
+    with locked(plan.out / PEOPLE_LOCK, busy):
         for left in leftovers(plan.out, "person-*"):
             shutil.rmtree(left, ignore_errors=True)
         _write_list(plan)

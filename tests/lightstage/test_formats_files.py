@@ -91,6 +91,24 @@ def test_somebody_elses_folder_is_refused(tmp_path):
     assert os.listdir(tmp_path / "photos") == ["a.jpg"]
 
 
+@pytest.mark.parametrize("text", ['{"kind": "store"}', '{"kind": 3}', "{}", "[]", '{"kind": "pub'])
+def test_a_folder_of_another_kind_is_refused(tmp_path, text):
+    (tmp_path / "out").mkdir()
+    marker = tmp_path / "out" / "mark.json"
+    marker.write_text(text)
+
+    def fill():
+        with atomic_folder(tmp_path / "out", "mark.json", "published") as beside:
+            (beside / "mark.json").write_text("new")
+
+    with pytest.raises(FormatError, match=r"mark\.json is of kind .*, not 'published'"):
+        fill()
+    assert marker.read_text() == text
+    marker.write_text('{"kind": "published"}')
+    fill()
+    assert marker.read_text() == "new"
+
+
 def test_json_with_nan_is_refused_and_leaves_nothing(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         write_json(tmp_path / "a.json", {"x": float("nan")})

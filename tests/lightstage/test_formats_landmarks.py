@@ -54,6 +54,15 @@ def test_other_landmarks_are_refused(tmp_path, value, said):
         read_points_mm(path)
 
 
+def test_each_kind_of_landmarks_is_named_where_the_other_is_wanted(tmp_path):
+    path = write_points_px({"cam0": points(2)}, tmp_path / "landmarks.json")
+    with pytest.raises(FormatError, match=r"in a session's pictures.*expected points_mm"):
+        read_points_mm(path)
+    path = write_points_mm(points(3), tmp_path / "mm.json")
+    with pytest.raises(FormatError, match=r"landmarks on a mesh.*expected points_px"):
+        read_points_px(path)
+
+
 def test_landmarks_in_pictures_need_their_schema(tmp_path):
     path = tmp_path / "l.json"
     path.write_text(json.dumps({"scheme": "ibug68", "points_px": {}}))

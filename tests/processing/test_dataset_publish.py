@@ -13,9 +13,11 @@ import pytest
 import zarr
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.processed import ProcessedFolder
+from processing.__main__ import app
 from processing.dataset import PublishConfig, Store, build_store, open_store, publish
 from processing.dataset.places import CLEAR, clear_skin, places_of
 from processing.dataset.publish import published_places, read_patch
@@ -428,3 +430,34 @@ def test_clear_skin_is_what_whole_squares_of_skin_cover_however_it_is_turned(
     assert (clear_skin(measured) == covered).all()
     for own, right in zip(unturned(measured), unturned(covered), strict=True):
         assert (clear_skin(own) == right).all()
+
+
+def test_neither_dataset_takes_the_place_of_the_other(
+    store: Store, tmp_path: Path, make_processed: Make
+) -> None:
+    other = build_store([make_processed(tmp_path / "other")], tmp_path / "other_store")
+    with pytest.raises(LightstageError, match="of kind 'store', not 'published'"):
+        publish(store, other, SEED, SMALL)
+    assert len(open_store(other).scans) == 1
+    published = publish(store, tmp_path / "published", SEED, SMALL)
+    before = len(read(published, "shape"))
+    with pytest.raises(LightstageError, match="of kind 'published', not 'store'"):
+        build_store([tmp_path / "other"], published)
+    assert len(read(published, "shape")) == before
+    assert publish(store, published, SEED, SMALL) == published
+    overwriting = ["dataset", "publish", str(store.path), "--out", str(other), "--overwrite"]
+    done = CliRunner().invoke(app, overwriting)
+    assert isinstance(done.exception, LightstageError)
+    assert "of kind 'store', not 'published'" in str(done.exception)
+
+
+def test_a_published_set_given_to_publish_is_told_from_one_given_to_training(
+    store: Store, tmp_path: Path
+) -> None:
+    published = publish(store, tmp_path / "published", SEED, SMALL)
+    again = ["dataset", "publish", str(published), "--out", str(tmp_path / "again")]
+    said = str(CliRunner().invoke(app, again).exception)
+    assert "Name the store that `dataset build` made" in said
+    assert "training" not in said
+    with pytest.raises(LightstageError, match="training"):
+        open_store(published)

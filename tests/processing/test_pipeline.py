@@ -15,7 +15,7 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
-from processing.errors import ProcessingError
+from processing.errors import ProcessingError, RegistrationError
 from processing.frames.read import Frames, read_frames, write_frames
 from processing.masks import foreground
 from processing.pipeline import PipelineConfig, read_config, run
@@ -207,16 +207,17 @@ def test_atlas_rows_are_refused_before_any_stage_runs(
 
 def test_missing_landmarks_are_told_before_any_stage_runs(session: Path, tmp_path: Path) -> None:
     (session / "landmarks.json").unlink(missing_ok=True)
-    with pytest.raises(FormatError, match=r"landmarks\.json: found no such file"):
+    said = r"landmarks\.json: found no such file, expected 68 iBUG.*Click them.*landmark_command"
+    with pytest.raises(RegistrationError, match=said):
         run(session, tmp_path / "out", TEMPLATE, PipelineConfig())
     assert not (tmp_path / "out").exists()
 
 
 def test_a_store_is_replaced_only_when_told(tmp_path: Path) -> None:
     (tmp_path / "store").mkdir()
-    (tmp_path / "store" / "dataset.json").write_text("{}")
-    for name in ("build", "publish"):
+    for name, kind in (("build", "store"), ("publish", "published")):
+        (tmp_path / "store" / "dataset.json").write_text(f'{{"kind": "{kind}"}}')
         done = command("dataset", name, tmp_path / "scan", "--out", tmp_path / "store")
         assert done.returncode == 2
         assert "pass --overwrite" in done.stderr
-    assert (tmp_path / "store" / "dataset.json").read_text() == "{}"
+        assert kind in (tmp_path / "store" / "dataset.json").read_text()

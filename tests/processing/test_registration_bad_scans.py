@@ -7,6 +7,7 @@ from lightstage.formats.mesh import Mesh
 from processing.errors import RegistrationError
 from processing.registration.nonrigid import NonrigidConfig
 from processing.registration.stage import RegisterConfig, register_mesh
+from processing.registration.start import first_pose
 from processing.registration.target import Target
 from tests.processing.shapes import ellipsoid, ellipsoid_template, refined, warp
 
@@ -88,3 +89,33 @@ def test_vertices_that_are_not_finite_are_refused():
     broken = SCAN.vertices.copy()
     broken[[3, 9]] = [np.nan, 0, np.inf]
     assert "2 with NaN" in said(Mesh(broken, SCAN.faces))
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.001, 1000.0])
+@pytest.mark.parametrize(
+    ("off", "said"),
+    [
+        ("landmarks", "The scan is in mm. Scale the landmarks"),
+        ("scan", "The landmarks are in mm. Scale the scan ("),
+        ("both", "Scale the scan and its landmarks"),
+    ],
+)
+def test_of_scan_and_landmarks_the_one_in_other_units_is_named(factor, off, said):
+    scan = SCAN if off == "landmarks" else Mesh(factor * SCAN.vertices, SCAN.faces)
+    marks = TRUTH[TEMPLATE.landmarks] * (1 if off == "scan" else factor)
+    with pytest.raises(RegistrationError, match="units") as caught:
+        first_pose(Target(scan), marks, np.ones(len(marks), bool), TEMPLATE)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_parts_and_bodies_in_mm_have_no_other_units(factor):
+    """Vertices of a shoulder far away, or of the nose alone: landmarks still lie on the scan."""
+    far = Mesh(factor * SCAN.vertices + [0, -900.0, 0], SCAN.faces)
+    both = Mesh(
+        np.concatenate([SCAN.vertices, far.vertices, far.vertices]),
+        np.concatenate([SCAN.faces, far.faces + len(SCAN.vertices)]),
+    )
+    marks = TRUTH[TEMPLATE.landmarks]
+    pose = first_pose(Target(both), marks, np.ones(len(marks), bool), TEMPLATE)
+    assert 0.8 < pose.scale < 1.25
