@@ -187,7 +187,10 @@ def train(
     out: Annotated[Path, output_folder("--out", help="Folder of the run: checkpoint and metrics.")],
     preset: Annotated[
         str,
-        typer.Option(help="`modern`: whole faces; `paper`; `demo`: the paper's networks, narrow."),
+        typer.Option(
+            help="`modern`: whole faces; `paper`: one network of patches; `avatarme`: four of "
+            "them; `demo` and `avatarme-small`: these two, narrow, for minutes."
+        ),
     ] = "modern",
     config: Annotated[Path | None, typer.Option(help="TOML that overrides the preset.")] = None,
     seconds: Annotated[

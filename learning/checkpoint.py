@@ -1,7 +1,7 @@
 """Checkpoints: weights as safetensors, everything else as JSON; no code runs when one is loaded.
 
     RUN/checkpoint.json            the index: configuration, data, code, metrics, names and hashes
-    RUN/generator-STEP.safetensors (a whole face's network: network-STEP.safetensors)
+    RUN/generator-STEP.safetensors (a whole face's network: network-STEP; four: generators-STEP)
     RUN/training-STEP.safetensors  discriminators and optimisers, to go on from
 
 The JSON is renamed into place last, so a run always has one whole checkpoint.
@@ -39,7 +39,7 @@ class Checkpoint:
 
     Attributes:
         folder: where its files lie.
-        family: of networks: `patches` or `whole_face`.
+        family: of networks: `patches`, `four_networks` or `whole_face`.
         step: training steps done.
         config: the resolved configuration.
         data_fingerprint: of the store.
@@ -47,7 +47,7 @@ class Checkpoint:
         texture_rows: of the maps trained on, which is the size of skin's detail for the network.
         code_version: of this package when it was saved.
         metrics: when it was saved.
-        files: role (generator or network, training) to {name, sha256}.
+        files: role (generator, generators or network, and training) to {name, sha256}.
     """
 
     folder: Path
@@ -73,7 +73,7 @@ def save_checkpoint(
     Args:
         folder: the run.
         step: training steps done.
-        tensors: role (generator or network, training) to named tensors.
+        tensors: role, as in `Checkpoint.files`, to named tensors.
         about: the other fields of `Checkpoint`.
 
     Returns:
@@ -189,7 +189,7 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
         CheckpointError, FormatError, ConfigError: as `read_checkpoint`, or weights of another
             network.
     """
-    checkpoint, where = _of_family(path, "patches")
+    checkpoint, where = of_family(path, "patches")
     config = make_config(GeneratorConfig, checkpoint.config.get("generator", {}), where)
     require_within(config, where, "generator")
     with torch.device("meta"):
@@ -201,7 +201,7 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
 
 def load_whole_face(path: Path) -> tuple[WholeFaceNetwork, Checkpoint]:
     """The whole-face network of a checkpoint, ready to infer with; errors as `load_generator`."""
-    checkpoint, where = _of_family(path, "whole_face")
+    checkpoint, where = of_family(path, "whole_face")
     config = make_config(WholeFaceConfig, checkpoint.config.get("network", {}), where)
     require_within(config, where, "network")
     network = WholeFaceNetwork(config)
@@ -214,7 +214,7 @@ def shipped_weights() -> Path:
     return Path(__file__).parent / "data" / "whole_face"
 
 
-def _of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
+def of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
     """A checkpoint and its index; CheckpointError where its networks are of another family."""
     checkpoint = read_checkpoint(path)
     where = checkpoint.folder / INDEX
@@ -244,6 +244,12 @@ def fill(network: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:
             found=str(error).splitlines()[-1].strip(),
             expected="those of the configured network",
         ) from None
+
+
+def part_of(tensors: dict[str, Tensor], name: str) -> dict[str, Tensor]:
+    """Those whose names begin with NAME and a full stop, without that."""
+    prefix = f"{name}."
+    return {k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)}
 
 
 def adam_tensors(optimiser: torch.optim.Adam, prefix: str) -> dict[str, Tensor]:

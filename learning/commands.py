@@ -18,6 +18,10 @@ from learning.checkpoint import (
 )
 from learning.data import DataConfig
 from learning.errors import MapsError
+from learning.four.config import FourTrainConfig
+from learning.four.infer import infer_four
+from learning.four.networks import load_four_networks
+from learning.four.train import train_four
 from learning.infer import infer
 from learning.maps import TexturedHead, load_head
 from learning.presets import preset
@@ -224,6 +228,8 @@ def train_command(
     result: TrainResult[Score] | TrainResult[FaceScore]
     if isinstance(resolved, WholeTrainConfig):
         result = train_faces(store, out, resolved, resume, progress)
+    elif isinstance(resolved, FourTrainConfig):
+        result = train_four(store, out, resolved, resume, progress)
     else:
         result = train(store, out, resolved, resume, progress)
     return {
@@ -268,11 +274,17 @@ def infer_command(
                 expected="none, or a whole-face network",
                 hint="Leave --checkpoint out for the weights that are shipped.",
             )
-        generator, _ = load_generator(about.folder)
         image, notes = resampled_texture(image, about.texture_rows, texture)
-        data = make_config(DataConfig, about.config.get("data", {}), about.folder)
-        turned = np.eye(3) if pose is None else pose[:, :3]
-        found = infer(generator, data, image, shape, turned, progress, named)
+        # Before the frame of specular normals could be chosen it was the head's.
+        told = {"specular_frame": "head", **about.config.get("data", {})}
+        data = make_config(DataConfig, told, about.folder)
+        placed = np.eye(3, 4) if pose is None else pose
+        if about.family == FourTrainConfig.family:
+            networks, _ = load_four_networks(about.folder)
+            found = infer_four(networks, data, image, shape, placed, progress, named)
+        else:
+            generator, _ = load_generator(about.folder)
+            found = infer(generator, data, image, shape, placed, progress, named)
     for name, values in found.maps.items():
         write_map(out / f"{name}.exr", name, values)
     if found.light is not None:

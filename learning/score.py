@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from learning.data import Batch, PatchData
-from learning.encoding import decode_colour, decode_maps, encode_colour, srgb_from_linear
+from learning.encoding import (
+    Reflectance,
+    decode_colour,
+    decode_maps,
+    encode_colour,
+    srgb_from_linear,
+)
 from learning.errors import TrainingError
 from learning.networks.generator import Generator
 from learning.render.shading import unit
@@ -57,10 +64,25 @@ class Score:
 def score(
     generator: Generator, held_out: PatchData, trained_on: PatchData, patches: int, seed: int
 ) -> Score:
+    """Score a generator in evaluation mode; otherwise as `score_answers`."""
+
+    def said(batch: Batch) -> Reflectance:
+        return decode_maps(generator(batch.inputs), batch.reference)
+
+    return score_answers(said, held_out, trained_on, patches, seed)
+
+
+def score_answers(
+    said: Callable[[Batch], Reflectance],
+    held_out: PatchData,
+    trained_on: PatchData,
+    patches: int,
+    seed: int,
+) -> Score:
     """Score on patches spread evenly over those of the people held out, under random lights.
 
     Args:
-        generator: in evaluation mode.
+        said: what the networks find.
         held_out: their patches.
         trained_on: for the baseline of the mean person.
         patches: how many, at most.
@@ -83,7 +105,7 @@ def score(
     tone = torch.stack([_tone(trained_on.draw(1, rng)) for _ in range(2 * count)]).mean(dim=0)
     found = []
     with torch.inference_mode():
-        found = [decode_maps(generator(b.inputs), b.reference) for b in batches]
+        found = [said(batch) for batch in batches]
 
     def mean_square(values: list[Tensor]) -> float:
         texels = [

@@ -10,7 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learning.checkpoint import INDEX, Checkpoint, adam_tensors, fill, fill_adam, load_tensors
+from learning.checkpoint import (
+    INDEX,
+    Checkpoint,
+    adam_tensors,
+    fill,
+    fill_adam,
+    load_tensors,
+    part_of,
+)
 from learning.data import Batch, PatchData
 from learning.limits import require_within
 from learning.losses import maps_loss, rendering_loss
@@ -26,12 +34,17 @@ from processing.dataset import Store
 class Trainer:
     """Networks and optimisers, one step at a time."""
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        in_channels: int = IN_CHANNELS,
+        out_channels: int = OUT_CHANNELS,
+    ) -> None:
         """Networks with random weights of the configuration's seed."""
         torch.manual_seed(config.seed)
         self.config = config
-        self.generator = Generator(config.generator)
-        self.discriminators = Discriminators(IN_CHANNELS + OUT_CHANNELS, config.discriminator)
+        self.generator = Generator(config.generator, in_channels, out_channels)
+        self.discriminators = Discriminators(in_channels + out_channels, config.discriminator)
         initialise(self.generator)
         initialise(self.discriminators)
         betas = (config.beta1, config.beta2)
@@ -52,8 +65,8 @@ class Trainer:
                 group["lr"] = rate
         return rate
 
-    def step(self, batch: Batch, rng: np.random.Generator) -> dict[str, float]:
-        """One step of both; returns the losses."""
+    def step(self, batch: Batch) -> dict[str, float]:
+        """One step of both; returns the losses, and the maps' unweighted L1 as `error`."""
         config = self.config
         found = self.generator(batch.inputs) * batch.covered_channels
         real_pair = torch.cat([batch.inputs, batch.target], dim=1)
@@ -71,13 +84,14 @@ class Trainer:
         # before the step would differ even where the generator is right.
         with torch.no_grad():
             real_features = self.discriminators(real_pair)
+        error = maps_loss(found, batch)
         parts = {
             "adversarial": verdict_loss(judged, True),
             "features": config.feature_weight * feature_loss(real_features, judged),
-            "maps": config.map_weight * maps_loss(found, batch),
+            "maps": config.map_weight * error,
         }
         if config.render_weight > 0:
-            rendered = rendering_loss(found, batch, config.environments, config.lights, rng)
+            rendered = rendering_loss(found, batch, config.render_norm)
             parts["rendering"] = config.render_weight * rendered
         total = torch.stack(list(parts.values())).sum()
         self._generator_adam.zero_grad(set_to_none=True)
@@ -85,7 +99,8 @@ class Trainer:
         self._generator_adam.step()
         self.discriminators.requires_grad_(True)
         losses = {name: float(value.detach()) for name, value in parts.items()}
-        return {**losses, "discriminators": float(judging.detach())}
+        beside = {"discriminators": judging, "error": error}
+        return {**losses, **{name: float(value.detach()) for name, value in beside.items()}}
 
     def tensors(self) -> dict[str, dict[str, Tensor]]:
         """All state, by the checkpoint's roles."""
@@ -100,21 +115,22 @@ class Trainer:
 
     def load(self, checkpoint: Checkpoint) -> None:
         """Take over a checkpoint's state."""
-        where = checkpoint.folder / INDEX
+        saved = {role: load_tensors(checkpoint, role) for role in ("generator", "training")}
+        self.take_over(saved, checkpoint.folder / INDEX)
+
+    def take_over(self, saved: dict[str, dict[str, Tensor]], where: Path) -> None:
+        """Take over what `tensors` gave; CheckpointError, with `where`, when it is another's."""
         with torch.no_grad():
-            saved = load_tensors(checkpoint, "training")
-            fill(self.generator, load_tensors(checkpoint, "generator"), where)
-            prefix = "discriminators."
-            own = {k[len(prefix) :]: v for k, v in saved.items() if k.startswith(prefix)}
-            fill(self.discriminators, own, where)
-        fill_adam(self._generator_adam, saved, "generator_adam")
-        fill_adam(self._discriminator_adam, saved, "discriminator_adam")
+            fill(self.generator, saved["generator"], where)
+            fill(self.discriminators, part_of(saved["training"], "discriminators"), where)
+        fill_adam(self._generator_adam, saved["training"], "generator_adam")
+        fill_adam(self._discriminator_adam, saved["training"], "discriminator_adam")
 
 
 class PatchLearner:
     """The networks, fed with random patches."""
 
-    watched: ClassVar[str] = "maps"
+    watched: ClassVar[str] = "error"
 
     def __init__(self, trainer: Trainer, data: PatchData) -> None:
         """Train `trainer` on `data`."""
@@ -122,18 +138,17 @@ class PatchLearner:
 
     def step(self, number: int, done: float) -> dict[str, float]:
         """See `Learner`."""
-        rng = self._rng(number)
         rate = self._trainer.set_rate(done)
-        losses = self._trainer.step(self._data.draw(self._trainer.config.batch, rng), rng)
-        return {"learning_rate": rate, **losses}
+        return {"learning_rate": rate, **self._trainer.step(self._drawn(number))}
 
     def batch(self, number: int) -> dict[str, Tensor]:
         """See `Learner`."""
-        drawn = self._data.draw(self._trainer.config.batch, self._rng(number))
+        drawn = self._drawn(number)
         return {name: getattr(drawn, name) for name in ("inputs", "target", "covered", "texture")}
 
-    def _rng(self, number: int) -> np.random.Generator:
-        return np.random.default_rng([self._trainer.config.seed, 2, number])
+    def _drawn(self, number: int) -> Batch:
+        config = self._trainer.config
+        return self._data.draw(config.batch, np.random.default_rng([config.seed, 2, number]))
 
     def tensors(self) -> dict[str, dict[str, Tensor]]:
         """See `Learner`."""
@@ -170,8 +185,10 @@ def train(
     run = begin(out, config, store, held_out, resume, trainer.load)
     rng = np.random.default_rng([config.seed, 1])
     parts = (config.data, config.lights, config.augment)
-    data = PatchData(store, trained_on, *parts, rng, config.shading)
-    scored = PatchData(store, held_out, *parts, rng, config.shading)
+    shading, seed = config.shading, config.seed
+    draws = config.environments if config.render_weight > 0 else 0
+    data = PatchData(store, trained_on, *parts, rng, shading, draws=draws, seed=seed)
+    scored = PatchData(store, held_out, *parts, rng, shading, seed=seed)
     learner = PatchLearner(trainer, data)
     total = max(1, math.ceil(config.epochs * len(data.places) / config.batch))
     steps = run.steps(learner, total, progress)
