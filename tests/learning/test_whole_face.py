@@ -181,17 +181,12 @@ def test_losses_in_double_precision_are_those_of_a_plain_twin(store_path: Path) 
 
 
 def test_training_learns_scores_and_leaves_whole_files(store_path: Path, tmp_path: Path) -> None:
-    # Of two people, the tones that 20 steps draw decide how hard they are: a seed of even ones.
-    config = dataclasses.replace(TINY, seed=4)
-    result = train_faces(open_store(store_path), tmp_path / "run", config)
+    result = train_faces(open_store(store_path), tmp_path / "run", TINY)
     assert result.steps == 80
     assert result.examples == 2
     assert result.held_out == ["person-2"]
     lines = [json.loads(s) for s in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
-    first, last = (
-        np.mean([line["diffuse"] for line in part]) for part in (lines[:20], lines[-21:-1])
-    )
-    assert last < 0.7 * first
+    assert [line["step"] for line in lines] == [*range(80), 80]
     assert result.score.psnr_db > result.score.psnr_input_db
     assert result.score.psnr_gain_db >= result.score.psnr_db
     # The rest is made meanwhile.
@@ -204,6 +199,15 @@ def test_training_learns_scores_and_leaves_whole_files(store_path: Path, tmp_pat
     assert checkpoint.metrics["psnr_db"] == result.score.psnr_db
     assert not network.training
     assert bool((network.mean_position_mm != 0).any())
+    # On the same faces before and after: how hard those of single steps are differs more than what
+    # is learned. Seeds 0 to 7 leave 0.35 to 0.72 of the loss.
+    faces = faces_of(store_path, TINY.faces, TINY.augment)
+    untrained = WholeFaceTrainer(TINY).network
+    untrained.keep(faces.in_common(SIZE.modes))
+    batch = faces.draw(16, np.random.default_rng(0))
+    with torch.no_grad():
+        first, last = (float(face_losses(n, batch)["diffuse"]) for n in (untrained, network))
+    assert last < 0.8 * first
     with pytest.raises(CheckpointError, match="family: found whole_face, expected patches"):
         load_generator(tmp_path / "run")
 
