@@ -199,7 +199,8 @@ def train(
     preset: Annotated[
         str,
         typer.Option(
-            help="`modern`: whole faces; `paper`; `demo`: the paper's networks, narrow; `rcan`: "
+            help="`modern`: whole faces; `paper`: one network of patches; `avatarme`: four of "
+            "them; `demo` and `avatarme-small`: these two, narrow, for minutes; `rcan`: "
             "super-resolution; `rcan-small`: the same, narrow."
         ),
     ] = "modern",

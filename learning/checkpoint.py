@@ -1,9 +1,9 @@
 """Checkpoints: weights as safetensors, everything else as JSON; no code runs when one is loaded.
 
     RUN/checkpoint.json            the index: configuration, data, code, metrics, names and hashes
-    RUN/generator-STEP.safetensors (a whole face's network: network-STEP.safetensors)
-    RUN/average-STEP.safetensors   the same network with its weights' moving average, where there is
-                                   one: it is scored and inferred with
+    RUN/generator-STEP.safetensors (a whole face's network: network-STEP; four: generators-STEP)
+    RUN/average-STEP.safetensors   the same networks with their weights' moving average, where there
+                                   is one: it is scored and inferred with
     RUN/training-STEP.safetensors  discriminators and optimisers, to go on from
 
 The JSON is renamed into place last, so a run always has one whole checkpoint.
@@ -44,7 +44,7 @@ class Checkpoint:
 
     Attributes:
         folder: where its files lie.
-        family: of networks: `patches`, `whole_face` or `super_resolution`.
+        family: of networks: `patches`, `four_networks`, `whole_face` or `super_resolution`.
         step: training steps done.
         config: the resolved configuration.
         data_fingerprint: of the store.
@@ -52,7 +52,7 @@ class Checkpoint:
         texture_rows: of the maps trained on, which is the size of skin's detail for the network.
         code_version: of this package when it was saved.
         metrics: when it was saved.
-        files: role (generator or network, average, training) to {name, sha256}.
+        files: role (generator, generators or network; average; training) to {name, sha256}.
     """
 
     folder: Path
@@ -78,7 +78,7 @@ def save_checkpoint(
     Args:
         folder: the run.
         step: training steps done.
-        tensors: role (generator or network, average, training) to named tensors.
+        tensors: role, as in `Checkpoint.files`, to named tensors.
         about: the other fields of `Checkpoint`.
 
     Returns:
@@ -201,37 +201,37 @@ def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
         CheckpointError, FormatError, ConfigError: as `read_checkpoint`, or weights of another
             network.
     """
-    checkpoint, where = _of_family(path, "patches")
+    checkpoint, where = of_family(path, "patches")
     config = make_config(GeneratorConfig, checkpoint.config.get("generator", {}), where)
     require_within(config, where, "generator")
     with torch.device("meta"):
         generator = Generator(config)
     generator.to_empty(device="cpu")
-    fill(generator, _trained(checkpoint, "generator"), where)
+    fill(generator, trained_tensors(checkpoint, "generator"), where)
     return generator.eval(), checkpoint
 
 
 def load_whole_face(path: Path) -> tuple[WholeFaceNetwork, Checkpoint]:
     """The whole-face network of a checkpoint, ready to infer with; errors as `load_generator`."""
-    checkpoint, where = _of_family(path, "whole_face")
+    checkpoint, where = of_family(path, "whole_face")
     config = make_config(WholeFaceConfig, checkpoint.config.get("network", {}), where)
     require_within(config, where, "network")
     network = WholeFaceNetwork(config)
-    fill(network, _trained(checkpoint, "network"), where)
+    fill(network, trained_tensors(checkpoint, "network"), where)
     return network.eval(), checkpoint
 
 
 def load_super_resolution(path: Path) -> tuple[Rcan, Checkpoint]:
     """An RCAN of a checkpoint, in evaluation mode; errors as `load_generator`."""
-    checkpoint, where = _of_family(path, "super_resolution")
+    checkpoint, where = of_family(path, "super_resolution")
     config = make_config(RcanConfig, checkpoint.config.get("network", {}), where)
     require_within(config, where, "network")
     network = Rcan(config)
-    fill(network, _trained(checkpoint, "network"), where)
+    fill(network, trained_tensors(checkpoint, "network"), where)
     return network.eval(), checkpoint
 
 
-def _trained(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
+def trained_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
     """The weights to infer with: the average where one was kept, the role's own else."""
     return load_tensors(checkpoint, AVERAGE if AVERAGE in checkpoint.files else role)
 
@@ -241,7 +241,7 @@ def shipped_weights() -> Path:
     return Path(__file__).parent / "data" / "whole_face"
 
 
-def _of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
+def of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
     """A checkpoint and its index; CheckpointError where its networks are of another family."""
     checkpoint = read_checkpoint(path)
     where = checkpoint.folder / INDEX
@@ -275,6 +275,12 @@ def fill(network: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:
             found=str(error).splitlines()[-1].strip(),
             expected="those of the configured network",
         ) from None
+
+
+def part_of(tensors: dict[str, Tensor], name: str) -> dict[str, Tensor]:
+    """Those whose names begin with NAME and a full stop, without that."""
+    prefix = f"{name}."
+    return {k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)}
 
 
 def adam_tensors(optimiser: torch.optim.Adam, prefix: str) -> dict[str, Tensor]:

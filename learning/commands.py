@@ -20,6 +20,10 @@ from learning.checkpoint import (
 from learning.data import DataConfig
 from learning.devices import choose_device, memory_of
 from learning.errors import MapsError
+from learning.four.config import FourTrainConfig
+from learning.four.infer import infer_four
+from learning.four.networks import FourNetworks, load_four_networks
+from learning.four.train import train_four
 from learning.infer import infer
 from learning.maps import TexturedHead, load_head
 from learning.presets import preset
@@ -250,6 +254,8 @@ def train_command(
             result = train_faces(store, out, resolved, resume, progress, device, processes)
         elif isinstance(resolved, UpscaleTrainConfig):
             result = train_upscaling(store, out, resolved, resume, progress, device, processes)
+        elif isinstance(resolved, FourTrainConfig):
+            result = train_four(store, out, resolved, resume, progress, device, processes)
         else:
             result = train(store, out, resolved, resume, progress, device, processes)
     return {
@@ -318,12 +324,19 @@ def infer_command(
                 expected="none, or a whole-face network",
                 hint="Leave --checkpoint out for the weights that are shipped.",
             )
-        generator, _ = load_generator(about.folder)
+        four = about.family == FourTrainConfig.family
+        networks, _ = load_four_networks(about.folder) if four else load_generator(about.folder)
         image, notes = resampled_texture(image, about.texture_rows, texture)
-        data = make_config(DataConfig, about.config.get("data", {}), about.folder)
-        turned = np.eye(3) if pose is None else pose[:, :3]
+        # Before the frame of specular normals could be chosen it was the head's.
+        told = {"specular_frame": "head", **about.config.get("data", {})}
+        data = make_config(DataConfig, told, about.folder)
+        placed = np.eye(3, 4) if pose is None else pose
+        given = (data, image, shape, placed, progress, named)
         with memory_of(device, texture, ON_CPU):
-            found = infer(generator.to(device), data, image, shape, turned, progress, named)
+            if isinstance(networks, FourNetworks):
+                found = infer_four(networks.to(device), *given)
+            else:
+                found = infer(networks.to(device), *given)
     for name, values in found.maps.items():
         write_map(out / f"{name}.exr", name, values)
     if found.light is not None:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+from typing import Literal
 
 import numpy as np
 import torch
-import torch.nn.functional as functional
 from torch import Tensor
 
 from learning import augment
 from learning.clock import DATA, RENDERING, Clock
 from learning.encoding import (
     Reference,
+    SpecularFrame,
     absolute_reference,
     covered_channels,
     encode_maps,
@@ -21,18 +22,27 @@ from learning.encoding import (
     network_input,
     relative_reference,
     shrink,
+    smoothed_normal,
 )
 from learning.errors import TrainingError
 from learning.maps import to_batch, typical_texel_mm
+from learning.patch_light import (
+    Box,
+    ScanLight,
+    Scene,
+    groups_around,
+    join_scenes,
+    sampled,
+    target_environment,
+)
 from learning.render.environments import (
     Environment,
     RandomLightConfig,
+    around,
     random_environment,
-    random_lights,
-    stack,
 )
-from learning.render.occlusion import PositionGrid, bake_grid
-from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade
+from learning.render.occlusion import PositionGrid
+from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
 from learning.render.uv import texel_surface
 from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
@@ -59,8 +69,13 @@ class DataConfig:
         min_coverage: smallest share of a patch's texels that must be measured.
         held_out_subjects: people, the last ones by name, who are scored and never trained on.
         patches_in_memory: at most so many patches are kept decoded.
-        shadow_rows: rows of the grid that shadows are baked on; 0 for no cast shadows.
-        shadow_sets: sets of light positions per scan whose shadows are baked.
+        shadow_rows: rows of the grid that shadows and ambient occlusion are baked on; 0 for
+            neither.
+        target: `one` environment for the whole training, around which all inputs and all draws of
+            the rendering loss lie, as published; or `each` set of a scan has its own.
+        shadow_sets: sets of light positions per scan around the one target, or targets per scan.
+        specular_frame: specular normals are told in the shape's `tangent` space, as published, or
+            in the axes of the `head`.
         relative: tell colours against the lit texture's mean and normals against the shape's
             (see learning.encoding); the published networks do not.
         detail_px: standard deviation of the blur against which the texture's contrast is told to
@@ -73,7 +88,9 @@ class DataConfig:
     held_out_subjects: int = 1
     patches_in_memory: int = 64
     shadow_rows: int = 384
+    target: Literal["one", "each"] = "one"
     shadow_sets: int = 64
+    specular_frame: SpecularFrame = "tangent"
     relative: bool = False
     detail_px: float = 0.0
 
@@ -83,15 +100,15 @@ class Region:
     """Part of a scan's maps as tensors (1, c, h, w); `area` is relative to texel_mm squared.
 
     Attributes:
-        maps: by FORMATS' names, and shape_normal, area.
+        maps: by FORMATS' names, and shape_normal, area; of a whole scan smooth_normal too.
         texel_mm: edge of a texel of area 1.
     """
 
     maps: dict[str, Tensor]
     texel_mm: float
 
-    def skin(self, variation: augment.Variation) -> SkinMaps:
-        """As the renderer takes it."""
+    def skin(self, variation: augment.Variation, openness: Tensor) -> SkinMaps:
+        """As the renderer takes it, with (1, 1, h, w) ambient occlusion."""
         one = torch.ones_like(self.maps["area"])
         return SkinMaps(
             # A store's confidence, and with it the area, is 0 wherever no skin is.
@@ -106,22 +123,9 @@ class Region:
             position_mm=self.maps["position"],
             area=self.maps["area"],
             texel_mm=self.texel_mm,
-            ambient_occlusion=one,
+            ambient_occlusion=openness,
             edges=self.maps["edges"],
         )
-
-
-@dataclasses.dataclass(frozen=True)
-class Shadows:
-    """Sets of lights of one scan and the shadows they cast.
-
-    Attributes:
-        position_mm: (n, 3) of each set.
-        visibility: (1, n, rows, columns) of each set, None without shadows.
-    """
-
-    position_mm: list[np.ndarray]
-    visibility: list[Tensor] | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,8 +139,11 @@ class Batch:
         covered_channels: (B, 13, h, w), the same for each of the target's channels.
         skin: the patches' true maps.
         environment: the light that is baked into the inputs.
+        visibility: (B, L, h, w) its shadows.
+        draws: other environments around the same target, with their shadows.
         texture: (B, 3, h, w) linear, what `inputs` encodes.
         reference: of the encoding.
+        smooth_normal: (B, 3, h, w) unit normals of the shape without what is finer than some mm.
         options: how the light was baked into the inputs, and how the rendering loss shades.
         places: (scan, row, column) of each patch.
     """
@@ -147,8 +154,11 @@ class Batch:
     covered_channels: Tensor
     skin: SkinMaps
     environment: Environment
+    visibility: Tensor
+    draws: tuple[Scene, ...]
     texture: Tensor
     reference: Reference
+    smooth_normal: Tensor
     options: ShadeOptions
     places: list[tuple[int, int, int]]
 
@@ -167,10 +177,23 @@ class PatchData:
         mode: Mode = "physical",
         progress: ProgressCallback = quiet,
         clock: Clock | None = None,
+        draws: int = 0,
+        seed: int = 0,
     ) -> None:
-        """Find the patches and bake the shadows of random light sets; `mode` is of the shading.
+        """Find the patches, draw sets of lights and bake their shadows.
 
-        What is drawn counts on `clock` as data and rendering.
+        Args:
+            store: the data.
+            subjects: whose patches.
+            config: which patches.
+            lights: which environments.
+            variation: which other skins.
+            rng: randomness of the sets of lights.
+            mode: of the shading.
+            progress: called with scans.
+            clock: what is drawn counts on it as data and rendering.
+            draws: environments of each pair beside the input's own, for the rendering loss.
+            seed: of the one target, which people trained on and held out share.
 
         Raises:
             TrainingError: no patch is covered enough.
@@ -179,10 +202,12 @@ class PatchData:
         self._clock = clock or Clock()
         self._lights, self._variation = lights, variation
         self._options = ShadeOptions(mode)
+        self._draws = draws
+        self._target = target_environment(lights, mode, seed) if config.target == "one" else None
         self._patches: collections.OrderedDict[tuple[int, int, int], Region]
         self._patches = collections.OrderedDict()
         self._whole: dict[int, Region] = {}
-        self._shadows: dict[int, Shadows] = {}
+        self._light: dict[int, ScanLight] = {}
         self.places: list[tuple[int, int, int]] = []
         chosen = [scan for scan in store.scans if scan.subject in subjects]
         for done, scan in enumerate(chosen):
@@ -192,7 +217,7 @@ class PatchData:
             if origins:
                 self.places += [(scan.index, row, column) for row, column in origins]
                 whole = self._read_whole(scan.index)
-                self._shadows[scan.index] = self._bake(scan.index, rng)
+                self._light[scan.index] = self._bake(scan.index, rng)
                 self._whole[scan.index] = whole
             progress(done + 1, len(chosen))
         if not self.places:
@@ -229,34 +254,30 @@ class PatchData:
 
     def _example(self, place: tuple[int, int, int], rng: np.random.Generator) -> Batch:
         scan, row, column = place
-        region, whole = self.patch(place), self._whole[scan]
+        region, whole, light = self.patch(place), self._whole[scan], self._light[scan]
+        size, info = self._config.patch_px, self._store.scans[scan]
+        box = (row / info.rows, column / info.columns, size / info.rows, size / info.columns)
+        everything = (0.0, 0.0, 1.0, 1.0)
         variation = augment.draw(rng, self._variation)
-        skin, whole_skin = region.skin(variation), whole.skin(variation)
-        shadows = self._shadows[scan]
-        chosen = int(rng.integers(len(shadows.position_mm)))
-        lights = shadows.position_mm[chosen]
-        multiplies = self._options.mode == "paper"
-        environment = random_environment(rng, self._lights, lights, multiplies)
-        size = self._config.patch_px
-        seen = whole_seen = None
-        if shadows.visibility is not None:
-            info = self._store.scans[scan]
-            grid = shadows.visibility[chosen]
-            sharpness = float(np.exp(rng.uniform(0, np.log(8))))
-            box = (row / info.rows, column / info.columns, size / info.rows, size / info.columns)
-            seen = _crop(grid, box, size, sharpness)
-            whole_seen = _crop(grid, (0.0, 0.0, 1.0, 1.0), size, 1.0)
+        skin = region.skin(variation, light.openness(box, size))
+        whole_skin = whole.skin(variation, light.openness(everything, size))
+        group, sets = light.draw(rng, 1 + self._draws)
+        sharpness = float(np.exp(rng.uniform(0, np.log(8))))
+        scene, *draws = self._scenes(light, group, sets, box, sharpness, rng)
         options = self._options
         covered = (skin.area > 0).to(skin.area)
         with torch.no_grad():
             # As printed light is negative behind the horizon, which no photograph shows.
             with self._clock.part(RENDERING):
-                texture = shade(skin, environment, options, seen).clamp_min(0) * covered
-                whole_texture = shade(whole_skin, environment, options, whole_seen).clamp_min(0)
+                texture = shade(skin, scene.environment, options, scene.visibility)
+                texture = texture.clamp_min(0) * covered
+                whole_seen = light.shadows(group, sets[0], everything, size, 1.0)
+                whole_texture = shade(whole_skin, scene.environment, options, whole_seen)
+                whole_texture = whole_texture.clamp_min(0)
             whole_covered = (whole_skin.area > 0).to(texture)
             whole_texture = whole_texture * whole_covered
             shape_normal = region.maps["shape_normal"]
-            reference = absolute_reference(shape_normal)
+            reference = absolute_reference(shape_normal, self._config.specular_frame)
             if self._config.relative:
                 reference = relative_reference(whole_texture, whole_covered, shape_normal)
             if self._config.detail_px > 0:
@@ -272,12 +293,38 @@ class PatchData:
             covered,
             channels,
             skin,
-            environment,
+            scene.environment,
+            scene.visibility,
+            tuple(draws),
             texture,
             reference,
+            unit(sampled(whole.maps["smooth_normal"], box, size)) * covered,
             self._options,
             [place],
         )
+
+    def _scenes(
+        self,
+        light: ScanLight,
+        group: int,
+        sets: list[int],
+        box: Box,
+        sharpness: float,
+        rng: np.random.Generator,
+    ) -> list[Scene]:
+        """Environments around a group's target, with the shadows of some of its sets."""
+        target = self._target
+        if target is None:
+            places = light.groups[group].target_mm
+            target = random_environment(rng, self._lights, places, self._options.mode == "paper")
+        size = self._config.patch_px
+        return [
+            Scene(
+                around(target, rng, self._lights, light.groups[group].sets_mm[index]),
+                light.shadows(group, index, box, size, sharpness),
+            )
+            for index in sets
+        ]
 
     def _read_patch(self, place: tuple[int, int, int]) -> Region:
         scan, row, column = place
@@ -292,7 +339,10 @@ class PatchData:
     def _read_whole(self, scan: int) -> Region:
         """The whole scan, shrunk to a patch's size; what no texel covers stays empty."""
         size = (self._config.patch_px, self._config.patch_px)
-        return _region(self._shrunk(scan, size), (slice(None), slice(None)))
+        region = _region(self._shrunk(scan, size), (slice(None), slice(None)))
+        maps = region.maps
+        smooth = smoothed_normal(maps["shape_normal"], maps["area"], region.texel_mm)
+        return Region({**maps, "smooth_normal": smooth}, region.texel_mm)
 
     def _shrunk(self, scan: int, size: tuple[int, int]) -> dict[str, np.ndarray]:
         everything = slice(None)
@@ -307,18 +357,17 @@ class PatchData:
         arrays["confidence"] = (weight > 0.5).float()[0].permute(1, 2, 0).numpy()
         return arrays
 
-    def _bake(self, scan: int, rng: np.random.Generator) -> Shadows:
-        sets = [random_lights(rng, self._lights) for _ in range(self._config.shadow_sets)]
-        if not self._config.shadow_rows:
-            return Shadows(sets, None)
-        info = self._store.scans[scan]
-        rows = min(self._config.shadow_rows, info.rows)
+    def _bake(self, scan: int, rng: np.random.Generator) -> ScanLight:
+        config, info = self._config, self._store.scans[scan]
+        groups = groups_around(self._target, config.shadow_sets, self._draws, self._lights, rng)
+        if not config.shadow_rows:
+            return ScanLight(groups, None)
+        rows = min(config.shadow_rows, info.rows)
         columns = max(2, round(rows * info.columns / info.rows))
         arrays = self._shrunk(scan, (rows, columns))
         covered = arrays["confidence"][:, :, 0] > 0
         surface = texel_surface(arrays["position"], covered, smooth_px=1.0)
-        grid = PositionGrid(arrays["position"], surface.normal, covered)
-        return Shadows(sets, [torch.from_numpy(bake_grid(grid, lights))[None] for lights in sets])
+        return ScanLight(groups, PositionGrid(arrays["position"], surface.normal, covered))
 
 
 def _region(arrays: dict[str, np.ndarray], inner: tuple[slice, slice]) -> Region:
@@ -332,23 +381,6 @@ def _region(arrays: dict[str, np.ndarray], inner: tuple[slice, slice]) -> Region
     return Region(maps, texel_mm)
 
 
-def _crop(
-    grid: Tensor, box: tuple[float, float, float, float], size: int, sharpness: float
-) -> Tensor:
-    """Sample (1, n, rows, columns) visibility in a box (top, left, height, width) of 0..1.
-
-    The grid is coarser than the texture; `sharpness` makes its blurred edges as hard as shadows
-    of small lamps are.
-    """
-    top, left, height, width = box
-    theta = grid.new_tensor(
-        [[[width, 0.0, 2 * left + width - 1], [0.0, height, 2 * top + height - 1]]]
-    )
-    where = functional.affine_grid(theta, [1, 1, size, size], align_corners=False)
-    values = functional.grid_sample(grid, where, padding_mode="border", align_corners=False)
-    return ((values - 0.5) * sharpness + 0.5).clamp(0, 1)
-
-
 def join(examples: list[Batch]) -> Batch:
     """Many batches as one; the subsurface kernel is that of the mean texel."""
     skins = [example.skin for example in examples]
@@ -357,20 +389,26 @@ def join(examples: list[Batch]) -> Batch:
         **{name: torch.cat([getattr(s, name) for s in skins]) for name in fields},
         texel_mm=float(np.mean([s.texel_mm for s in skins])),
     )
+    scene = join_scenes([Scene(e.environment, e.visibility) for e in examples])
+    draws = zip(*(e.draws for e in examples), strict=True)
     return Batch(
         torch.cat([e.inputs for e in examples]),
         torch.cat([e.target for e in examples]),
         torch.cat([e.covered for e in examples]),
         torch.cat([e.covered_channels for e in examples]),
         skin,
-        stack([e.environment for e in examples]),
+        scene.environment,
+        scene.visibility,
+        tuple(join_scenes(list(same)) for same in draws),
         torch.cat([e.texture for e in examples]),
         Reference(
             torch.cat([e.reference.texture for e in examples]),
             torch.cat([e.reference.albedo for e in examples]),
             torch.cat([e.reference.normal for e in examples]),
+            torch.cat([e.reference.specular_normal for e in examples]),
             _joined([e.reference.detail for e in examples]),
         ),
+        torch.cat([e.smooth_normal for e in examples]),
         examples[0].options,
         [place for e in examples for place in e.places],
     )

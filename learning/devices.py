@@ -71,7 +71,7 @@ def device_of(network: torch.nn.Module) -> torch.device:
 
 
 def moved(value: T, device: torch.device) -> T:
-    """A tensor, or a dataclass, list or dictionary with tensors in it, on a device.
+    """A tensor, or a dataclass, list, tuple or dictionary with tensors in it, on a device.
 
     Whatever else is in it stays as it is; what is there already is not copied.
     """
@@ -83,6 +83,8 @@ def moved(value: T, device: torch.device) -> T:
         found = dataclasses.replace(value, **{n: moved(getattr(value, n), device) for n in names})
     elif isinstance(value, list):
         found = [moved(one, device) for one in value]
+    elif isinstance(value, tuple):
+        found = tuple(moved(one, device) for one in value)
     elif isinstance(value, dict):
         found = {name: moved(one, device) for name, one in value.items()}
     return found

@@ -19,6 +19,7 @@ of shadows, the highlights and the tones of regions.
 from __future__ import annotations
 
 import dataclasses
+from typing import Literal
 
 import torch
 import torch.nn.functional as functional
@@ -27,6 +28,7 @@ from torch import Tensor
 from learning.render.shading import SkinMaps, unit
 from learning.render.subsurface import blur
 
+SpecularFrame = Literal["tangent", "head"]
 OWN_CHANNELS = 10
 """Channels of the patch's own maps; those of the whole albedo follow."""
 SPECULAR_MOST = 0.1
@@ -39,6 +41,8 @@ DETAIL_FLOOR = 0.02
 """Added to sRGB-encoded colours before their ratio is taken, so that black has no contrast."""
 DARK = 0.1
 """sRGB-encoded colour below which a texel's contrast fades; a 60th of the texture's mean."""
+SMOOTH_MM = 5.0
+"""Standard deviation, on the face, of the blur that takes folds and wrinkles out of the shape."""
 DETAIL_MOST = 2.0
 """Largest contrast, and the inverse of the smallest, that goes around the network."""
 
@@ -65,22 +69,30 @@ class Reference:
     Attributes:
         texture: (B, 3, 1, 1) linear colour that is encoded as white in the input.
         albedo: (B, 3, 1, 1) the same in the output.
-        normal: (B, 3, h, w) unit vectors that are +z for the output's normals.
+        normal: (B, 3, h, w) unit vectors that are +z for the output's diffuse normals.
+        specular_normal: the same for its specular normals.
         detail: (B, 3, h, w) that sRGB-encoded albedo (0..1) is divided by; None for nothing.
     """
 
     texture: Tensor
     albedo: Tensor
     normal: Tensor
+    specular_normal: Tensor
     detail: Tensor | None = None
 
 
-def absolute_reference(shape_normal: Tensor) -> Reference:
-    """White is white and +z is the head's."""
+def absolute_reference(shape_normal: Tensor, specular_frame: SpecularFrame) -> Reference:
+    """White is white and +z is the head's, of specular normals in tangent space the shape's normal.
+
+    Args:
+        shape_normal: (B, 3, h, w) of the patch; zero where no surface is.
+        specular_frame: as published, specular normals are told in tangent space and diffuse ones in
+            the head's axes [Lattas2020].
+    """
     ones = shape_normal.new_ones(len(shape_normal), 3, 1, 1)
     ahead = torch.zeros_like(shape_normal)
     ahead[:, 2] = 1
-    return Reference(ones, ones, ahead)
+    return Reference(ones, ones, ahead, shape_normal if specular_frame == "tangent" else ahead)
 
 
 def relative_reference(whole_texture: Tensor, covered: Tensor, shape_normal: Tensor) -> Reference:
@@ -97,7 +109,8 @@ def relative_reference(whole_texture: Tensor, covered: Tensor, shape_normal: Ten
     total = (whole_texture.square() * covered).sum(dim=(2, 3), keepdim=True)
     mean = (total / covered.sum(dim=(2, 3), keepdim=True).clamp_min(1.0)).sqrt()
     mean = mean.clamp_min(1e-4)
-    return Reference(TEXTURE_HEADROOM * mean, ALBEDO_HEADROOM * mean, shape_normal)
+    white = (TEXTURE_HEADROOM * mean, ALBEDO_HEADROOM * mean)
+    return Reference(*white, shape_normal, shape_normal)
 
 
 def local_contrast(texture: Tensor, covered: Tensor, white: Tensor, sigma_px: float) -> Tensor:
@@ -121,6 +134,17 @@ def local_contrast(texture: Tensor, covered: Tensor, white: Tensor, sigma_px: fl
     mean = spread[:, :3] / spread[:, 3:].clamp_min(1e-4)
     contrast = (encoded + DETAIL_FLOOR) / (mean + DETAIL_FLOOR)
     return contrast.clamp(1 / DETAIL_MOST, DETAIL_MOST) ** known
+
+
+def smoothed_normal(shape_normal: Tensor, area: Tensor, texel_mm: float) -> Tensor:
+    """Normals of the shape without its folds: the frame in which the shape's own tell of them.
+
+    Args:
+        shape_normal: (1, 3, h, w) of a whole face; zero where no surface is.
+        area: (1, 1, h, w) of texels, 0 where no surface is; the unit does not matter.
+        texel_mm: edge of a typical texel.
+    """
+    return unit(blur(shape_normal * area, SMOOTH_MM / texel_mm))
 
 
 def turn(vectors: Tensor, normal: Tensor, back: bool = False) -> Tensor:
@@ -182,7 +206,7 @@ def encode_maps(
             _without(encode_colour(skin.diffuse_albedo, reference.albedo), reference.detail),
             (2 / SPECULAR_MOST) * skin.specular_albedo.clamp(0, SPECULAR_MOST) - 1,
             turn(unit(skin.diffuse_normal), reference.normal, back=True),
-            turn(unit(skin.specular_normal), reference.normal, back=True),
+            turn(unit(skin.specular_normal), reference.specular_normal, back=True),
             encode_colour(whole_albedo, reference.albedo),
         ],
         dim=1,
@@ -237,7 +261,7 @@ class Reflectance:
 
 
 def decode_maps(channels: Tensor, reference: Reference) -> Reflectance:
-    """Thirteen channels (the whole albedo is dropped) to reflectance.
+    """Ten channels of a patch's own maps (those behind them are dropped) to reflectance.
 
     Normals shorter than 1 keep their length: to make them unit would multiply their gradient by
     its inverse, without bound in an untrained network, whose outputs are near zero. Shade them with
@@ -247,7 +271,7 @@ def decode_maps(channels: Tensor, reference: Reference) -> Reflectance:
         decode_colour(_with(channels[:, :3], reference.detail), reference.albedo),
         (channels[:, 3:4] + 1) * (SPECULAR_MOST / 2),
         unit(turn(channels[:, 4:7], reference.normal), floor=1.0),
-        unit(turn(channels[:, 7:10], reference.normal), floor=1.0),
+        unit(turn(channels[:, 7:10], reference.specular_normal), floor=1.0),
     )
 
 

@@ -19,6 +19,8 @@ from torch import Tensor, nn
 from learning.data import DataConfig
 from learning.devices import CPU, device_of
 from learning.encoding import (
+    Reference,
+    Reflectance,
     absolute_reference,
     decode_maps,
     local_contrast,
@@ -29,7 +31,7 @@ from learning.encoding import (
 from learning.errors import MapsError
 from learning.infer_checks import UNSEEN, look_through, require_head
 from learning.maps import from_batch, to_batch
-from learning.networks.generator import OUT_CHANNELS, Generator
+from learning.networks.generator import Generator
 from learning.render.shading import unit
 from learning.render.uv import rasterise, texel_surface
 from lightstage.commands import ProgressCallback, quiet
@@ -57,29 +59,50 @@ class Inferred:
     light: LightSet | None = None
 
 
-def infer(
-    generator: Generator,
+@dataclasses.dataclass(frozen=True)
+class Prepared:
+    """A texture and its mesh as networks of patches take them; batches of one.
+
+    Attributes:
+        covered: (1, 1, rows, columns), 1 where the mesh's surface is.
+        photographed: the same, 0 where the texture is black.
+        lit: (1, 3, rows, columns) the texture; 0 where no surface is.
+        whole: (1, 3, patch, patch) the texture shrunk to a patch.
+        position_mm: (1, 3, rows, columns) in the head frame.
+        shape_normal: (1, 3, rows, columns) unit, in the head frame.
+        reference: of the encoding.
+        head_from_mesh: (3, 4) pose.
+        patch_px: side of a tile.
+        notes: what a user should know of the texture.
+    """
+
+    covered: Tensor
+    photographed: Tensor
+    lit: Tensor
+    whole: Tensor
+    position_mm: Tensor
+    shape_normal: Tensor
+    reference: Reference
+    head_from_mesh: np.ndarray
+    patch_px: int
+    notes: list[str]
+
+
+def prepare(
     data: DataConfig,
     texture: np.ndarray,
     mesh: Mesh,
     head_from_mesh: np.ndarray,
-    progress: ProgressCallback = quiet,
     named: tuple[str | Path, str | Path] = ("texture", "mesh"),
-) -> Inferred:
-    """Infer a texture's reflectance.
+) -> Prepared:
+    """Look through a texture and a mesh, and bring them to what networks of patches take.
 
     Args:
-        generator: in evaluation mode.
-        data: how it was trained; tiles are as large as its patches.
+        data: how the networks were trained; tiles are as large as its patches.
         texture: (rows, columns, 3) linear, with light and shadow in it.
         mesh: with the texture's UV.
-        head_from_mesh: (3, 3) rotation from the mesh's axes to the head frame.
-        progress: called with tiles done, twice as many as there are.
+        head_from_mesh: (3, 4) pose from the mesh's axes to the head frame, mm.
         named: the texture's and the mesh's names in errors.
-
-    Returns:
-        Maps in the mesh's axes; zero where no surface is, albedo at most 1. Confidence is 1 where
-        all tiles that see a texel find the same albedo, 0 where the texture is black.
 
     Raises:
         MapsError: a texture smaller than a patch, black or badly exposed; a mesh that is flat or
@@ -97,7 +120,9 @@ def infer(
     raster = rasterise(mesh, rows, columns)
     covered = raster.covered
     notes = look_through(texture, covered, named[0])
-    surface = texel_surface(raster.interpolate(mesh.vertices), covered)
+    position = raster.interpolate(mesh.vertices)
+    surface = texel_surface(position, covered)
+    rotation, offset_mm = head_from_mesh[:, :3], head_from_mesh[:, 3]
     seen = to_batch(covered)
     lit = to_batch(texture) * seen
     size = (patch_px, patch_px)
@@ -105,18 +130,61 @@ def infer(
     photographed = seen * (lit.amax(dim=1, keepdim=True) > UNSEEN)
     weight = shrink(photographed, size)
     whole = shrink(lit, size) / weight.clamp_min(1e-3) * (weight > 0.5)
-    shape = to_batch(surface.normal @ head_from_mesh.T)
-    reference = absolute_reference(shape)
+    shape = to_batch(surface.normal @ rotation.T)
+    reference = absolute_reference(shape, data.specular_frame)
     if data.relative:
         reference = relative_reference(whole, (weight > 0.5).to(whole), shape)
     if data.detail_px > 0:
         detail = local_contrast(lit, seen, reference.texture, data.detail_px)
         reference = dataclasses.replace(reference, detail=detail)
-    inputs = network_input(lit, shape, torch.zeros_like(lit), reference)[:, :6]
+    placed = to_batch(position @ rotation.T + offset_mm) * seen
+    return Prepared(
+        seen, photographed, lit, whole, placed, shape, reference, head_from_mesh, patch_px, notes
+    )
+
+
+def infer(
+    generator: Generator,
+    data: DataConfig,
+    texture: np.ndarray,
+    mesh: Mesh,
+    head_from_mesh: np.ndarray,
+    progress: ProgressCallback = quiet,
+    named: tuple[str | Path, str | Path] = ("texture", "mesh"),
+) -> Inferred:
+    """Infer a texture's reflectance; arguments and errors as `prepare`.
+
+    Args:
+        generator: in evaluation mode.
+        data: how it was trained.
+        texture: with light in it.
+        mesh: with the texture's UV.
+        head_from_mesh: pose.
+        progress: called with tiles done, twice as many as there are.
+        named: names in errors.
+
+    Returns:
+        Maps in the mesh's axes; zero where no surface is, albedo at most 1. Confidence is 1 where
+        all tiles that see a texel find the same albedo, 0 where the texture is black.
+    """
+    given = prepare(data, texture, mesh, head_from_mesh, named)
+    lit, whole, reference = given.lit, given.whole, given.reference
+    inputs = network_input(lit, given.shape_normal, torch.zeros_like(lit), reference)[:, :6]
     context = network_input(whole, torch.zeros_like(whole), whole, reference)[:, 6:]
-    channels, spread = run_tiles(generator, inputs, context, patch_px, progress)
-    found = decode_maps(channels, reference)
-    confidence = 1 / (1 + (spread[:, None] / DISAGREEMENT) ** 2) * photographed
+    channels, spread = run_tiles(generator, inputs, context, given.patch_px, progress)
+    return finish_maps(decode_maps(channels, reference), spread, given)
+
+
+def finish_maps(found: Reflectance, spread: Tensor, given: Prepared) -> Inferred:
+    """Maps as they are written.
+
+    Args:
+        found: what the networks say of the whole texture.
+        spread: (1, rows, columns) standard deviation of the albedo between tiles.
+        given: what they were given.
+    """
+    seen, notes = given.covered, list(given.notes)
+    confidence = 1 / (1 + (spread[:, None] / DISAGREEMENT) ** 2) * given.photographed
     beyond = float(((found.diffuse_albedo > 1).any(dim=1, keepdim=True) * seen).sum() / seen.sum())
     if beyond > 0:
         said = f"diffuse albedo above 1 was cut off on {100 * beyond:.2g} % of the surface"
@@ -127,36 +195,38 @@ def infer(
         "confidence": confidence,
     }
     out = {name: from_batch(image * seen) for name, image in maps.items()}
+    rotation = given.head_from_mesh[:, :3].astype(np.float32)
     for name, normal in (
         ("diffuse_normal", found.diffuse_normal),
         ("specular_normal", found.specular_normal),
     ):
         # Back into the mesh's axes: n_mesh = R^T n_head, rows times R.
-        out[name] = from_batch(unit(normal) * seen) @ head_from_mesh.astype(np.float32)
-    tiles = len(_origins(rows, patch_px)) * len(_origins(columns, patch_px))
+        out[name] = from_batch(unit(normal) * seen) @ rotation
+    rows, columns = seen.shape[2:]
+    tiles = len(_origins(rows, given.patch_px)) * len(_origins(columns, given.patch_px))
     return Inferred(out, tiles, tuple(notes))
 
 
 def run_tiles(
     generator: Generator,
     inputs: Tensor,
-    context: Tensor,
+    context: Tensor | None,
     patch_px: int,
     progress: ProgressCallback = quiet,
 ) -> tuple[Tensor, Tensor]:
     """Run a generator over a large picture.
 
     Args:
-        generator: 9 channels to 13, on any device; its own instance norms are untouched afterwards.
-        inputs: (1, 6, rows, columns), the channels that change from tile to tile; on the processor,
+        generator: on any device; its own instance norms are untouched afterwards.
+        inputs: (1, c, rows, columns), the channels that change from tile to tile; on the processor,
             as the result is: a GPU holds one tile at a time.
-        context: (1, 3, patch_px, patch_px), the same for all tiles.
+        context: (1, n, patch_px, patch_px), those that are the same for all tiles; None for none.
         patch_px: side of a tile; tiles overlap by half.
         progress: called with tiles done of both passes.
 
     Returns:
-        (1, 13, rows, columns), and (1, rows, columns) standard deviation of the first pass's
-        albedo channels (0..1 scale) between tiles.
+        (1, out, rows, columns), and (1, rows, columns) standard deviation of the first pass's
+        first channels (at most three; 0..1 scale) between tiles.
     """
     rows, columns = inputs.shape[2:]
     grid = (_origins(rows, patch_px), _origins(columns, patch_px))
@@ -166,10 +236,12 @@ def run_tiles(
     tiles = [(i, j) for i in range(len(grid[0])) for j in range(len(grid[1]))]
     window = _window(patch_px)
     device = device_of(generator)
+    context = inputs.new_zeros(1, 0, patch_px, patch_px) if context is None else context
     context = context.to(device)
-    total = inputs.new_zeros(1, OUT_CHANNELS, rows, columns)
+    compared = min(3, generator.out_channels)
+    total = inputs.new_zeros(1, generator.out_channels, rows, columns)
     weight = inputs.new_zeros(1, 1, rows, columns)
-    moments = inputs.new_zeros(2, 3, rows, columns)
+    moments = inputs.new_zeros(2, compared, rows, columns)
     try:
         with torch.inference_mode():
             for dense.second_pass in (False, True):
@@ -183,8 +255,8 @@ def run_tiles(
                         total[part] += found * window
                         weight[part] += window
                     else:
-                        albedo = (found[0, :3] + 1) / 2
-                        moments[part] += torch.stack([albedo, albedo**2]) * window
+                        first = (found[0, :compared] + 1) / 2
+                        moments[part] += torch.stack([first, first**2]) * window
                     progress(done + 1 + dense.second_pass * len(tiles), 2 * len(tiles))
     finally:
         for hook in hooks:

@@ -202,7 +202,8 @@ def _require_patch(patch_px: int, generator: GeneratorConfig, where: str | Path)
 
 def _require_losses(config: Any, where: str | Path) -> None:
     """Some loss must compare with the truth, and each that has a weight must be defined."""
-    weights = ("feature_weight", "render_weight", "map_weight")
+    names = ("feature_weight", "render_weight", "map_weight")
+    weights = [name for name in names if hasattr(config, name)]
     if not any(getattr(config, name) > 0 for name in weights):
         raise ConfigError(
             where,
@@ -211,7 +212,7 @@ def _require_losses(config: Any, where: str | Path) -> None:
             expected="at least one above 0",
             hint="The adversarial loss alone does not ask for the maps of the person shown.",
         )
-    if config.render_weight > 0 and not config.environments:
+    if "render_weight" in weights and config.render_weight > 0 and not config.environments:
         raise ConfigError(
             where,
             field="environments",

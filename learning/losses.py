@@ -3,55 +3,49 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from typing import Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from learning.data import Batch
 from learning.encoding import OWN_CHANNELS, decode_maps
-from learning.render.environments import RandomLightConfig, apart, around, stack
+from learning.patch_light import Scene
 from learning.render.shading import shade
 
+RenderNorm = Literal["patch", "texel"]
 
-def rendering_loss(
-    found: Tensor,
-    batch: Batch,
-    environments: int,
-    lights: RandomLightConfig,
-    rng: np.random.Generator | Sequence[np.random.Generator],
-) -> Tensor:
+
+def rendering_loss(found: Tensor, batch: Batch, norm: RenderNorm = "patch") -> Tensor:
     """How different the found skin looks from the true one, in some environments [Lattas2021].
 
-    The sum runs over the input's own environment and `environments` ones drawn around it, and is
-    divided by `environments`; the norm is not squared. It is the Euclidean norm of a texel's rgb
-    difference, averaged over the surface, in linear light. The found normals' light fades where
-    they are shorter than 1, so that the gradient is bounded.
+    The sum runs over the input's own environment and the batch's draws, all around one target and
+    each with the shadows of its lights, and is divided by the number of draws; the norm is not
+    squared. Light is linear. The found normals' light fades where they are shorter than 1, so that
+    the gradient is bounded.
 
     Args:
         found: (B, 13, h, w), the generator's output.
         batch: the truth.
-        environments: n_L.
-        lights: how far the draws go.
-        rng: randomness; or one for each patch, so that its lights do not depend on the others'.
+        norm: of the difference: over the whole `patch`, a picture's root of the sum of squares; or
+            the mean over `texel`s of a texel's root of the sum of squares. That is smaller by about
+            the square root of the number of texels.
     """
     skin = decode_maps(found, batch.reference).on(batch.skin)
     total = found.new_zeros(())
     of_truth, of_found = batch.options, dataclasses.replace(batch.options, fade_normals=True)
-    rngs = rng.spawn(len(found)) if isinstance(rng, np.random.Generator) else rng
-    targets = list(zip(apart(batch.environment), rngs, strict=True)) if environments else []
-    for index in range(environments + 1):
-        environment = batch.environment
-        if index:
-            environment = stack([around(target, own, lights) for target, own in targets])
+    for scene in (Scene(batch.environment, batch.visibility), *batch.draws):
         with torch.no_grad():
-            truth = shade(batch.skin, environment, of_truth)
-        difference = shade(skin, environment, of_found) - truth
+            truth = shade(batch.skin, scene.environment, of_truth, scene.visibility)
+        said = shade(skin, scene.environment, of_found, scene.visibility)
+        square = (said - truth).square() * batch.covered
         # The square root's gradient at 0 is infinite; 1e-4 is far below what a texel shows.
-        norm = (difference.square().sum(dim=1, keepdim=True) + 1e-8).sqrt()
-        total = total + masked_mean(norm, batch.covered)
-    return total / environments
+        if norm == "texel":
+            each = (square.sum(dim=1, keepdim=True) + 1e-8).sqrt()
+            total = total + masked_mean(each, batch.covered)
+        else:
+            total = total + (square.sum(dim=(1, 2, 3)) + 1e-8).sqrt().mean()
+    return total / max(1, len(batch.draws))
 
 
 def maps_loss(found: Tensor, batch: Batch) -> Tensor:

@@ -8,7 +8,9 @@ from typing import Any, ClassVar
 from learning.augment import AugmentConfig
 from learning.data import DataConfig
 from learning.forward import Compile, Precision
+from learning.four.config import FourTrainConfig
 from learning.limits import require_within
+from learning.losses import RenderNorm
 from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
 from learning.render.environments import RandomLightConfig
@@ -38,6 +40,8 @@ class TrainConfig:
         constant_share: part of the training before the learning rate falls linearly to 0.
         feature_weight: of feature matching.
         render_weight: of the rendering loss.
+        render_norm: of the rendering loss: over the `patch`, under which the published weight of .3
+            matters, or the mean of `texel`s (see learning.losses).
         map_weight: of the maps' own L1; not in the paper, 0 there. It makes a training of minutes
             converge.
         environments: n_L of the rendering loss.
@@ -68,6 +72,7 @@ class TrainConfig:
     constant_share: float = 0.5
     feature_weight: float = 10.0
     render_weight: float = 0.3
+    render_norm: RenderNorm = "patch"
     map_weight: float = 0.0
     environments: int = 3
     shading: Mode = "paper"
@@ -80,45 +85,53 @@ class TrainConfig:
     score_patches: int = 32
 
 
-AnyTrainConfig = TrainConfig | WholeTrainConfig | UpscaleTrainConfig
+AnyTrainConfig = TrainConfig | FourTrainConfig | WholeTrainConfig | UpscaleTrainConfig
 FAMILIES: dict[str, type[AnyTrainConfig]] = {
     "modern": WholeTrainConfig,
     "paper": TrainConfig,
     "demo": TrainConfig,
+    "avatarme": FourTrainConfig,
+    "avatarme-small": FourTrainConfig,
     "rcan": UpscaleTrainConfig,
     "rcan-small": UpscaleTrainConfig,
 }
-"""What each preset trains: whole faces, patches, or super-resolution."""
+"""What each preset trains: whole faces, patches by one network or by four, or super-resolution."""
+# For minutes on two cores: narrower networks, on patches of an atlas of 1536 rows that show as much
+# of the face as 512 of 6144; the texture's contrast goes around the network. A higher rate and the
+# maps' own L1 replace 200 epochs. Features and verdicts of young discriminators leave spots and the
+# whole face's outlines in a patch, so they count less beside the maps.
+_SMALL: dict[str, Any] = {
+    "generator": {"width": 16, "downsamplings": 3, "global_blocks": 3, "local_blocks": 2},
+    "discriminator": {"width": 8, "scales": 2},
+    "data": {
+        "patch_px": 128,
+        "stride_px": 64,
+        "patches_in_memory": 1024,
+        "shadow_rows": 192,
+        "target": "each",
+        "shadow_sets": 16,
+        "relative": True,
+        "detail_px": 24.0,
+    },
+    "batch": 2,
+    "learning_rate": 5e-4,
+    "constant_share": 0.4,
+    "feature_weight": 1.0,
+    "map_weight": 300.0,
+    "shading": "physical",
+}
 PRESETS: dict[str, dict[str, Any]] = {
     "modern": {},
     "paper": {},
-    # A minute and a half on two cores: the same architecture, narrower, on patches of an atlas of
-    # 1536 rows that show as much of the face as 512 of 6144. A higher rate and the maps' own L1
-    # replace 200 epochs, the texture's contrast goes around the network. Features and verdicts of
-    # young discriminators leave spots and the whole face's outlines in a patch, so they count less
-    # beside the maps and their rendering.
     "demo": {
-        "generator": {"width": 16, "downsamplings": 3, "global_blocks": 3, "local_blocks": 2},
-        "discriminator": {"width": 8, "scales": 2},
-        "data": {
-            "patch_px": 128,
-            "stride_px": 64,
-            "patches_in_memory": 1024,
-            "shadow_rows": 192,
-            "shadow_sets": 16,
-            "relative": True,
-            "detail_px": 24.0,
-        },
-        "batch": 2,
+        **_SMALL,
         "seconds": 90.0,
-        "learning_rate": 5e-4,
-        "constant_share": 0.4,
-        "feature_weight": 1.0,
         "render_weight": 100.0,
-        "map_weight": 300.0,
+        "render_norm": "texel",
         "environments": 1,
-        "shading": "physical",
     },
+    "avatarme": {},
+    "avatarme-small": {**_SMALL, "seconds": 300.0},
     "rcan": {},
     # Minutes on two cores. Beside bicubic interpolation it begins where that ends.
     "rcan-small": {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -10,7 +11,13 @@ from torch import Tensor
 
 from learning.data import Batch, PatchData
 from learning.devices import CPU, device_of
-from learning.encoding import decode_colour, decode_maps, encode_colour, srgb_from_linear
+from learning.encoding import (
+    Reflectance,
+    decode_colour,
+    decode_maps,
+    encode_colour,
+    srgb_from_linear,
+)
 from learning.errors import TrainingError
 from learning.networks.generator import Generator
 from learning.render.shading import unit
@@ -55,13 +62,27 @@ class Score:
         )
 
 
+def answers_of(generator: Generator) -> Callable[[Batch], Reflectance]:
+    """What a generator on any device finds on patches; given and told on the processor."""
+    device = device_of(generator)
+
+    def said(batch: Batch) -> Reflectance:
+        return decode_maps(generator(batch.inputs.to(device)).to(CPU), batch.reference)
+
+    return said
+
+
 def score(
-    generator: Generator, held_out: PatchData, trained_on: PatchData, patches: int, seed: int
+    said: Callable[[Batch], Reflectance],
+    held_out: PatchData,
+    trained_on: PatchData,
+    patches: int,
+    seed: int,
 ) -> Score:
     """Score on patches spread evenly over those of the people held out, under random lights.
 
     Args:
-        generator: in evaluation mode.
+        said: what the networks find.
         held_out: their patches.
         trained_on: for the baseline of the mean person.
         patches: how many, at most.
@@ -82,10 +103,8 @@ def score(
             hint="Was the store written anew meanwhile?",
         )
     tone = torch.stack([_tone(trained_on.draw(1, rng)) for _ in range(2 * count)]).mean(dim=0)
-    device = device_of(generator)
     with torch.inference_mode():
-        said = [generator(b.inputs.to(device)).to(CPU) for b in batches]
-    found = [decode_maps(channels, b.reference) for channels, b in zip(said, batches, strict=True)]
+        found = [said(batch) for batch in batches]
 
     def mean_square(values: list[Tensor]) -> float:
         texels = [

@@ -59,17 +59,24 @@ class ResidualBlock(nn.Module):
 
 
 class Generator(nn.Module):
-    """9 channels to 13 in -1..1."""
+    """9 channels, or others, to 13, or others, in -1..1."""
 
-    def __init__(self, config: GeneratorConfig) -> None:
+    def __init__(
+        self,
+        config: GeneratorConfig,
+        in_channels: int = IN_CHANNELS,
+        out_channels: int = OUT_CHANNELS,
+    ) -> None:
+        """Torch's own random weights; see `initialise`."""
         super().__init__()
         self.config = config
-        self.coarse = _global_features(config)
+        self.in_channels, self.out_channels = in_channels, out_channels
+        self.coarse = _global_features(config, in_channels)
         if config.enhancer:
             half = config.width // 2
             self.fine_down = nn.Sequential(
                 nn.ReflectionPad2d(3),
-                *_normed(nn.Conv2d(IN_CHANNELS, half, 7)),
+                *_normed(nn.Conv2d(in_channels, half, 7)),
                 *_normed(nn.Conv2d(half, config.width, 3, stride=2, padding=1)),
             )
             self.fine_up = nn.Sequential(
@@ -78,20 +85,20 @@ class Generator(nn.Module):
             )
         last = config.width // 2 if config.enhancer else config.width
         self.head = nn.Sequential(
-            nn.ReflectionPad2d(3), nn.Conv2d(last, OUT_CHANNELS, 7), nn.Tanh()
+            nn.ReflectionPad2d(3), nn.Conv2d(last, out_channels, 7), nn.Tanh()
         )
 
     def forward(self, inputs: Tensor) -> Tensor:
-        """(B, 9, h, w) in about -1..1, h and w multiples of `multiple_px`, to (B, 13, h, w)."""
+        """(B, in, h, w) in about -1..1, h and w multiples of `multiple_px`, to (B, out, h, w)."""
         if not self.config.enhancer:
             return self.head(self.coarse(inputs))
         shrunk = functional.avg_pool2d(inputs, 3, stride=2, padding=1, count_include_pad=False)
         return self.head(self.fine_up(self.fine_down(inputs) + self.coarse(shrunk)))
 
 
-def _global_features(config: GeneratorConfig) -> nn.Sequential:
+def _global_features(config: GeneratorConfig, in_channels: int) -> nn.Sequential:
     width = config.width
-    layers: list[nn.Module] = [nn.ReflectionPad2d(3), *_normed(nn.Conv2d(IN_CHANNELS, width, 7))]
+    layers: list[nn.Module] = [nn.ReflectionPad2d(3), *_normed(nn.Conv2d(in_channels, width, 7))]
     for _ in range(config.downsamplings):
         layers += _normed(nn.Conv2d(width, 2 * width, 3, stride=2, padding=1))
         width *= 2

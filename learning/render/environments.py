@@ -100,31 +100,16 @@ def stack(environments: list[Environment]) -> Environment:
     )
 
 
-def apart(environments: Environment) -> list[Environment]:
-    """The inverse of `stack`: one by one, without the black lights that filled sets up."""
-    found = []
-    for index in range(len(environments.rgb)):
-        own = slice(index, index + 1)
-        lit = max(1, int(environments.rgb[index].any(dim=-1).sum()))
-        found.append(
-            Environment(
-                environments.position_mm[own, :lit],
-                environments.rgb[own, :lit],
-                environments.ambient_rgb[own],
-                environments.distant[own, :lit],
-                environments.camera_mm[own],
-            )
-        )
-    return found
-
-
-def random_lights(rng: np.random.Generator, config: RandomLightConfig) -> np.ndarray:
-    """Places of one to `lights` point lights: (n, 3) mm.
+def random_lights(
+    rng: np.random.Generator, config: RandomLightConfig, count: int | None = None
+) -> np.ndarray:
+    """Places of `count`, or one to `lights`, point lights: (n, 3) mm.
 
     Directions are uniform over the sphere's part with z > -`behind`, so that some light comes from
     slightly behind, as in a room.
     """
-    count = int(rng.integers(1, config.lights + 1))
+    if count is None:
+        count = int(rng.integers(1, config.lights + 1))
     height = rng.uniform(-config.behind, 1.0, count)
     turn = rng.uniform(0, 2 * np.pi, count)
     flat = np.sqrt(1 - height**2)
@@ -170,27 +155,56 @@ def random_environment(
     )
 
 
-def around(target: Environment, rng: np.random.Generator, config: RandomLightConfig) -> Environment:
-    """An environment near another one, for the rendering loss [Lattas2021].
+def around(
+    target: Environment,
+    rng: np.random.Generator,
+    config: RandomLightConfig,
+    position_mm: np.ndarray | None = None,
+) -> Environment:
+    """An environment near another one [Lattas2021].
 
     Draws are Gaussian around the target, two standard deviations being the published "up to"
     (50 % of a light's distance, 25 % of the camera's and of the intensity). The bound holds for the
     length of the whole move; a draw beyond it is drawn again.
+
+    Args:
+        target: a batch of one, or of more where no places are given.
+        rng: randomness.
+        config: how far.
+        position_mm: (L, 3) where the lights stand, as `moved_lights` drew it before.
     """
 
-    def draw(shape: tuple[int, ...], most: float) -> Tensor:
-        values = rng.normal(0, 0.5 * most, shape)
-        while (beyond := np.linalg.norm(values, axis=-1) > most).any():
-            values[beyond] = rng.normal(0, 0.5 * most, (int(beyond.sum()), shape[-1]))
-        return torch.from_numpy(values.astype(np.float32)).to(target.rgb)
+    def gain(count: tuple[int, ...]) -> Tensor:
+        moves = _within(rng, (*count, 1), config.intensity_spread)
+        return 1 + torch.from_numpy(moves.astype(np.float32)).to(target.rgb)
 
     def moved(points: Tensor, most: float) -> Tensor:
-        return points + points.norm(dim=-1, keepdim=True) * draw(tuple(points.shape), most)
+        places = moved_lights(points.detach().cpu().double().numpy(), rng, most)
+        return torch.from_numpy(places.astype(np.float32)).to(points)
 
+    if position_mm is None:
+        position = moved(target.position_mm, config.position_spread)
+    else:
+        position = torch.from_numpy(position_mm.astype(np.float32))[None].to(target.rgb)
     return Environment(
-        moved(target.position_mm, config.position_spread),
-        target.rgb * (1 + draw((*target.rgb.shape[:2], 1), config.intensity_spread)),
-        target.ambient_rgb * (1 + draw((len(target.rgb), 1), config.intensity_spread)),
+        position,
+        target.rgb * gain(tuple(target.rgb.shape[:2])),
+        target.ambient_rgb * gain((len(target.rgb),)),
         target.distant,
         moved(target.camera_mm, config.camera_spread),
     )
+
+
+def moved_lights(position_mm: np.ndarray, rng: np.random.Generator, most: float) -> np.ndarray:
+    """(..., 3) places moved at random by at most `most` of their distance from the origin."""
+    distance = np.linalg.norm(position_mm, axis=-1, keepdims=True)
+    found: np.ndarray = position_mm + distance * _within(rng, position_mm.shape, most)
+    return found
+
+
+def _within(rng: np.random.Generator, shape: tuple[int, ...], most: float) -> np.ndarray:
+    """Gaussian moves, half of `most` their deviation, whose length is at most `most`."""
+    values = rng.normal(0, 0.5 * most, shape)
+    while (beyond := np.linalg.norm(values, axis=-1) > most).any():
+        values[beyond] = rng.normal(0, 0.5 * most, (int(beyond.sum()), shape[-1]))
+    return values

@@ -8,10 +8,13 @@ import numpy as np
 import open3d
 
 from learning.render.environments import Environment
+from learning.render.light_dome import even_directions
 from learning.render.uv import UvRaster
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh
 
+DOME_MM = 100_000.0 * even_directions(64)
+"""Lights all round and far away, which a texel sees or not: its ambient occlusion."""
 RAYS_AT_ONCE = 2_000_000
 OFFSET_MM = 0.3
 """Rays start so far off the surface, along its normal, to pass over the facet they start on."""
@@ -82,6 +85,22 @@ def bake_grid(surface: PositionGrid, position_mm: np.ndarray) -> np.ndarray:
     )
     out[:, surface.covered] = caster.seen(position_mm, np.zeros(len(position_mm), bool))
     return out
+
+
+def openness(normal: np.ndarray, dome: np.ndarray) -> np.ndarray:
+    """Ambient occlusion: the share of even light from all round that reaches a texel.
+
+    Args:
+        normal: (rows, columns, 3) unit.
+        dome: (64, rows, columns) visibility, 0..1, of the lights of `DOME_MM`.
+
+    Returns:
+        (rows, columns), 0..1, weighted by the cosine.
+    """
+    direction = DOME_MM / np.linalg.norm(DOME_MM, axis=1, keepdims=True)
+    cosine = np.clip(np.einsum("hwc,nc->nhw", normal, direction), 0, None)
+    found: np.ndarray = (dome * cosine).sum(axis=0) / np.maximum(cosine.sum(axis=0), 1e-6)
+    return found
 
 
 def _grid_triangles(surface: PositionGrid) -> np.ndarray:

@@ -20,8 +20,7 @@ from learning.render.environments import (
     random_lights,
     stack,
 )
-from learning.render.light_dome import even_directions
-from learning.render.occlusion import PositionGrid, bake_grid
+from learning.render.occlusion import DOME_MM, PositionGrid, bake_grid, openness
 from learning.render.shading import Mode, ShadeOptions, SkinMaps, shade, unit
 from learning.render.uv import TexelSurface, texel_surface
 from lightstage.commands import ProgressCallback, quiet
@@ -35,8 +34,6 @@ LEAST_ALBEDO = 1e-3
 """Albedo below which a logarithm says nothing more."""
 SHARPER = 4.0
 """How much sharper the edges of shadows are than the grid that they were baked on."""
-DOME_MM = 100_000.0 * even_directions(64)
-"""Lights all round and far away, which a texel sees or not: its ambient occlusion."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -320,7 +317,7 @@ class Faces:
         baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
         *parts, dome = np.split(baked, np.cumsum([len(at) for at in sets]))
         seen = [torch.from_numpy(part) for part in parts]
-        tensors["ambient_occlusion"] = to_batch(_openness(surface.normal, dome))
+        tensors["ambient_occlusion"] = to_batch(openness(surface.normal, dome / 255))
         return Face(tensors, to_batch(skin), texel_mm, sets, seen)
 
 
@@ -369,13 +366,6 @@ def _enlarged_shadows(visibility: Tensor, size: tuple[int, int]) -> Tensor:
     """(n, h, w) uint8 of a coarser grid at another size, with edges as sharp as small lamps'."""
     seen = functional.interpolate(visibility[None].float() / 255, size, mode="bilinear")[0]
     return (255 * ((seen - 0.5) * SHARPER + 0.5).clamp(0, 1)).to(torch.uint8)
-
-
-def _openness(normal: np.ndarray, dome: np.ndarray) -> np.ndarray:
-    """(h, w) share of even light from all round that reaches a texel, weighted by the cosine."""
-    direction = DOME_MM / np.linalg.norm(DOME_MM, axis=1, keepdims=True)
-    cosine = np.clip(np.einsum("hwc,nc->nhw", normal, direction), 0, None)
-    return (dome / 255 * cosine).sum(axis=0) / np.maximum(cosine.sum(axis=0), 1e-6)
 
 
 def _skin_maps(face: Face, variation: augment.Variation) -> SkinMaps:

@@ -20,18 +20,23 @@ from learning.checkpoint import (
     read_checkpoint,
 )
 from learning.errors import CheckpointError
+from learning.four.networks import load_four_networks
+from learning.four.train import train_four
 from learning.train import train
 from learning.whole.train import train_faces
 from processing.dataset import open_store
+from tests.learning.test_four import TINY as FOUR
 from tests.learning.test_training import TINY as PATCHES
 from tests.learning.test_whole_face import TINY as FACES
 from tests.learning.test_whole_face import stopping_after
 
 SHORT_FACES = dataclasses.replace(FACES, steps=5, detail_pairs=1, score_lights=1, ema=0.9)
 SHORT_PATCHES = dataclasses.replace(PATCHES, score_patches=1, ema=0.9)
+SHORT_FOUR = dataclasses.replace(FOUR, score_patches=1, batch=4, ema=0.9)
 BOTH: dict[str, tuple[Any, Any, Any, str]] = {
     "faces": (train_faces, SHORT_FACES, load_whole_face, "network"),
     "patches": (train, SHORT_PATCHES, load_generator, "generator"),
+    "four": (train_four, SHORT_FOUR, load_four_networks, "generators"),
 }
 
 

@@ -247,6 +247,6 @@ def test_bad_input_is_one_message_and_exit_2(
         assert expected in capsys.readouterr().err
     train = ["train", "--data", store_path, "--out", tmp_path / "run"]
     assert run(monkeypatch, *train, "--preset", "huge") == 2
-    assert "one of modern, paper, demo" in capsys.readouterr().err
+    assert "one of modern, paper, demo, avatarme" in capsys.readouterr().err
     assert run(monkeypatch, "train", "--data", tmp_path, "--out", tmp_path / "run") == 2
     assert not (tmp_path / "run").exists()

@@ -119,14 +119,16 @@ class Pair:
     one: torch.Tensor
     rest: list[torch.Tensor | None]
     named: dict[str, torch.Tensor]
+    few: tuple[torch.Tensor, ...]
     count: int
 
 
 def test_all_tensors_of_a_batch_are_moved_and_nothing_else_changes() -> None:
     there = torch.device("meta")
-    pair = Pair(torch.ones(2), [torch.ones(3), None], {"a": torch.ones(4)}, 5)
+    pair = Pair(torch.ones(2), [torch.ones(3), None], {"a": torch.ones(4)}, (torch.ones(1),), 5)
     found = moved(pair, there)
     assert [found.one.device, found.rest[0].device, found.named["a"].device] == [there] * 3  # type: ignore[union-attr]
+    assert [one.device for one in found.few] == [there]
     assert (found.rest[1], found.count) == (None, 5)
     assert moved(pair, torch.device("cpu")).one is pair.one
 

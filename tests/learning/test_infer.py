@@ -97,7 +97,7 @@ def lit_ball(rows: int = 64, columns: int = 64) -> np.ndarray:
 
 def test_maps_come_out_in_range_and_in_the_meshs_axes(ball_mesh: Mesh) -> None:
     generator = random_generator()
-    inferred = infer(generator, DATA, lit_ball(), ball_mesh, np.eye(3))
+    inferred = infer(generator, DATA, lit_ball(), ball_mesh, np.eye(3, 4))
     found = inferred.maps
     assert set(found) == {
         "diffuse_albedo",
@@ -116,15 +116,15 @@ def test_maps_come_out_in_range_and_in_the_meshs_axes(ball_mesh: Mesh) -> None:
     # The same head in a turned world: its normals turn with it, its albedo stays.
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     turned = ball_mesh.with_vertices(ball_mesh.vertices @ turn.T)
-    other = infer(generator, DATA, lit_ball(), turned, turn.T).maps
+    other = infer(generator, DATA, lit_ball(), turned, np.column_stack([turn.T, np.zeros(3)])).maps
     np.testing.assert_allclose(other["diffuse_albedo"], found["diffuse_albedo"], atol=1e-3)
     np.testing.assert_allclose(other["diffuse_normal"], found["diffuse_normal"] @ turn.T, atol=5e-3)
 
 
 def test_a_darker_photo_of_the_same_face_gives_proportional_albedo(ball_mesh: Mesh) -> None:
     generator = random_generator()
-    first = infer(generator, DATA, 0.2 * lit_ball(), ball_mesh, np.eye(3)).maps
-    second = infer(generator, DATA, 0.1 * lit_ball(), ball_mesh, np.eye(3)).maps
+    first = infer(generator, DATA, 0.2 * lit_ball(), ball_mesh, np.eye(3, 4)).maps
+    second = infer(generator, DATA, 0.1 * lit_ball(), ball_mesh, np.eye(3, 4)).maps
     np.testing.assert_allclose(
         second["diffuse_albedo"], 0.5 * first["diffuse_albedo"], rtol=1e-2, atol=1e-3
     )
@@ -134,7 +134,7 @@ def test_a_darker_photo_of_the_same_face_gives_proportional_albedo(ball_mesh: Me
 def test_nothing_is_said_where_no_surface_is(ball_mesh: Mesh) -> None:
     assert ball_mesh.uvs is not None
     half = dataclasses.replace(ball_mesh, uvs=ball_mesh.uvs * [0.5, 1.0])
-    found = infer(random_generator(), DATA, lit_ball(), half, np.eye(3)).maps
+    found = infer(random_generator(), DATA, lit_ball(), half, np.eye(3, 4)).maps
     for image in found.values():
         assert not image[:, 33:].any()
         assert image[:, :31].any()
@@ -142,7 +142,7 @@ def test_nothing_is_said_where_no_surface_is(ball_mesh: Mesh) -> None:
 
 def test_a_texture_smaller_than_a_patch_is_refused(ball_mesh: Mesh) -> None:
     with pytest.raises(MapsError, match="found 16 x 16 texels, expected at least 32"):
-        infer(random_generator(), DATA, lit_ball(16, 16), ball_mesh, np.eye(3))
+        infer(random_generator(), DATA, lit_ball(16, 16), ball_mesh, np.eye(3, 4))
 
 
 @pytest.mark.parametrize(("gain", "said"), [(1000.0, "a median of"), (1e-3, "a median of")])
@@ -153,17 +153,17 @@ def test_a_texture_of_another_exposure_is_refused(gain: float, said: str, ball_m
             DATA,
             gain * lit_ball(),
             ball_mesh,
-            np.eye(3),
+            np.eye(3, 4),
             named=("photo.exr", "head.obj"),
         )
 
 
 def test_a_black_texture_is_refused_and_black_texels_have_no_confidence(ball_mesh: Mesh) -> None:
     with pytest.raises(MapsError, match=r"found 100\.0 % of the surface's texels black"):
-        infer(random_generator(), DATA, 0 * lit_ball(), ball_mesh, np.eye(3))
+        infer(random_generator(), DATA, 0 * lit_ball(), ball_mesh, np.eye(3, 4))
     holes = lit_ball()
     holes[:, :40] = 0
-    found = infer(random_generator(), DATA, holes, ball_mesh, np.eye(3))
+    found = infer(random_generator(), DATA, holes, ball_mesh, np.eye(3, 4))
     assert not found.maps["confidence"][:, :40].any()
     assert found.maps["confidence"][:, 40:].all()
     assert any("62 % of the surface was not photographed" in note for note in found.notes)
@@ -173,14 +173,14 @@ def test_a_mesh_that_is_no_head_in_millimetres_is_refused(ball_mesh: Mesh) -> No
     for scale in (1e-3, 0.1, 100.0):
         other = ball_mesh.with_vertices(scale * ball_mesh.vertices)
         with pytest.raises(MapsError, match="expected a head in millimetres, 100 to 1000"):
-            infer(random_generator(), DATA, lit_ball(), other, np.eye(3))
+            infer(random_generator(), DATA, lit_ball(), other, np.eye(3, 4))
     flat = ball_mesh.with_vertices(ball_mesh.vertices * [1, 1, 0.01])
     with pytest.raises(MapsError, match="expected a head, which is not flat"):
-        infer(random_generator(), DATA, lit_ball(), flat, np.eye(3))
+        infer(random_generator(), DATA, lit_ball(), flat, np.eye(3, 4))
 
 
 def test_albedo_is_never_above_one_and_that_it_was_cut_off_is_said(ball_mesh: Mesh) -> None:
-    found = infer(random_generator(), DATA, 3 * lit_ball(), ball_mesh, np.eye(3))
+    found = infer(random_generator(), DATA, 3 * lit_ball(), ball_mesh, np.eye(3, 4))
     assert found.maps["diffuse_albedo"].max() == 1.0
     assert any("above 1 was cut off" in note for note in found.notes)
 

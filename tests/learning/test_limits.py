@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from learning.four.config import FourTrainConfig
 from learning.limits import LIMITS, require_within
 from learning.networks.generator import GeneratorConfig
 from learning.presets import PRESETS, TrainConfig, preset
@@ -15,7 +16,7 @@ from learning.upscale.config import UpscaleTrainConfig
 from learning.whole.config import WholeTrainConfig
 from lightstage.errors import ConfigError
 
-KINDS = (TrainConfig, WholeTrainConfig, UpscaleTrainConfig)
+CONFIGS = (TrainConfig(), FourTrainConfig(), WholeTrainConfig(), UpscaleTrainConfig())
 
 
 def named_numbers(config, table=""):
@@ -37,7 +38,7 @@ def changed(config, name, value):
 
 
 def test_every_number_has_bounds_and_every_bound_a_number():
-    assert set().union(*(named_numbers(kind()) for kind in KINDS)) == set(LIMITS)
+    assert {name for config in CONFIGS for name in named_numbers(config)} == set(LIMITS)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -48,7 +49,7 @@ def test_every_preset_is_within_its_bounds(name):
 @pytest.mark.parametrize("name", LIMITS)
 def test_a_number_out_of_bounds_is_named_with_its_bounds(name):
     low, high = LIMITS[name]
-    configs = [kind() for kind in KINDS if name in named_numbers(kind())]
+    configs = [config for config in CONFIGS if name in named_numbers(config)]
     wrongs = [low - 1, high * 2 + 1, math.nan, math.inf, -math.inf]
     for config, wrong in itertools.product(configs, wrongs):
         value = (wrong, wrong) if isinstance(named_numbers(config)[name], tuple) else wrong

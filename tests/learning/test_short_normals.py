@@ -10,7 +10,8 @@ from torch import Tensor
 from learning.data import Batch
 from learning.encoding import absolute_reference, covered_channels, encode_maps
 from learning.losses import rendering_loss
-from learning.render.environments import Environment, RandomLightConfig
+from learning.patch_light import Scene
+from learning.render.environments import Environment
 from learning.render.shading import ShadeOptions, shade, unit
 from tests.learning.scenes import random_lights, random_skin
 
@@ -31,7 +32,8 @@ def scene(kind: torch.dtype) -> tuple[Batch, Tensor]:
         lights.distant,
         lights.camera_mm.to(kind),
     )
-    reference = absolute_reference(torch.zeros_like(skin.diffuse_normal))
+    flat = torch.zeros_like(skin.diffuse_normal)
+    reference = absolute_reference(flat, "head")
     covered = torch.ones_like(skin.area)
     channels = covered_channels(covered, covered)
     target = encode_maps(skin, skin.diffuse_albedo, channels, reference)
@@ -42,8 +44,9 @@ def scene(kind: torch.dtype) -> tuple[Batch, Tensor]:
     )
     inputs = target.new_zeros(2, 9, 6, 6)
     options, texture = ShadeOptions(), skin.diffuse_albedo
-    batch = Batch(inputs, target, covered, channels, skin, lights, texture, reference, options, [])
-    return batch, guess
+    seen = torch.ones(1, 1, 6, 6, dtype=kind)
+    lit = (lights, seen, (Scene(lights, seen),), texture, reference, flat)
+    return Batch(inputs, target, covered, channels, skin, *lit, options, []), guess
 
 
 def shortened(guess: Tensor, length: float, only: tuple[int, int] | None = None) -> Tensor:
@@ -56,9 +59,7 @@ def shortened(guess: Tensor, length: float, only: tuple[int, int] | None = None)
 
 def loss_of(batch: Batch, channels: Tensor) -> Tensor:
     """As a sum over texels, so that a texel's gradient does not shrink with their count."""
-    rng = np.random.default_rng(0)
-    lost = rendering_loss(channels, batch, 1, RandomLightConfig(), rng)
-    return lost * batch.covered.sum()
+    return rendering_loss(channels, batch, "texel") * batch.covered.sum()
 
 
 def gradient_of(batch: Batch, channels: Tensor) -> Tensor:

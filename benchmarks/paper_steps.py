@@ -1,0 +1,196 @@
+"""First steps of the published networks: time, memory, losses, at full and at reduced width.
+
+Each case trains in a process of its own, so that its peak memory is its own. At full width patches
+have 512 texels, as published; at reduced width 128, with the published losses and rates.
+`--full-presets` names those that are run at full width, which takes minutes a step on two cores,
+and for `avatarme` the memory of four networks; `--store` takes a store that is there already.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from benchmarks.record import record
+
+PEOPLE = 2
+PRESETS = ("paper", "avatarme")
+HEADER = (
+    "preset",
+    "weights",
+    "steps",
+    "processor s a step",
+    "peak GiB",
+    "first losses",
+    "last losses",
+)
+LAST = 20
+"""Steps at the end whose mean is told, where there are so many."""
+FULL = {"data": {"shadow_sets": 8}}
+"""Fewer shadows than published are baked before the first step; the steps are as published."""
+REDUCED = {
+    "generator": {"width": 16},
+    "discriminator": {"width": 16},
+    "data": {"patch_px": 128, "stride_px": 64, "patches_in_memory": 256, "shadow_sets": 8},
+}
+
+
+def store_of(root: Path) -> Path:
+    """A store of simulated people."""
+    from processing.dataset import build_store
+
+    people = ("--subjects", str(PEOPLE), "--expressions", "1", "--seed", "7")
+    words = ("sim", "dataset", *people, "--out", str(root / "people"), "--maps-only")
+    subprocess.run([sys.executable, "-m", *words], check=True, stdout=subprocess.DEVNULL)
+    processed = sorted(p.parent for p in (root / "people").glob("*/report.json"))
+    return build_store(processed, root / "store")
+
+
+def measured(store_path: Path, name: str, full: bool, steps: int) -> dict[str, Any]:
+    """Train some steps in this process; the facts."""
+    import numpy as np
+
+    from learning.data import PatchData
+    from learning.four.config import FourTrainConfig
+    from learning.four.train import FourTrainer
+    from learning.patch_run import PatchLearner
+    from learning.presets import TrainConfig, preset
+    from learning.run import split
+    from learning.train import Trainer
+    from processing.dataset import open_store
+
+    config = preset(name, FULL if full else REDUCED, "benchmark")
+    assert isinstance(config, TrainConfig | FourTrainConfig)
+    store = open_store(store_path)
+    _, trained_on = split(store, config.data.held_out_subjects)
+    # A step takes as long whoever is shown; reading more people does not belong to it.
+    people = set(sorted(trained_on)[: PEOPLE - 1])
+    draws = config.environments if isinstance(config, TrainConfig) else 0
+    parts = (config.data, config.lights, config.augment, np.random.default_rng([config.seed, 1]))
+    data = PatchData(store, people, *parts, config.shading, draws=draws, seed=config.seed)
+    if isinstance(config, TrainConfig):
+        trainer = Trainer(config)
+        learner, networks = PatchLearner(trainer, data), [trainer.generator]
+    else:
+        four = FourTrainer(config)
+        learner, networks = PatchLearner(four, data), [t.generator for t in four.trainers.values()]
+    seconds, lines = [], []
+    for number in range(steps):
+        # On a machine with other work the clock tells of that.
+        began = time.process_time()
+        lines.append(learner.step(number, 0.0))
+        seconds.append(time.process_time() - began)
+    found: dict[str, Any] = {
+        "weights": sum(p.numel() for network in networks for p in network.parameters()),
+        "seconds": statistics.median(seconds[1:] or seconds),
+        "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "first": lines[0],
+        "last": {k: statistics.fmean(line[k] for line in lines[-LAST:]) for k in lines[0]},
+    }
+    if isinstance(config, TrainConfig):
+        found["shares"] = shares(config, data, lines[0])
+    return found
+
+
+def shares(config: Any, data: Any, first: dict[str, float]) -> dict[str, float]:
+    """Part of the generator's loss that the rendering loss is under each norm, untrained."""
+    import numpy as np
+    import torch
+
+    from learning.losses import rendering_loss
+    from learning.train import Trainer
+
+    batch = data.draw(config.batch, np.random.default_rng([config.seed, 2, 0]))
+    with torch.inference_mode():
+        said = Trainer(config).generator(batch.inputs) * batch.covered_channels
+        patch, texel = (float(rendering_loss(said, batch, n)) for n in ("patch", "texel"))
+    others = first["adversarial"] + first["features"] + first["maps"]
+    texels = float(batch.covered.sum()) / len(batch.inputs)
+    values = {"mean of texels": texel, "patch": patch, "sum of texels": texel * texels}
+    weighted = {norm: config.render_weight * value for norm, value in values.items()}
+    return {norm: value / (value + others) for norm, value in weighted.items()}
+
+
+def in_a_child(store: Path, name: str, full: bool, steps: int) -> dict[str, Any]:
+    """`measured` in a process of its own."""
+    words = ["--store", str(store), "--case", name, "--steps", str(steps)]
+    words += ["--full"] if full else []
+    ran = subprocess.run(
+        [sys.executable, "-m", "benchmarks.paper_steps", *words],
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    found: dict[str, Any] = json.loads(ran.stdout.splitlines()[-1])
+    return found
+
+
+def losses(found: dict[str, float]) -> str:
+    """Those of one network, or the sums over four."""
+    names = ("adversarial", "features", "rendering", "discriminators", "error")
+    told = []
+    for name in names:
+        values = [v for k, v in found.items() if k.rpartition(".")[2] == name and "." in k]
+        values = values or [found[name]] if values or name in found else []
+        if values:
+            told.append(f"{name} {sum(values):.3g}")
+    return ", ".join(told)
+
+
+def main() -> None:
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=300, help="at reduced width")
+    parser.add_argument("--full-steps", type=int, default=3)
+    parser.add_argument("--full-presets", nargs="*", default=PRESETS, choices=PRESETS)
+    parser.add_argument("--store", type=Path, help="made anew where not given")
+    parser.add_argument("--case", help="print one case's facts as JSON")
+    parser.add_argument("--full", action="store_true", help="of --case")
+    chosen = parser.parse_args()
+    if chosen.case:
+        print(json.dumps(measured(chosen.store, chosen.case, chosen.full, chosen.steps)))
+        return
+    rows, told = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        store = chosen.store or store_of(Path(folder))
+        for full, steps in ((False, chosen.steps), (True, chosen.full_steps)):
+            for name in chosen.full_presets if full else PRESETS:
+                found = in_a_child(store, name, full, steps)
+                width = "full" if full else "reduced"
+                rows.append(
+                    [
+                        f"{name}, {width}",
+                        f"{found['weights']:,}",
+                        steps,
+                        f"{found['seconds']:.2f}",
+                        f"{found['peak_gib']:.1f}",
+                        losses(found["first"]),
+                        losses(found["last"]),
+                    ]
+                )
+                if "shares" in found:
+                    each = (f"{n} {100 * share:.2g} %" for n, share in found["shares"].items())
+                    told.append(f"{width}: {', '.join(each)}")
+    record(
+        "Learning, first steps of the published networks",
+        HEADER,
+        rows,
+        "Processor seconds over all cores. One patch a step, of 512 texels at full and 128 at "
+        "reduced width; published losses and rates, weights counted in; `error` is the maps' L1, "
+        "which is not trained on. Last losses are means of at most the last "
+        f"{LAST} steps. Of four networks sums. Share of the rendering loss in the untrained "
+        "generator's, by its norm: " + "; ".join(told) + ".",
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""Training of the `avatarme` preset: four networks, each against discriminators of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from learning.checkpoint import AVERAGE, INDEX, Checkpoint, load_tensors, part_of
+from learning.clock import Clock
+from learning.data import Batch
+from learning.devices import CPU
+from learning.encoding import Reflectance
+from learning.four.channels import PARTS, pairs
+from learning.four.config import FourTrainConfig
+from learning.four.networks import FourNetworks
+from learning.patch_run import train_patches
+from learning.presets import TrainConfig
+from learning.processes import ALONE, Processes
+from learning.run import TrainResult
+from learning.score import Score
+from learning.train import Trainer
+from lightstage.commands import ProgressCallback, quiet
+from processing.dataset import Store
+
+GENERATORS, TRAINING = "generators", "training"
+"""Roles of a checkpoint's files, beside that of the average."""
+
+
+def config_of_part(config: FourTrainConfig, index: int) -> TrainConfig:
+    """One network's training: as a single network's without the rendering loss."""
+    shared = {
+        field.name: getattr(config, field.name)
+        for field in dataclasses.fields(FourTrainConfig)
+        if field.name != "seed"
+    }
+    # Networks of one size must not begin with the same weights.
+    return TrainConfig(**shared, seed=4 * config.seed + index, render_weight=0.0)
+
+
+class FourTrainer:
+    """Four networks with their discriminators and optimisers."""
+
+    def __init__(
+        self,
+        config: FourTrainConfig,
+        device: torch.device = CPU,
+        processes: Processes = ALONE,
+    ) -> None:
+        """Networks on a device, with random weights of the configuration's seed."""
+        self.config, self.device, self.processes = config, device, processes
+        self.clock = Clock()
+        self.trainers = {
+            part: Trainer(
+                config_of_part(config, index),
+                device,
+                processes,
+                inputs,
+                channels.stop - channels.start,
+            )
+            for index, (part, (inputs, channels)) in enumerate(PARTS.items())
+        }
+
+    @property
+    def trained(self) -> FourNetworks:
+        """The networks to score and to infer with: the averages where there are some."""
+        return FourNetworks({part: trainer.trained for part, trainer in self.trainers.items()})
+
+    def answers(self) -> Callable[[Batch], Reflectance]:
+        """See `PatchTrainer`. Each network is given what those before it found."""
+        return self.trained.said
+
+    def set_rate(self, done: float) -> float:
+        """Set the learning rate for a training that is `done` (0..1); returns it."""
+        return max(trainer.set_rate(done) for trainer in self.trainers.values())
+
+    def step(self, batch: Batch, number: int = 0) -> dict[str, float]:
+        """Step `number` of all; the losses by part, and the sum of their errors as `error`."""
+        losses: dict[str, float] = {}
+        for part, pair in pairs(batch).items():
+            trainer = self.trainers[part]
+            said = trainer.step(pair, number)
+            # The next network's step needs the room: at full width 0.7 GB.
+            trainer.generator.zero_grad(set_to_none=True)
+            losses |= {f"{part}.{name}": value for name, value in said.items()}
+        return {**losses, "error": sum(losses[f"{part}.error"] for part in PARTS)}
+
+    def kept(self, batch: Batch) -> dict[str, Tensor]:
+        """See `PatchTrainer`."""
+        drawn = pairs(batch)
+        kept = {f"{part}.inputs": pair.inputs for part, pair in drawn.items()}
+        return kept | {f"{part}.target": pair.target for part, pair in drawn.items()}
+
+    def networks(self) -> list[nn.Module]:
+        """See `PatchTrainer`."""
+        return [network for trainer in self.trainers.values() for network in trainer.networks()]
+
+    def tensors(self) -> dict[str, dict[str, Tensor]]:
+        """All state, by the checkpoint's roles."""
+        each = {part: trainer.tensors() for part, trainer in self.trainers.items()}
+        roles = {"generator": GENERATORS, TRAINING: TRAINING}
+        if self.config.ema:
+            roles[AVERAGE] = AVERAGE
+        return {
+            role: {
+                f"{part}.{name}": value
+                for part, state in each.items()
+                for name, value in state[own].items()
+            }
+            for own, role in roles.items()
+        }
+
+    def load(self, checkpoint: Checkpoint) -> None:
+        """Take over a checkpoint's state."""
+        saved = {role: load_tensors(checkpoint, role) for role in self.tensors()}
+        saved["generator"] = saved.pop(GENERATORS)
+        for part, trainer in self.trainers.items():
+            own = {role: part_of(tensors, part) for role, tensors in saved.items()}
+            trainer.take_over(own, checkpoint.folder / INDEX)
+
+
+def train_four(
+    store: Store,
+    out: Path,
+    config: FourTrainConfig,
+    resume: bool = False,
+    progress: ProgressCallback = quiet,
+    device: torch.device = CPU,
+    processes: Processes = ALONE,
+) -> TrainResult[Score]:
+    """Train four networks; arguments, errors and what is left in `out` as `learning.train.train`.
+
+    They are scored as they are used: each on what those before it found.
+    """
+
+    def make() -> FourTrainer:
+        return FourTrainer(config, device, processes)
+
+    return train_patches(store, out, config, make, 0, resume, progress, processes)
