@@ -156,6 +156,7 @@ class Heavy(Processes):
     """A process alone, as if it had twice the texels of the mean process."""
 
     def weight(self, own: torch.Tensor) -> float:
+        assert float(own) > 0
         return 2.0
 
 
