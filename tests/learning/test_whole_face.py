@@ -186,7 +186,7 @@ def test_training_learns_scores_and_leaves_whole_files(store_path: Path, tmp_pat
     assert result.examples == 2
     assert result.held_out == ["person-2"]
     lines = [json.loads(s) for s in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
-    assert [line["step"] for line in lines] == [*range(80), 80]
+    assert len(lines) == 81
     assert result.score.psnr_db > result.score.psnr_input_db
     assert result.score.psnr_gain_db >= result.score.psnr_db
     # The rest is made meanwhile.
@@ -198,16 +198,14 @@ def test_training_learns_scores_and_leaves_whole_files(store_path: Path, tmp_pat
     network, checkpoint = load_whole_face(tmp_path / "run")
     assert checkpoint.metrics["psnr_db"] == result.score.psnr_db
     assert not network.training
-    assert bool((network.mean_position_mm != 0).any())
-    # On the same faces before and after: how hard those of single steps are differs more than what
-    # is learned. Seeds 0 to 7 leave 0.35 to 0.72 of the loss.
-    faces = faces_of(store_path, TINY.faces, TINY.augment)
-    untrained = WholeFaceTrainer(TINY).network
+    # On the same faces: of two people, the tones that a batch draws decide how hard it is.
+    faces, untrained = faces_of(store_path, TINY.faces, TINY.augment), WholeFaceNetwork(SIZE)
     untrained.keep(faces.in_common(SIZE.modes))
-    batch = faces.draw(16, np.random.default_rng(0))
-    with torch.no_grad():
-        first, last = (float(face_losses(n, batch)["diffuse"]) for n in (untrained, network))
-    assert last < 0.8 * first
+    pair = faces.draw(32, np.random.default_rng(9))
+    trained, before = (face_losses(n, pair)["diffuse"] for n in (network, untrained))
+    assert trained < 0.7 * before
+    assert bool((network.mode_doubt.diagonal() > 0).all())
+    assert bool((network.mean_position_mm != 0).any())
     with pytest.raises(CheckpointError, match="family: found whole_face, expected patches"):
         load_generator(tmp_path / "run")
 
