@@ -156,7 +156,8 @@ class Heavy(Processes):
     """A process alone, as if it had twice the texels of the mean process."""
 
     def weight(self, own: torch.Tensor) -> float:
-        return 2 * super().weight(own)
+        assert float(own) > 0
+        return 2.0
 
 
 @pytest.mark.parametrize(("norm", "times"), [("texel", 2.0), ("patch", 1.0)])
