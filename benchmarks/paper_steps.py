@@ -90,6 +90,7 @@ def measured(store_path: Path, name: str, full: bool, steps: int) -> dict[str, A
         lines.append(learner.step(number, 0.0))
         seconds.append(time.process_time() - began)
     found: dict[str, Any] = {
+        "steps": steps,
         "weights": sum(p.numel() for network in networks for p in network.parameters()),
         "seconds": statistics.median(seconds[1:] or seconds),
         "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
@@ -136,14 +137,44 @@ def in_a_child(store: Path, name: str, full: bool, steps: int) -> dict[str, Any]
 
 def losses(found: dict[str, float]) -> str:
     """Those of one network, or the sums over four."""
-    names = ("adversarial", "features", "rendering", "discriminators", "error")
     told = []
-    for name in names:
-        values = [v for k, v in found.items() if k.rpartition(".")[2] == name and "." in k]
-        values = values or [found[name]] if values or name in found else []
-        if values:
-            told.append(f"{name} {sum(values):.3g}")
+    for name in ("adversarial", "features", "rendering", "discriminators", "error"):
+        of_parts = [value for key, value in found.items() if key.endswith(f".{name}")]
+        if of_parts or name in found:
+            told.append(f"{name} {sum(of_parts) if of_parts else found[name]:.3g}")
     return ", ".join(told)
+
+
+def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
+    """Record presets, whether at full width, and what `measured` found of each."""
+    rows, told = [], []
+    for name, full, found in cases:
+        width = "full" if full else "reduced"
+        rows.append(
+            [
+                f"{name}, {width}",
+                f"{found['weights']:,}",
+                found["steps"],
+                f"{found['seconds']:.2f}",
+                f"{found['peak_gib']:.1f}",
+                losses(found["first"]),
+                losses(found["last"]),
+            ]
+        )
+        if "shares" in found:
+            each = (f"{n} {100 * share:.3g} %" for n, share in found["shares"].items())
+            told.append(f"{width}: {', '.join(each)}")
+    record(
+        "Learning, first steps of the published networks",
+        HEADER,
+        rows,
+        "Processor seconds over all cores. One patch a step, of 512 texels at full and 128 at "
+        "reduced width; published losses and rates, weights counted in; `error` is the maps' L1, "
+        f"which is not trained on. Last losses are means of at most the last {LAST} steps. Of four "
+        "networks sums. Share of the rendering loss in the untrained generator's, by its norm: "
+        + "; ".join(told)
+        + ".",
+    )
 
 
 def main() -> None:
@@ -159,37 +190,13 @@ def main() -> None:
     if chosen.case:
         print(json.dumps(measured(chosen.store, chosen.case, chosen.full, chosen.steps)))
         return
-    rows, told = [], []
+    cases = []
     with tempfile.TemporaryDirectory() as folder:
         store = chosen.store or store_of(Path(folder))
         for full, steps in ((False, chosen.steps), (True, chosen.full_steps)):
             for name in chosen.full_presets if full else PRESETS:
-                found = in_a_child(store, name, full, steps)
-                width = "full" if full else "reduced"
-                rows.append(
-                    [
-                        f"{name}, {width}",
-                        f"{found['weights']:,}",
-                        steps,
-                        f"{found['seconds']:.2f}",
-                        f"{found['peak_gib']:.1f}",
-                        losses(found["first"]),
-                        losses(found["last"]),
-                    ]
-                )
-                if "shares" in found:
-                    each = (f"{n} {100 * share:.2g} %" for n, share in found["shares"].items())
-                    told.append(f"{width}: {', '.join(each)}")
-    record(
-        "Learning, first steps of the published networks",
-        HEADER,
-        rows,
-        "Processor seconds over all cores. One patch a step, of 512 texels at full and 128 at "
-        "reduced width; published losses and rates, weights counted in; `error` is the maps' L1, "
-        "which is not trained on. Last losses are means of at most the last "
-        f"{LAST} steps. Of four networks sums. Share of the rendering loss in the untrained "
-        "generator's, by its norm: " + "; ".join(told) + ".",
-    )
+                cases.append((name, full, in_a_child(store, name, full, steps)))
+    tell(cases)
 
 
 if __name__ == "__main__":

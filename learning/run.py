@@ -353,7 +353,9 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
             hint="Resume with the --preset that the run began with, or choose another --out.",
         )
     wanted = parse_json(json.dumps(as_dict(config)), "configuration")
-    begun = {**BEFORE, **checkpoint.config}
+    # Not every family has all of these to choose.
+    before = {name: value for name, value in BEFORE.items() if name in wanted}
+    begun = {**before, **checkpoint.config}
     differing = {
         name: values for name, values in _differences(begun, wanted).items() if name not in FREE
     }
