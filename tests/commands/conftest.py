@@ -133,6 +133,10 @@ def run_command(monkeypatch, capsys):
     def run(program: str, *words: Any, interrupt_s: float = LONGEST_S) -> Ended:
         monkeypatch.setattr(sys, "argv", [f"lightstage-{program}", *map(str, words)])
         capsys.readouterr()
+        # A command that was interrupted ignores what comes after, and its process ends; this one
+        # goes on with the next command.
+        for number, handler in zip(signals[:3], before, strict=False):
+            signal.signal(number, handler)
         signal.setitimer(signal.ITIMER_REAL, interrupt_s)
         try:
             with pytest.raises(SystemExit) as ended:
