@@ -275,7 +275,7 @@ class Screen:
         for mark, words in LEGEND:
             sign, plain, style = MARKS[mark]
             line.append(sign if unicode else plain, style)
-            line.append(f" {words}   ")
+            line.append(f" {words}  ")
         return line.append("2 second take")
 
     def _said(self, console: Console, options: ConsoleOptions, room: int) -> list[RenderableType]:

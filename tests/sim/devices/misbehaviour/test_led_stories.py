@@ -127,7 +127,7 @@ def test_banks_that_make_no_difference_are_told_whatever_the_device_says(stage):
     stage.patterns = ("full@parallel", "full@cross")
     ending = stage.capture(Fault("swapped-bank"))
     # Only the pictures can tell, and these show nothing that mirrors.
-    refused(ending, "full@cross, no-polarisation", "Are the polarisers on lamps and lenses?")
+    refused(ending, "all cameras, pattern full@cross", "Are the polarisers on lamps and lenses?")
 
 
 def test_a_light_or_a_bank_that_is_not_there_cannot_be_faulty(stage):
