@@ -304,7 +304,7 @@ ANSWERS = {"retake": "take it again"}
 LEGEND: tuple[tuple[Mark, str], ...] = (
     ("kept", "kept"),
     ("now", "now"),
-    ("again", "to be taken again"),
+    ("again", "to retake"),
     ("failed", "failed"),
     ("in question", "in question"),
     ("to come", "to come"),
