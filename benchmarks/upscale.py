@@ -3,8 +3,8 @@
 People of another seed than those of the training, their lit textures and their albedos apart, and
 the face of a scanned head's texture. For each: PSNR over skin (sRGB-encoded), the energy beyond the
 input's band over the true one (more than 1 was invented), the correlation of that band with the
-true one, and the time of one picture. `--checkpoint RUN` names the network, `--picture FILE` leaves
-inputs, answers and truths side by side.
+true one, and the time of one picture. `--checkpoint RUN` measures another network, `--picture FILE`
+leaves inputs, answers and truths side by side.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ SCAN_FACE = (slice(176, 640), slice(336, 688))
 def main() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--checkpoint", type=Path, required=True, help="a run")
+    parser.add_argument("--checkpoint", type=Path, help="a run; the shipped weights else")
     parser.add_argument("--picture", type=Path, help="PNG to write: input, Lanczos, RCAN, truth")
     asked = parser.parse_args()
-    from learning.checkpoint import load_super_resolution
+    from learning.checkpoint import load_super_resolution, shipped_super_resolution
     from learning.upscale.score import compare, methods_of
 
-    network, about = load_super_resolution(asked.checkpoint)
+    network, about = load_super_resolution(asked.checkpoint or shipped_super_resolution())
     times, methods = network.config.times, methods_of(network)
     with tempfile.TemporaryDirectory() as folder:
         made = people(Path(folder), times)
@@ -63,7 +63,8 @@ def main() -> None:
             )
     weights = sum(values.numel() for values in network.parameters())
     record(
-        f"Learning, super-resolution at {times} times",
+        f"Learning, super-resolution at {times} times"
+        + (f", network of {asked.checkpoint.name}" if asked.checkpoint else ""),
         ["textures", "method", "PSNR dB", "energy beyond the input's band", "correlation", "s"],
         table,
         f"{SUBJECTS} people that were not trained on, {ROWS // times} to {ROWS} rows, {LIGHTS} "
