@@ -7,7 +7,7 @@ READY  := $(VENV)/.ready
 # Errors alone: pip warns of every package that one of a machine's own indexes does not have.
 INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-cache-dir
 # Benchmarks that ask for folders or pictures are called by hand.
-BY_HAND := atlas_rerender atlas_session geometry_pictures registration_pictures upscale
+BY_HAND := atlas_rerender atlas_session geometry_pictures registration_pictures
 BENCHMARKS = $(filter-out $(BY_HAND), $(notdir $(basename $(shell grep -l __main__ benchmarks/*.py))))
 # Waiting threads sleep instead of spinning: two test workers share the cores.
 export OMP_WAIT_POLICY := PASSIVE

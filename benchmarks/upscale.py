@@ -3,8 +3,8 @@
 People of another seed than those of the training, their lit textures and their albedos apart, and
 the face of a scanned head's texture. For each: PSNR over skin (sRGB-encoded), the energy beyond the
 input's band over the true one (more than 1 was invented), the correlation of that band with the
-true one, and the time of one picture. `--checkpoint RUN` names the network, `--picture FILE` leaves
-inputs, answers and truths side by side.
+true one, and the time of one picture. `--checkpoint RUN` measures another network, `--picture FILE`
+leaves FILE_0 and on: input, Lanczos, RCAN and truth side by side.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ SCAN_FACE = (slice(176, 640), slice(336, 688))
 def main() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--checkpoint", type=Path, required=True, help="a run")
-    parser.add_argument("--picture", type=Path, help="PNG to write: input, Lanczos, RCAN, truth")
+    parser.add_argument("--checkpoint", type=Path, help="a run; the shipped weights else")
+    parser.add_argument("--picture", type=Path, help="PNG to write, with _0 and on in its name")
     asked = parser.parse_args()
-    from learning.checkpoint import load_super_resolution
+    from learning.checkpoint import load_super_resolution, shipped_super_resolution
     from learning.upscale.score import compare, methods_of
 
-    network, about = load_super_resolution(asked.checkpoint)
+    network, about = load_super_resolution(asked.checkpoint or shipped_super_resolution())
     times, methods = network.config.times, methods_of(network)
     with tempfile.TemporaryDirectory() as folder:
         made = people(Path(folder), times)
@@ -63,7 +63,8 @@ def main() -> None:
             )
     weights = sum(values.numel() for values in network.parameters())
     record(
-        f"Learning, super-resolution at {times} times",
+        f"Learning, super-resolution at {times} times"
+        + (f", network of {asked.checkpoint.name}" if asked.checkpoint else ""),
         ["textures", "method", "PSNR dB", "energy beyond the input's band", "correlation", "s"],
         table,
         f"{SUBJECTS} people that were not trained on, {ROWS // times} to {ROWS} rows, {LIGHTS} "
@@ -77,20 +78,12 @@ def main() -> None:
         "Seconds of wall time on a machine that others use too.",
     )
     if asked.picture:
-        shown = [cases["people, lit"][0], *([scan] if scan else [])]
-        sheet = [
-            [enlarged_input(low, times), *(np.clip(methods[m](low), 0, 1) for m in SHOWN), true]
-            for low, true in (
-                (planes(p.low), planes(p.high)[: times * p.low.shape[1]]) for p in shown
-            )
-        ]
-        for index, row in enumerate(sheet):
+        for index, picture in enumerate([cases["people, lit"][0], *([scan] if scan else [])]):
+            low, true = planes(picture.low), planes(picture.high)
+            found = [np.clip(methods[name](low), 0, 1) for name in ("lanczos", "network")]
+            row = np.concatenate([as_squares(low, times), *found, true], axis=1)
             path = asked.picture.with_stem(f"{asked.picture.stem}_{index}")
-            image = np.concatenate(row, axis=1)[..., ::-1]
-            cv2.imwrite(str(path), np.rint(255 * image).astype(np.uint8))
-
-
-SHOWN = ("lanczos", "network")
+            cv2.imwrite(str(path), np.rint(255 * row[..., ::-1]).astype(np.uint8))
 
 
 def planes(tensor: Tensor) -> np.ndarray:
@@ -98,7 +91,7 @@ def planes(tensor: Tensor) -> np.ndarray:
     return np.ascontiguousarray(tensor.float().permute(1, 2, 0).numpy())
 
 
-def enlarged_input(low: np.ndarray, times: int) -> np.ndarray:
+def as_squares(low: np.ndarray, times: int) -> np.ndarray:
     """The input's texels as squares."""
     return low.repeat(times, axis=0).repeat(times, axis=1)
 

@@ -291,11 +291,12 @@ def upscale(
         Path, output_file("--out", help="Texture to write, .exr, linear.", suffixes=[".exr"])
     ],
     checkpoint: Annotated[
-        Path,
+        Path | None,
         typer.Option(
-            help="Run folder of a `rcan` or `rcan-small` training, or its checkpoint.json."
+            help="Run folder of a `rcan` or `rcan-small` training, or its checkpoint.json; the "
+            "weights that are shipped else."
         ),
-    ],
+    ] = None,
     times: Annotated[
         int | None,
         typer.Option(help="The enlargement to make sure of; the network has one, mostly 8."),

@@ -241,6 +241,11 @@ def shipped_weights() -> Path:
     return Path(__file__).parent / "data" / "whole_face"
 
 
+def shipped_super_resolution() -> Path:
+    """The run folder of the super-resolution that this package brings."""
+    return Path(__file__).parent / "data" / "upscale"
+
+
 def of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
     """A checkpoint and its index; CheckpointError where its networks are of another family."""
     checkpoint = read_checkpoint(path)

@@ -15,6 +15,7 @@ from learning.checkpoint import (
     load_super_resolution,
     load_whole_face,
     read_checkpoint,
+    shipped_super_resolution,
     shipped_weights,
 )
 from learning.data import DataConfig
@@ -358,16 +359,16 @@ def infer_command(
 
 def upscale_command(
     picture: Path,
-    checkpoint: Path,
+    checkpoint: Path | None,
     out: Path,
     times: int | None,
     progress: ProgressCallback,
     device_name: str = "auto",
 ) -> dict[str, Any]:
-    """Enlarge a picture; returns the facts."""
+    """Enlarge a picture, with the shipped weights where none are named; returns the facts."""
     began = time.monotonic()
     device = choose_device(device_name)
-    network, about = load_super_resolution(checkpoint)
+    network, about = load_super_resolution(checkpoint or shipped_super_resolution())
     own = network.config.times
     if times not in (None, own):
         raise ConfigError(

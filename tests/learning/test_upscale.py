@@ -17,7 +17,11 @@ from hypothesis.extra import numpy as arrays
 
 from learning.__main__ import main
 from learning.augment import AugmentConfig
-from learning.checkpoint import load_super_resolution, load_whole_face
+from learning.checkpoint import (
+    load_super_resolution,
+    load_whole_face,
+    shipped_super_resolution,
+)
 from learning.errors import CheckpointError, MapsError, TrainingError
 from learning.presets import preset
 from learning.render.environments import RandomLightConfig
@@ -31,7 +35,9 @@ from learning.upscale.train import train_upscaling
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.exr import read_exr, write_exr
-from processing.dataset import open_store
+from processing.dataset import build_store, open_store
+from sim.people.dataset import make_plan, write_people
+from sim.people.table import load_table
 
 SMALL = RcanConfig(groups=2, blocks=2, width=8, tail_width=6, reduction=2)
 TINY = UpscaleTrainConfig(
@@ -351,3 +357,18 @@ def test_train_then_upscale_by_the_commands(
     assert run(monkeypatch, *asked, "--times", 64) == 2
     assert "--times: found 64, expected 8" in capsys.readouterr().err
     assert not large.exists()
+
+
+def test_the_shipped_weights_beat_bicubic_on_two_people_not_trained_on(tmp_path: Path) -> None:
+    write_people(make_plan(tmp_path / "people", load_table("balanced"), 2, 1, 900, 768), jobs=1)
+    folders = sorted(path.parent for path in (tmp_path / "people").glob("*/report.json"))
+    store_path = build_store(folders, tmp_path / "store")
+    network, _ = load_super_resolution(shipped_super_resolution())
+    store, rng = open_store(store_path), np.random.default_rng(0)
+    people, own = {scan.subject for scan in store.scans}, AugmentConfig(0.0, 0.0)
+    how = PicturesConfig(shadow_sets=1)
+    pictures = Pictures(store, people, 8, 4, how, RandomLightConfig(), own, rng).pictures
+    score = score_upscaling(network, pictures)
+    assert score.psnr_db > score.psnr_bicubic_db + 1
+    assert score.energy_lanczos < score.energy < 1
+    assert score.correlation > score.correlation_lanczos
