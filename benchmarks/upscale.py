@@ -80,8 +80,8 @@ def main() -> None:
     if asked.picture:
         for index, picture in enumerate([cases["people, lit"][0], *([scan] if scan else [])]):
             low, true = planes(picture.low), planes(picture.high)
-            found = [np.clip(methods[name](low), 0, 1) for name in ("lanczos", "network")]
-            row = np.concatenate([as_squares(low, times), *found, true], axis=1)
+            both = [np.clip(methods[name](low), 0, 1) for name in ("lanczos", "network")]
+            row = np.concatenate([as_squares(low, times), *both, true], axis=1)
             path = asked.picture.with_stem(f"{asked.picture.stem}_{index}")
             cv2.imwrite(str(path), np.rint(255 * row[..., ::-1]).astype(np.uint8))
 

@@ -139,7 +139,7 @@ def pulse_findings(
                 "LED device",
                 "no pulse frequency",
                 "pulse_hz=.. in its URL (--leds)",
-                "Exposures are not compared with the lights' pulses.",
+                "Not verified: exposures are not compared with the lights' pulses.",
             )
         ]
     groups: dict[str, list[str]] = {}
