@@ -284,16 +284,23 @@ def test_a_signal_in_the_middle_of_an_exposure_is_a_stop_after_which_no_line_com
 def test_a_stop_does_not_wait_for_a_camera_that_hangs_and_no_thread_writes_after_the_last_line(
     bench,
 ):
+    # Pools that other tests in this process left behind wait for work for ever.
+    before = set(threading.enumerate())
     bench.config = dataclasses.replace(bench.config, late_camera_grace_s=0.5)
     camera = bench.cameras[2]
     camera.faults[1] = "hangs"
-    bench.operator.command = lambda: "abort" if camera.hanging else None
+
+    def once_the_others_exposed():
+        exposed = all(each.on_card for each in bench.cameras[:2])
+        return "abort" if camera.hanging and exposed else None
+
+    bench.operator.command = once_the_others_exposed
     with pytest.raises(StoppedError):
         bench.run()
     assert camera.hanging
     bench.writer.abort(said="Stopped by the operator.")
     camera.answer.set()
-    for thread in threading.enumerate():
+    for thread in set(threading.enumerate()) - before:
         if thread.name.startswith("ThreadPoolExecutor"):
             thread.join()
     assert camera.shots == 1
