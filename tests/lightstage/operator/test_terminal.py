@@ -26,7 +26,7 @@ import json, sys, threading, time
 from lightstage.commands import make_app, run_app
 from lightstage.errors import StoppedError
 from lightstage.findings import Finding
-from lightstage.interrupts import signals_held
+from lightstage.interrupts import signals_put_off
 from lightstage.operator import open_operator
 
 out = sys.argv[1]
@@ -62,7 +62,7 @@ LOOP = """
                 time.sleep(0.01)
 """
 DEAF = """
-            with signals_held():
+            with signals_put_off():
                 light("deaf")
                 while not (wish := operator.command()):
                     time.sleep(0.01)
