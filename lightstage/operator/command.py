@@ -80,8 +80,8 @@ def watch_command(
                     view.told(line)
         if until is not None and until > view.last_id:
             raise ConfigError("--until", found=str(until), expected=f"at most {view.last_id}")
-        keys = ("retake", "pause", "abort") if view.phase == "running" else ()
-        write_text(picture, drawn(Screen(view, Ask(keys=keys)), columns))
+        keys = ("retake", "pause", "abort") if view.phase == "running" else view.answers
+        write_text(picture, drawn(Screen(view, Ask(view.question, keys)), columns))
     else:
         _wait_for(session / "journal.jsonl", wait)
         left = _watch(session, view)

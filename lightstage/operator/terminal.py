@@ -25,7 +25,7 @@ from lightstage.operator.attendance import (
     Requests,
     Wish,
     by_rule,
-    may_accept,
+    possible_answers,
 )
 from lightstage.operator.cells import sayable
 from lightstage.operator.keys import has_keys, heard, key_by_key
@@ -113,8 +113,7 @@ class TerminalOperator:
             said({"event": "finding", **dataclasses.asdict(finding)}) for finding in findings
         ]
         try:
-            choices: tuple[Decision, ...] = ("retake", "accept", "abort")
-            return self._requests.ask(choices if may_accept(findings) else ("retake", "abort"))
+            return self._requests.ask(possible_answers(finding.code for finding in findings))
         finally:
             self._question, self._scroll = [], Scroll()
 
