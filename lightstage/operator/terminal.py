@@ -143,7 +143,7 @@ class TerminalOperator:
                     self._heard = f"Not now: {why}."
 
     def _ask_now(self) -> Ask:
-        if self.view.phase in ("complete", "aborted"):
+        if self.view.over:
             # No key does anything any more, and of what was heard the stop alone still matters.
             return Ask(heard="" if self._stopped_s is None else HEARD["abort"])
         keys = () if self._keys is None else self._requests.possible

@@ -30,7 +30,7 @@ from lightstage.resume_line import options_of
 State = Literal[
     "idle", "triggering", "downloading", "kept", "failed", "late", "restarting", "in question"
 ]
-Phase = Literal["before", "running", "asked", "paused", "aborted", "complete"]
+Phase = Literal["before", "running", "asked", "paused", "aborted", "complete", "gone"]
 
 SHOTS_MEASURED = 9
 """Time left is told from the median of so many shots, so that one slow one does not change it."""
@@ -83,7 +83,8 @@ class View:
         pattern: what is lit; None in the dark.
         lights: what the LED device told, as one line.
         acknowledged: whether it tells what is lit; None where it is not known.
-        phase: what the capture does; ``asked`` waits, dark, for the operator's answer.
+        phase: what the capture does; ``asked`` waits, dark, for the operator's answer; ``gone`` was
+            killed.
         options: with which the capture goes on, as its journal tells them.
         late: what is known of cameras that the others wait for; None where there are none.
         question: what the operator is asked about; empty where nothing is asked.
@@ -144,6 +145,17 @@ class View:
         left = sum(pattern not in self.done for pattern in self.patterns)
         late_s = None if self.late is None else self.late.left_s()
         return left * statistics.median(self._shot_s) + (late_s or 0.0)
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more comes."""
+        return self.phase in ("complete", "aborted", "gone")
+
+    def gone(self) -> None:
+        """No capture runs any more; one that did not say how it ended was killed."""
+        with self.lock:
+            if not self.over:
+                self._ends("gone")
 
     def progress(self) -> str:
         """How far it is, as one sentence."""
@@ -345,8 +357,10 @@ class View:
             camera.state = "idle"
 
     def _over(self, line: Mapping[str, Any]) -> None:
-        self.phase = "complete" if text_of(line, "event") == "end" else "aborted"
-        self.question, self.answers = [], ()
+        self._ends("complete" if text_of(line, "event") == "end" else "aborted")
+
+    def _ends(self, phase: Phase) -> None:
+        self.phase, self.question, self.answers = phase, [], ()
         self.pattern = self.late = None
         left = [item for item in self._news if item[1] != FOLLOWING]  # nobody can any more
         self._news = collections.deque(left, NEWS_KEPT)
