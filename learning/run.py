@@ -27,7 +27,7 @@ from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.config import as_dict
 from lightstage.formats.values import parse_json
-from lightstage.interrupts import held
+from lightstage.interrupts import first_signal_noted
 from processing.dataset import Store
 
 METRICS = "metrics.jsonl"
@@ -133,7 +133,7 @@ class Run:
         """
         finished, saved, whole = self.first, time.monotonic(), True
         guard = Guard()
-        with held() as signals:
+        with first_signal_noted() as signals:
             try:
                 for step, done in self._steps(total, progress):
                     whole = False

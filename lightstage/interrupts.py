@@ -13,18 +13,18 @@ NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _interrupted = threading.Event()
 _once = threading.Event()
 AGAIN_S = 1.0
-"""A second signal this long after the first is somebody who will not wait: it is never held back.
+"""A second signal this long after a noted one is somebody who will not wait: it interrupts.
 One key may reach a process several times, from the terminal and from who started it."""
 
 
-class Held:
-    """Whether a signal has come within `held`, and when."""
+class Noted:
+    """Whether a signal has come within `first_signal_noted`, and when."""
 
     came: bool = False
     since: float = 0.0
 
 
-_held: list[Held] = []
+_noting: list[Noted] = []
 
 
 def end_without_traceback() -> None:
@@ -96,11 +96,12 @@ def ignore_signals() -> None:
 
 
 @contextlib.contextmanager
-def signals_held() -> Iterator[None]:
-    """Put off SIGINT, SIGTERM and SIGHUP: a second Ctrl-C must not leave the lights on.
+def signals_put_off() -> Iterator[None]:
+    """Put off every SIGINT, SIGTERM and SIGHUP to the block's end, when they interrupt as usual.
 
-    What came is delivered at the end; where the block fails, its error ends the command already.
-    Only the main thread gets signals at all.
+    For seconds that nothing may cut short: a second Ctrl-C must not leave the lights on. Where the
+    block fails, its error ends the command already. Work that is to end itself early when a signal
+    comes asks `first_signal_noted`. Only the main thread gets signals at all.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -146,18 +147,18 @@ def signals_told(tell: Callable[[], object]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def held() -> Iterator[Held]:
-    """Within the block the first signal interrupts nothing: who asks `came` ends in order.
+def first_signal_noted() -> Iterator[Noted]:
+    """Only note the first signal: it interrupts nothing, then or later; who asks `came` ends.
 
-    For work whose parts belong together, such as a step of a training. A second signal, later than
-    `AGAIN_S` after the first, raises KeyboardInterrupt at once.
+    For long work whose parts belong together, such as a training's steps. A second signal, later
+    than `AGAIN_S` after the first, raises KeyboardInterrupt at once.
     """
-    here = Held()
-    _held.append(here)
+    here = Noted()
+    _noting.append(here)
     try:
         yield here
     finally:
-        _held.remove(here)
+        _noting.remove(here)
 
 
 def _interrupt(*_: object) -> None:
@@ -166,8 +167,8 @@ def _interrupt(*_: object) -> None:
     if again and _once.is_set():
         return
     now = time.monotonic()
-    if _held and (not _held[-1].came or now - _held[-1].since < AGAIN_S):
-        if not _held[-1].came:
-            _held[-1].came, _held[-1].since = True, now
+    if _noting and (not _noting[-1].came or now - _noting[-1].since < AGAIN_S):
+        if not _noting[-1].came:
+            _noting[-1].came, _noting[-1].since = True, now
         return
     raise KeyboardInterrupt

@@ -228,7 +228,8 @@ class Run:
     def _decide(self, pattern: str, bad: Sequence[Finding], left: int) -> Decision:
         """Ask, in the dark: somebody may think about the answer for long."""
         self._lights.dark()
-        self._writer.note("asked", pattern=pattern)
+        findings = [dataclasses.asdict(each) for each in bad]
+        self._writer.note("asked", pattern=pattern, findings=findings)
         decision = self._operator.decide(bad, left)
         self._writer.note("answered", pattern=pattern, do=decision)
         return decision

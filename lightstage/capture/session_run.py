@@ -21,7 +21,7 @@ from lightstage.checks import ShotChecks
 from lightstage.errors import CaptureError, FormatError, LightstageError
 from lightstage.findings import Finding
 from lightstage.formats.config import as_dict, make_config
-from lightstage.interrupts import signals_held
+from lightstage.interrupts import signals_put_off
 from lightstage.operator import Operator, serve_events
 from lightstage.operator.plain import plain
 from lightstage.patterns import on_plane
@@ -148,7 +148,7 @@ def capture_session(
             require_on_disk(order.root, writer.state)
             writer.end(capture=dataclasses.asdict(report))
         except BaseException as error:
-            with signals_held():
+            with signals_put_off():
                 raise _last_words(error, stage, order, writer, run) from None
     return report
 

@@ -6,7 +6,7 @@ import collections
 import contextlib
 import dataclasses
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, Protocol, get_args
 
 from lightstage.errors import LightstageError
@@ -59,9 +59,9 @@ class Operator(Protocol):
         """Have this done at once when somebody aborts, in the thread that hears it."""
 
 
-def may_accept(findings: Sequence[Finding]) -> bool:
-    """Whether there is a photograph to accept in spite of these findings."""
-    return all(finding.code != NOT_TAKEN for finding in findings)
+def possible_answers(codes: Iterable[str]) -> tuple[Decision, ...]:
+    """What can be answered to findings of these codes; without a photograph none is accepted."""
+    return ("retake", "abort") if NOT_TAKEN in codes else ("retake", "accept", "abort")
 
 
 def by_rule(findings: Sequence[Finding], retakes_left: int, config: OperatorConfig) -> Decision:
@@ -70,7 +70,8 @@ def by_rule(findings: Sequence[Finding], retakes_left: int, config: OperatorConf
         return "accept"
     if retakes_left > 0:
         return "retake"
-    return "accept" if config.then == "accept" and may_accept(findings) else "abort"
+    then = config.then
+    return then if then in possible_answers(finding.code for finding in findings) else "abort"
 
 
 class Requests:

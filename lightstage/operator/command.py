@@ -72,7 +72,7 @@ def watch_command(
         return
     if until is not None and picture is None:
         raise ConfigError("--until", found=str(until), expected="--picture beside it")
-    view, left = View(str(session)), False
+    view = View(str(session))
     if picture is not None:
         with JournalTail(session / "journal.jsonl") as tail:
             for line in tail.read():
@@ -80,19 +80,17 @@ def watch_command(
                     view.told(line)
         if until is not None and until > view.last_id:
             raise ConfigError("--until", found=str(until), expected=f"at most {view.last_id}")
-        keys = ("retake", "pause", "abort") if view.phase == "running" else ()
-        write_text(picture, drawn(Screen(view, Ask(keys=keys)), columns))
+        keys = ("retake", "pause", "abort") if view.phase == "running" else view.answers
+        write_text(picture, drawn(Screen(view, Ask(view.question, keys)), columns))
     else:
         _wait_for(session / "journal.jsonl", wait)
-        left = _watch(session, view)
-    running = view.phase in ("running", "asked", "paused")
-    # Who follows and did not leave sees a capture to its end, or until its process is gone.
-    gone = running and picture is None and not left
+        _watch(session, view)
+    gone, ended = view.phase == "gone", view.phase in ("aborted", "complete", "before")
     again = f"\n  Go on with: {resume_line(session, view.options)}" if gone else ""
     finish(
         f"{session}: {view.kept} of {view.wanted} photographs kept, "
         f"{len(view.done)} of {len(view.patterns)} patterns done, "
-        f"{'not over' if running else view.phase} at line {view.last_id}"
+        f"{view.phase if ended else 'not over'} at line {view.last_id}"
         f"{', and no capture runs' if gone else ''}{again}",
         {
             "session": str(session),
@@ -149,8 +147,8 @@ def _wait_for(journal: Path, wait_s: float) -> None:
         time.sleep(LOOK_S)
 
 
-def _watch(session: Path, view: View) -> bool:
-    """Show lines as they come, until the capture is over or the watcher leaves; whether he does."""
+def _watch(session: Path, view: View) -> None:
+    """Show lines as they come, until the capture is over or the watcher leaves."""
     console = Console(stderr=True, highlight=False)
     left = threading.Event()
     attended = console.is_terminal and has_keys(KEYBOARD)
@@ -164,10 +162,13 @@ def _watch(session: Path, view: View) -> bool:
         if attended:
             stack.enter_context(key_by_key(KEYBOARD))
             stack.enter_context(heard(KEYBOARD, press))
-        shown = stack.enter_context(Shown(console, view, lambda: Ask(keys=keys)))
+        shown = stack.enter_context(
+            Shown(console, view, lambda: Ask(keys=() if view.over else keys))
+        )
         try:
             for line in follow(session, left.is_set):
                 shown.told(line)
+            if not left.is_set():  # it was followed to its end, or until its process was gone
+                view.gone()
         except KeyboardInterrupt:  # Ctrl-C leaves, as q does
-            left.set()
-    return left.is_set()
+            pass

@@ -127,7 +127,10 @@ class Screen:
     def _lights(self) -> RenderableType:
         view = self.view
         line = Text(overflow="ellipsis", no_wrap=True)
-        if self.ask.stopping_s is not None and view.phase not in ("aborted", "complete"):
+        if view.phase == "gone":
+            line.append("NO CAPTURE RUNS", "bold red")
+            return line
+        if self.ask.stopping_s is not None and not view.over:
             line.append(f"STOPPING for {self.ask.stopping_s:.0f} s", "bold red")
         elif view.phase == "before":
             line.append("Lights and cameras are being checked.", "bold")
@@ -174,14 +177,14 @@ class Screen:
         cells = max(8, min(40, width - 46))
         filled = cells * min(kept, wanted) // wanted
         line = Text(no_wrap=True, overflow="ellipsis")
-        line.append(full * filled, "green" if view.phase != "aborted" else "")
+        line.append(full * filled, "" if view.phase in ("aborted", "gone") else "green")
         line.append(empty * (cells - filled), "dim")
         line.append(f" {kept} of {view.wanted} photographs", "bold")
         if view.phase == "complete":
             line.append(", COMPLETE", "bold green")
         elif view.phase == "aborted":
             line.append(", STOPPED", "bold red")
-        elif view.phase != "before":
+        elif view.phase not in ("before", "gone"):
             line.append(f", {duration(view.left_s())}")
         return line
 
@@ -263,8 +266,7 @@ class Screen:
         return line
 
     def _state(self, camera: CameraView) -> Text:
-        over = self.view.phase in ("complete", "aborted") and camera.state != "failed"
-        if over:
+        if self.view.over and camera.state != "failed":
             return Text("-", "dim")
         style = dict.fromkeys(NEEDY, "bold yellow") | {"kept": "green"}
         style |= dict.fromkeys(("failed", "in question"), "bold red")
@@ -283,9 +285,9 @@ class Screen:
         asked = self.ask.question
         items = [_said(item) for item in merged(asked if asked else self.view.news)]
         gap: list[RenderableType] = [Text()] if room > 4 else []
-        keys = self.view.phase not in ("complete", "aborted")
         room -= len(gap)
-        shown = fitting(items, room, self.ask.scroll, console, options, not asked, keys)
+        scroll, keys = self.ask.scroll, not self.view.over
+        shown = fitting(items, room, scroll, console, options, not asked, keys)
         return [*gap, *shown]
 
     def _keys(self, width: int) -> list[RenderableType]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import io
 import threading
 import time
 from collections import deque
@@ -24,7 +25,7 @@ from lightstage.operator.attendance import (
     Requests,
     Wish,
     by_rule,
-    may_accept,
+    possible_answers,
 )
 from lightstage.operator.cells import sayable
 from lightstage.operator.keys import has_keys, heard, key_by_key
@@ -112,8 +113,7 @@ class TerminalOperator:
             said({"event": "finding", **dataclasses.asdict(finding)}) for finding in findings
         ]
         try:
-            choices: tuple[Decision, ...] = ("retake", "accept", "abort")
-            return self._requests.ask(choices if may_accept(findings) else ("retake", "abort"))
+            return self._requests.ask(possible_answers(finding.code for finding in findings))
         finally:
             self._question, self._scroll = [], Scroll()
 
@@ -143,7 +143,7 @@ class TerminalOperator:
                     self._heard = f"Not now: {why}."
 
     def _ask_now(self) -> Ask:
-        if self.view.phase in ("complete", "aborted"):
+        if self.view.over:
             # No key does anything any more, and of what was heard the stop alone still matters.
             return Ask(heard="" if self._stopped_s is None else HEARD["abort"])
         keys = () if self._keys is None else self._requests.possible
@@ -167,18 +167,14 @@ class Shown:
         self._lines: deque[str] = deque(maxlen=LINES_WAITING)
         self._changed = threading.Condition()
         self._over = False
-        self._live: Live | None = None
+        self._drawing = contextlib.ExitStack()
         self._thread: threading.Thread | None = None
 
     def __enter__(self) -> Shown:
         if self._console.is_terminal and not self._console.is_dumb_terminal:
-            self._live = Live(
-                console=self._console,
-                get_renderable=lambda: Screen(self._view, self._ask()),
-                refresh_per_second=PICTURES_PER_S,
-                vertical_overflow="crop",
+            self._drawing.enter_context(
+                _drawn_anew(self._console, lambda: Screen(self._view, self._ask()))
             )
-            self._live.start(refresh=True)
         else:
             self._thread = threading.Thread(target=self._print, name="lines", daemon=True)
             self._thread.start()
@@ -190,9 +186,7 @@ class Shown:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._live is not None:
-            with contextlib.suppress(OSError):  # the terminal is gone
-                self._live.stop()
+        self._drawing.close()
         with self._changed:
             self._over = True
             self._changed.notify()
@@ -232,6 +226,39 @@ class Shown:
                 self._console.file.flush()
             except (OSError, ValueError):  # the reader is gone, or the file is closed
                 return
+
+
+@contextlib.contextmanager
+def _drawn_anew(console: Console, picture: Callable[[], Screen]) -> Iterator[None]:
+    """A picture that fills the terminal as long as the block lasts; its last state stays below.
+
+    It stands on the terminal's second screen, and each time all of it is drawn from the corner on:
+    when the window is resized, a terminal moves and wraps the first screen's lines as it likes, and
+    nobody can tell where they are then. What others write to sys.stderr comes after the picture,
+    since it would be drawn over.
+    """
+    said = io.StringIO()
+    console.file = console.file  # the terminal, whatever sys.stderr is meanwhile
+    live = Live(
+        console=console,
+        screen=True,
+        get_renderable=picture,
+        refresh_per_second=PICTURES_PER_S,
+        redirect_stdout=False,
+        redirect_stderr=False,
+    )
+
+    def leave() -> None:
+        with contextlib.suppress(OSError):  # the terminal is gone
+            live.stop()
+            console.print(picture())
+            console.file.write(said.getvalue())
+
+    with contextlib.ExitStack() as stack:
+        stack.callback(leave)
+        stack.enter_context(contextlib.redirect_stderr(said))
+        live.start(refresh=True)
+        yield
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, Literal
 
+from lightstage.operator.attendance import Decision, possible_answers
 from lightstage.operator.words import (
     Mark,
     Said,
@@ -29,7 +30,7 @@ from lightstage.resume_line import options_of
 State = Literal[
     "idle", "triggering", "downloading", "kept", "failed", "late", "restarting", "in question"
 ]
-Phase = Literal["before", "running", "asked", "paused", "aborted", "complete"]
+Phase = Literal["before", "running", "asked", "paused", "aborted", "complete", "gone"]
 
 SHOTS_MEASURED = 9
 """Time left is told from the median of so many shots, so that one slow one does not change it."""
@@ -82,9 +83,12 @@ class View:
         pattern: what is lit; None in the dark.
         lights: what the LED device told, as one line.
         acknowledged: whether it tells what is lit; None where it is not known.
-        phase: what the capture does; ``asked`` waits, dark, for the operator's answer.
+        phase: what the capture does; ``asked`` waits, dark, for the operator's answer; ``gone`` was
+            killed.
         options: with which the capture goes on, as its journal tells them.
         late: what is known of cameras that the others wait for; None where there are none.
+        question: what the operator is asked about; empty where nothing is asked.
+        answers: what can be answered to it.
     """
 
     def __init__(self, session: str = "SESSION") -> None:
@@ -108,6 +112,8 @@ class View:
         self._late_since_s: float | None = None
         self.late: Late | None = None
         self.options: list[str] = []
+        self.question: list[Said] = []
+        self.answers: tuple[Decision, ...] = ()
 
     @property
     def news(self) -> list[Said]:
@@ -139,6 +145,17 @@ class View:
         left = sum(pattern not in self.done for pattern in self.patterns)
         late_s = None if self.late is None else self.late.left_s()
         return left * statistics.median(self._shot_s) + (late_s or 0.0)
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more comes."""
+        return self.phase in ("complete", "aborted", "gone")
+
+    def gone(self) -> None:
+        """No capture runs any more; one that did not say how it ended was killed."""
+        with self.lock:
+            if not self.over:
+                self._ends("gone")
 
     def progress(self) -> str:
         """How far it is, as one sentence."""
@@ -187,7 +204,7 @@ class View:
         self._devices(line)
 
     def _resume(self, line: Mapping[str, Any]) -> None:
-        self.phase = "running"
+        self.phase, self.question, self.answers = "running", [], ()
         self.pattern = self._since_s = None
         for camera in self.cameras.values():
             camera.state = "idle"
@@ -224,6 +241,12 @@ class View:
         self._late_over(line)
         self.phase, self.pattern, self.late = "asked", None, None
         self._asked_s = number_of(line, "elapsed_s")
+        told = line.get("findings")
+        findings = (
+            [each for each in told if isinstance(each, dict)] if isinstance(told, list) else []
+        )
+        self.question = [said({**each, "event": "finding"}) for each in findings]
+        self.answers = possible_answers(text_of(each, "code") for each in findings)
 
     def _late_over(self, line: Mapping[str, Any]) -> None:
         """The time for which a camera was waited for in the dark is no measure of what is left."""
@@ -232,7 +255,7 @@ class View:
             self._since_s += now_s - late_s
 
     def _answered(self, line: Mapping[str, Any]) -> None:
-        self.phase = "running"
+        self.phase, self.question, self.answers = "running", [], ()
         now_s, asked_s = number_of(line, "elapsed_s"), self._asked_s
         if now_s is not None and asked_s is not None and self._since_s is not None:
             self._since_s += now_s - asked_s  # thinking is no measure of what is left
@@ -334,7 +357,10 @@ class View:
             camera.state = "idle"
 
     def _over(self, line: Mapping[str, Any]) -> None:
-        self.phase = "complete" if text_of(line, "event") == "end" else "aborted"
+        self._ends("complete" if text_of(line, "event") == "end" else "aborted")
+
+    def _ends(self, phase: Phase) -> None:
+        self.phase, self.question, self.answers = phase, [], ()
         self.pattern = self.late = None
         left = [item for item in self._news if item[1] != FOLLOWING]  # nobody can any more
         self._news = collections.deque(left, NEWS_KEPT)

@@ -9,7 +9,7 @@ from types import TracebackType
 import numpy as np
 
 from lightstage.errors import CaptureError, DeviceError, LightstageError
-from lightstage.interrupts import signals_held
+from lightstage.interrupts import signals_put_off
 from lightstage.leds.controller import Hello, LedController, LightLostError, level_steps
 from lightstage.leds.guard import Guardian, HasLastWill
 from lightstage.rig import Rig
@@ -180,7 +180,7 @@ class SafeLights:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        with signals_held():
+        with signals_put_off():
             self._stop.set()
             try:
                 self.dark()

@@ -209,7 +209,7 @@ def test_a_signal_waits_for_the_end_of_what_is_held_and_an_impatient_one_does_no
     handlers = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         interrupts.raise_on_signals()
-        with interrupts.held() as signals:
+        with interrupts.first_signal_noted() as signals:
             assert not signals.came
             os.kill(os.getpid(), signal.SIGTERM)
             os.kill(os.getpid(), signal.SIGTERM)

@@ -17,6 +17,8 @@ from typing import Any
 
 import pytest
 
+from tests.lightstage.operator.emulator import Emulator
+
 PATTERNS = ["full", "x+", "x-", "y+", "y-", "z+", "z-"]
 Line = dict[str, Any]
 
@@ -168,6 +170,7 @@ class Terminal:
 
     Attributes:
         process: the child; the terminal is its controlling one.
+        emulator: what its screen shows.
     """
 
     def __init__(self, arguments: list[str], columns: int = 100, rows: int = 30) -> None:
@@ -175,6 +178,8 @@ class Terminal:
         termios.tcsetwinsize(self._theirs, (rows, columns))
         self.before = self.mode()
         self._said = bytearray()
+        self.emulator = Emulator(columns, rows)
+        self._lock = threading.Lock()
         environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
         self.process = subprocess.Popen(
             [sys.executable, "-c", BECOME, *arguments],
@@ -197,6 +202,12 @@ class Terminal:
         """How the terminal is set."""
         return termios.tcgetattr(self._theirs)
 
+    def resize(self, columns: int, rows: int) -> None:
+        """Another size of the window; the process gets its signal, SIGWINCH."""
+        with self._lock:
+            self.emulator.resize(columns, rows)
+            termios.tcsetwinsize(self._theirs, (rows, columns))
+
     def press(self, keys: str) -> None:
         os.write(self._ours, keys.encode())
 
@@ -204,10 +215,12 @@ class Terminal:
         """Wait until something is shown; returns how much was shown by then."""
         return self.wait_until(lambda: text in self.said[since:], f"{text!r} was not shown")
 
-    def wait_until(self, done: Callable[[], bool], failure: str) -> int:
+    def wait_until(self, done: Callable[[], bool], failure: str | Callable[[], str]) -> int:
         until_s = time.monotonic() + 60
         while not done():
-            assert time.monotonic() < until_s, f"{failure}: {self.said[-3000:]}"
+            if time.monotonic() >= until_s:
+                said = failure() if callable(failure) else f"{failure}: {self.said[-3000:]}"
+                pytest.fail(said)
             time.sleep(0.01)
         return len(self.said)
 
@@ -228,12 +241,15 @@ class Terminal:
                 piece = os.read(self._ours, 65536)
             except OSError:
                 return
-            self._said += piece
+            with self._lock:
+                self._said += piece
+                self.emulator.feed(piece)
 
 
 BECOME = """
-import fcntl, os, sys, termios
+import fcntl, os, signal, sys, termios
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # ignored where the tests are a job in the background
 os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 """
 

@@ -15,6 +15,8 @@ from rich.console import Console
 from lightstage.errors import DeviceError
 from lightstage.findings import Finding
 from lightstage.operator import OperatorConfig, TerminalOperator, open_operator
+from lightstage.operator.screen import Ask, Screen
+from lightstage.operator.view import View
 
 BAD = Finding("retake", "blur", "x+ by cam0", "blurred", "sharp", "Ask for quiet.", "x+", "cam0")
 MISSING = Finding("retake", "not-taken", "x+ by cam0", "no answer", "a photograph")
@@ -24,7 +26,7 @@ import json, sys, threading, time
 from lightstage.commands import make_app, run_app
 from lightstage.errors import StoppedError
 from lightstage.findings import Finding
-from lightstage.interrupts import signals_held
+from lightstage.interrupts import signals_put_off
 from lightstage.operator import open_operator
 
 out = sys.argv[1]
@@ -60,7 +62,7 @@ LOOP = """
                 time.sleep(0.01)
 """
 DEAF = """
-            with signals_held():
+            with signals_put_off():
                 light("deaf")
                 while not (wish := operator.command()):
                     time.sleep(0.01)
@@ -75,17 +77,22 @@ ASK = """
 RAISE = "raise ZeroDivisionError('inside')"
 
 
-@pytest.fixture
-def capture(terminals, tmp_path, story, written):
-    """Starts a made-up capture on a terminal; its lights are a file."""
-    told = story(3)
+def begun(told):
+    """A capture in its second pattern."""
     told.begin()
     told.shoot("full")
     told.light("x+")
-    journal = written(tmp_path / "lines.jsonl", told.lines)
+    return told
+
+
+@pytest.fixture
+def capture(terminals, tmp_path, story, written):
+    """Starts a made-up capture on a terminal; its lights are a file."""
     lights = tmp_path / "lights"
 
-    def start(body, **size):
+    def start(body, told=None, **size):
+        told = told or begun(story(3))
+        journal = written(tmp_path / "lines.jsonl", told.lines)
         program = CAPTURE.replace("{body}", body.strip())
         return terminals("-c", program, str(lights), str(journal), **size), lights
 
@@ -201,6 +208,61 @@ def test_the_picture_fits_the_terminal(capture, columns):
     assert max(len(line.rstrip("\r")) for line in terminal.said.split("\n")) <= columns
     terminal.press("q")
     terminal.end()
+
+
+def pictured(told, columns, rows):
+    """What the screen shall show: all of its rows."""
+    view, file = View("S/1"), io.StringIO()
+    for line in told.lines:
+        view.told(line)
+    Console(file=file, width=columns, height=rows).print(
+        Screen(view, Ask(keys=("retake", "pause", "abort")))
+    )
+    lines = [line.rstrip() for line in file.getvalue().split("\n")]
+    return lines[:rows] + [""] * (rows - len(lines))
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        [(120, 40)],
+        [(50, 12), (100, 30)],
+        [(60, 15), (80, 24), (40, 40), (200, 10), (60, 15)],
+    ],
+    ids=["grows", "shrinks-and-grows", "many"],
+)
+def test_after_a_resize_the_whole_screen_is_right(capture, story, sizes):
+    told = begun(story(9))
+    told.add("failed", pattern="x+", camera="cam8", take=1, said="no answer within 30 s, " * 20)
+    terminal, _ = capture(LOOP, told, columns=100, rows=30)
+    for columns, rows in [(100, 30), *sizes]:
+        terminal.resize(columns, rows)
+        wanted = pictured(told, columns, rows)
+        terminal.wait_until(
+            lambda wanted=wanted: terminal.emulator.screen == wanted,
+            lambda wanted=wanted: "\n".join(["not", *wanted, "but", *terminal.emulator.screen]),
+        )
+    terminal.press("q")
+    assert terminal.end() == 130
+    terminal.wait_for("the operator's wish")
+    # What is left in the window afterwards is the last picture, once, and the last words.
+    emulator = terminal.emulator
+    assert not emulator.alternate
+    assert emulator.cursor_shown
+    assert sum(line.startswith("P1, neutral") for line in emulator.history) == 1
+    assert any(line.startswith("STOPPING") for line in emulator.history)
+
+
+def test_what_others_say_meanwhile_stands_below_the_last_picture(capture):
+    terminal, _ = capture("print('a library warns', file=sys.stderr); time.sleep(0.5)")
+    assert terminal.end() == 0
+    terminal.wait_for("a library warns")
+    emulator = terminal.emulator
+    assert not emulator.alternate
+    said = next(i for i, line in enumerate(emulator.history) if "a library warns" in line)
+    picture = [i for i, line in enumerate(emulator.history) if line.startswith("cam2 ")]
+    assert len(picture) == 1
+    assert picture[0] < said
 
 
 def plain(operator_does, replay, **more):

@@ -1,7 +1,9 @@
 """`lightstage watch`: from another terminal, while a capture runs, was killed, or is over."""
 
+import html
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -223,8 +225,10 @@ def test_a_session_that_is_not_there_yet_is_waited_for(tmp_path, replay, written
 
 
 def test_waiting_ends_by_ctrl_c_and_by_its_option(tmp_path):
+    # Ignored where the tests are a job in the background; not in a new process of a terminal.
+    heard = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_DFL)\n"
     child = subprocess.Popen(
-        [sys.executable, "-c", WATCH, "watch", str(tmp_path / "S")],
+        [sys.executable, "-c", heard + WATCH, "watch", str(tmp_path / "S")],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -262,6 +266,33 @@ def test_a_picture_of_any_moment_can_be_written(tmp_path, replay, written):
     assert watch(tmp_path, "--picture", path).returncode == 0
     assert "COMPLETE" in path.read_text()
     assert watch(tmp_path, "--picture", path, "--columns", 10).returncode == 2
+
+
+@pytest.mark.parametrize("code", ["blur", "not-taken"])
+def test_a_picture_of_a_question_shows_what_was_asked_and_could_be_answered(
+    tmp_path, story, written, code
+):
+    told = story(2)
+    told.begin()
+    told.light("full")
+    told.keep("full", "cam0")
+    found = {
+        "severity": "retake", "code": code, "where": "full by cam1", "found": "nothing sharp",
+        "expected": "an eye", "hint": "", "pattern": "full", "camera": "cam1",
+    }  # fmt: skip
+    told.add("asked", pattern="full", findings=[found])
+    asked = told.lines[-1]["id"]
+    told.add("answered", pattern="full", do="retake")
+    written(tmp_path / "journal.jsonl", told.lines)
+    path = tmp_path / "p.svg"
+    assert watch(tmp_path, "--picture", path, "--until", asked).returncode == 0
+    text = " ".join(html.unescape(re.sub(r"<[^>]*>", " ", path.read_text())).split())
+    for part in ("waiting for you", "full by cam1: nothing sharp", "What now?"):
+        assert part in text
+    assert "take it again" in text
+    assert ("accept as it is" in text) == (code == "blur")
+    assert watch(tmp_path, "--picture", path).returncode == 0
+    assert "What now?" not in path.read_text().replace("&#160;", " ")
 
 
 def test_a_watcher_at_a_terminal_sees_the_picture_and_leaves_by_q(

@@ -12,6 +12,7 @@ import pytest
 from lightstage.commands.app import INTERRUPTED
 from lightstage.formats.session import load_session
 from lightstage.operator.client import ask, follow
+from lightstage.resume_line import resume_line
 
 PATTERNS = ["full", "x+", "x-", "y+"]
 SEQUENCE = ("--sequence", ",".join(PATTERNS))
@@ -129,6 +130,30 @@ def test_others_follow_every_line_and_may_stop_it(stage, capture):
     assert got == journal
     assert got[-1]["event"] == "aborted"
     assert stage.device.dark
+
+
+@pytest.mark.parametrize("moment", ["before-the-first-frame", "in-the-middle", "in-a-question"])
+def test_who_watches_a_capture_that_is_killed_is_told_so_with_the_line_that_goes_on(
+    stage, capture, terminals, moment
+):
+    if moment == "in-a-question":
+        stage.seeds[1].rename(stage.seeds[1].with_name("away"))
+    terminal, out = capture(*SEQUENCE)
+    watcher = terminals("-m", "lightstage", "watch", str(out))
+    wanted = {"before-the-first-frame": "lit", "in-the-middle": "shot", "in-a-question": "asked"}
+    terminal.wait_until(lambda: events(out, wanted[moment]), "it does not come to it")
+    if moment != "before-the-first-frame":
+        watcher.wait_for("leave (the capture goes on)")
+    terminal.process.kill()
+    later = terminals("-m", "lightstage", "watch", str(out))
+    (begin,) = events(out, "begin")
+    for each in (watcher, later):
+        assert each.end() == 0, each.said[-3000:]
+        each.wait_for(f"Go on with: {resume_line(out, begin['resume_with'])}")
+        left = "\n".join(each.emulator.history)
+        assert "and no capture runs" in left
+        assert "\nNO CAPTURE RUNS\n" in left
+        assert "leave (the capture goes on)" not in left
 
 
 def test_a_log_of_a_capture_has_plain_lines(stage, tmp_path, runtime):
