@@ -220,13 +220,21 @@ def train(
     """Train a network on a dataset; some people are held out and scored."""
     from learning.commands import train_command
     from learning.processes import started_by_torchrun
+    from learning.stopped import stopped_training
 
     processes = started_by_torchrun()
     bar = progress_bar("train") if processes.first else contextlib.nullcontext(quiet)
-    with limited_access(group_of([data])), bar as progress:
-        facts = train_command(
-            data, out, preset, config, seconds, seed, resume, progress, device, processes
-        )
+    try:
+        with limited_access(group_of([data])), bar as progress:
+            facts = train_command(
+                data, out, preset, config, seconds, seed, resume, progress, device, processes
+            )
+    except KeyboardInterrupt:
+        if not processes.first:
+            raise
+        given = {"--data": data, "--out": out, "--preset": preset, "--config": config}
+        given |= {"--seconds": seconds, "--seed": seed, "--device": device}
+        raise stopped_training(out, given, processes) from None
     if not processes.first:
         return
     finish(

@@ -5,6 +5,7 @@ What is trained is a `Learner`; this is what all of them share.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import fnmatch
 import json
@@ -160,6 +161,16 @@ class Run:
                     self._save(learner, finished, self.about)
                 raise
         return finished
+
+    @contextlib.contextmanager
+    def scoring(self, learner: Learner, steps: int) -> Iterator[None]:
+        """Within the block an interrupt saves the steps that are done, as it does among them."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            if steps > self.first:
+                self._save(learner, steps, self.about)
+            raise
 
     def _steps(self, total: int, progress: ProgressCallback) -> Iterator[tuple[int, float]]:
         """Step numbers with the share that is done, until the steps or the time are used up.
