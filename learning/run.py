@@ -26,6 +26,7 @@ from learning.guard import LEAP, WINDOW, Guard
 from learning.processes import ALONE, Processes
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.formats.config import as_dict
 from lightstage.formats.values import parse_json
 from lightstage.interrupts import held
@@ -234,7 +235,7 @@ class Run:
         about = {**self.about, "metrics": figures}
         index = self._save(learner, steps, about)
         if samples and self.processes.first:
-            title = f"{self.out.name} after {steps} steps"
+            title = f"{self.out.name} after {counted(steps, 'step')}"
             write_samples(self.out, title, score.sentence(), samples)
         seconds = time.monotonic() - self.began
         held_out = self.about["held_out"]

@@ -1,4 +1,4 @@
-"""What a training that was interrupted leaves, in words: the step that is kept, and how to go on."""
+"""Last words of an interrupted training: the step that is kept, and how to go on."""
 
 from __future__ import annotations
 

@@ -21,6 +21,7 @@ from lightstage.commands import (
     progress_bar,
     run_app,
 )
+from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.template import default_template_path
 from processing.calibration import cameras_command
@@ -115,7 +116,7 @@ def _process(
     seconds = sum(report["stages"][stage]["seconds"] for stage in ran)
     peak = max((report["stages"][stage]["peak_rss_mb"] for stage in ran), default=0.0)
     said = f"ran {' '.join(ran)} in {seconds:.1f} s, peak {peak:.0f} MB" if ran else "up to date"
-    warned = f", {len(report['warnings'])} warnings" if report["warnings"] else ""
+    warned = f", {counted(len(report['warnings']), 'warning')}" if report["warnings"] else ""
     facts = {"out": str(out), "ran": ran, "stages": report["stages"]}
     finish(f"{out}: {said}{warned}", {**facts, "warnings": report["warnings"]}, as_json)
 
@@ -204,7 +205,7 @@ def build(
         "subjects_without_consent": unasked,
         "passed_over": [str(path) for path in passed],
     }
-    said = f"{len(scans)} scans of {subjects} subjects"
+    said = f"{counted(len(scans), 'scan')} of {counted(subjects, 'subject')}"
     if unasked:
         said += f", {unasked} without a consent record"
     if passed:
@@ -262,7 +263,8 @@ def publish(
         publish_store(opened, out, seed, config, progress)
     written = read_json(out / DATASET)
     counts, unasked = written["counts"], written["consent"]["subjects_without"]
-    said = f"{counts['patches']} patches of {counts['subjects']} subjects"
+    said = counted(counts["patches"], "patch", "patches")
+    said += f" of {counted(counts['subjects'], 'subject')}"
     if unasked:
         said += f", {unasked} of them without a consent record"
     facts = {"out": str(out), **counts, "patch": written["patch"], "gap": written["gap"]}

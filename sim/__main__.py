@@ -21,6 +21,7 @@ from lightstage.commands import (
     progress_bar,
     run_app,
 )
+from lightstage.counting import counted
 from sim.devices.stage_command import add_stage_commands
 from sim.errors import SimError
 from sim.scans.commands import add_import_commands
@@ -130,7 +131,9 @@ def session(
         "encoding": "linear" if direct else "raw",
         "seconds": round(seconds, 1),
     }
-    finish(f"{out}: {count} photographs, truth in {truth}, {seconds:.1f} s", facts, as_json)
+    finish(
+        f"{out}: {counted(count, 'photograph')}, truth in {truth}, {seconds:.1f} s", facts, as_json
+    )
 
 
 @app.command()
@@ -171,7 +174,8 @@ def dataset(
         "seconds": round(seconds, 1),
     }
     finish(
-        f"{out}: {plan.scans} scans, {len(plan.persons)} people, {made} made now, {seconds:.1f} s",
+        f"{out}: {counted(plan.scans, 'scan')} of "
+        f"{counted(len(plan.persons), 'person', 'people')}, {made} made now, {seconds:.1f} s",
         facts,
         as_json,
     )
@@ -272,7 +276,9 @@ def targets(
         "photographs": count,
         "seconds": round(seconds, 1),
     }
-    finish(f"{out}: {count} photographs, truth in {truth}, {seconds:.1f} s", facts, as_json)
+    finish(
+        f"{out}: {counted(count, 'photograph')}, truth in {truth}, {seconds:.1f} s", facts, as_json
+    )
 
 
 @app.command()
@@ -305,7 +311,7 @@ def gallery(
         )
     seconds = time.monotonic() - begun
     facts = {"picture": str(out), "people": subjects, "seconds": round(seconds, 1)}
-    finish(f"{out}: {subjects} people, {seconds:.1f} s", facts, as_json)
+    finish(f"{out}: {counted(subjects, 'person', 'people')}, {seconds:.1f} s", facts, as_json)
 
 
 @app.command()

@@ -12,6 +12,7 @@ import typer
 
 from lightstage.capture.config import read_config
 from lightstage.commands import JsonFlag, finish, output_folder, progress_bar
+from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.access import limited_access
 from lightstage.formats.cameras import NAME
@@ -111,10 +112,10 @@ def import_command(
     if found is not None:
         facts |= {"cameras": found.facts}
         said = (
-            f"; {len(the_rig.cameras)} cameras found from the photographs, approximate: "
-            f"{found.facts['residual_px']:.2f} px (mean), {found.facts['points']} points"
+            f"; {counted(len(the_rig.cameras), 'camera')} found from the photographs, approximate: "
+            f"{found.facts['residual_px']:.2f} px (mean), {counted(found.facts['points'], 'point')}"
         )
-    finish(f"{out}: {frames} frames imported{said}", facts, as_json)
+    finish(f"{out}: {counted(frames, 'frame')} imported{said}", facts, as_json)
 
 
 def _found(

@@ -23,6 +23,7 @@ import numpy as np
 import zarr
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.files import atomic_folder, write_json
 from processing.dataset.places import Layout, Place, clear_skin, places_of, size_that_shows, turned
@@ -261,7 +262,7 @@ def _refuse_unasked(store: Store, unasked: list[Scan]) -> None:
     raise DatasetError(
         store.path,
         field="consent",
-        found=f"{len(unasked)} scans without a consent record, of {shown}",
+        found=f"{counted(len(unasked), 'scan')} without a consent record, of {shown}",
         expected="a consent record of everybody who is shown",
         hint="`lightstage capture --consent ID` records one. Leave these scans out of "
         "`dataset build`, or publish them --without-consent; the published set then says so.",

@@ -87,7 +87,7 @@ def test_a_texture_with_nan_exits_2_with_one_message_and_nothing_half_written(te
     log, said = done.stderr.split("FormatError: ")
     assert re.fullmatch(rf"use: begun\nuse: stopped after {SECONDS}\n", log)
     assert said == (
-        f"{texture}, element (1, 2, 0): found 1 value that is NaN or infinite, "
+        f"{texture}, element (1, 2, 0): found 1 NaN or infinite value, "
         "expected finite numbers. Mask such texels (0) before passing the map on.\n"
     )
     assert os.listdir(tmp_path) == ["t.exr"]

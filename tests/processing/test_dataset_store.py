@@ -257,7 +257,8 @@ def test_the_truth_of_a_simulated_session_is_refused_and_simulated_people_are_no
     truth = make_processed(tmp_path / "S.truth", subject="P07", consent=None)
     ProcessedFolder(truth).true_landmarks.write_text("{}")
     with pytest.raises(
-        LightstageError, match=r"S\.truth: found the truth of a simulated .* name OUT\..*--maps-only"
+        LightstageError,
+        match=r"S\.truth: found the truth of a simulated .* name OUT\..*--maps-only",
     ):
         build_store([people, truth], tmp_path / "out" / "store")
     assert list((tmp_path / "out").iterdir()) == []
