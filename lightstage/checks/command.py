@@ -34,7 +34,8 @@ def check_command(
     finish(
         f"{session}: {counted(report.frames, 'frame')} whole and unchanged, "
         f"{counted(report.sums, 'pattern sum')} "
-        f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % clipped, "
+        f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % of a "
+        "photograph clipped, "
         f"{accepted and accepted + ', '}{counted(len(told), 'warning')} "
         "of what lies there",
         {"session": str(session), **dataclasses.asdict(report)},
