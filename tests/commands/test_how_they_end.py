@@ -125,7 +125,9 @@ print(sorted(heavy & set(sys.modules)), file=sys.stderr)
 
 
 def test_one_of_something_is_told_as_one(world, tmp_path, run_command):
-    ended = run_command("processing", "dataset", "build", world["processed"], "--out", tmp_path / "S")
+    ended = run_command(
+        "processing", "dataset", "build", world["processed"], "--out", tmp_path / "S"
+    )
     assert ended.out.endswith("1 scan of 1 subject\n")
     ended = run_command("lightstage", "check", world["session"])
     assert "2 frames whole and unchanged, 0 pattern sums" in ended.out
