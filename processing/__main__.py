@@ -7,6 +7,7 @@ if __name__ == "__main__":
 
     end_without_traceback()  # until the imports below are done
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -247,7 +248,7 @@ def publish(
 ) -> None:
     """The anonymous form: small patches apart from each other, turned, shuffled, some left out."""
     from lightstage.formats.files import read_json
-    from processing.dataset import DATASET, PUBLISHED, PublishConfig, open_store
+    from processing.dataset import DATASET, PUBLISHED, PublishConfig, narrow_gap, open_store
     from processing.dataset import publish as publish_store
 
     _require_new(out, PUBLISHED, overwrite)
@@ -261,6 +262,9 @@ def publish(
     with progress_bar("dataset publish") as progress:
         opened = open_store(store, "These patches are published already.")
         publish_store(opened, out, seed, config, progress)
+    warnings = [said for said in [narrow_gap(config.gap)] if said]
+    for said in warnings:
+        print(f"warning: {said}", file=sys.stderr)
     written = read_json(out / DATASET)
     counts, unasked = written["counts"], written["consent"]["subjects_without"]
     said = counted(counts["patches"], "patch", "patches")
@@ -268,7 +272,8 @@ def publish(
     if unasked:
         said += f", {unasked} of them without a consent record"
     facts = {"out": str(out), **counts, "patch": written["patch"], "gap": written["gap"]}
-    finish(f"{out}: {said}", {**facts, "subjects_without_consent": unasked}, as_json)
+    facts |= {"subjects_without_consent": unasked, "warnings": warnings}
+    finish(f"{out}: {said}", facts, as_json)
 
 
 def _require_new(out: Path, kind: str, overwrite: bool) -> None:

@@ -27,7 +27,7 @@ from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.files import atomic_folder, write_json
 from processing.dataset.places import Layout, Place, clear_skin, places_of, size_that_shows, turned
-from processing.dataset.protection import CANNOT_PROTECT
+from processing.dataset.protection import DEFAULT_GAP, cannot_protect
 from processing.dataset.scan import DatasetError
 from processing.dataset.statistics import Statistics
 from processing.dataset.store import DATASET, PATCH, PUBLISHED, SCHEMA, Scan, Store
@@ -67,7 +67,7 @@ class PublishConfig:
     """
 
     patch_px: int | None = None
-    gap: float = 0.5
+    gap: float = DEFAULT_GAP
     wander: float = 0.5
     turned: bool = True
     drop: float = 0.25
@@ -171,7 +171,7 @@ def publish(
                 "most_of_a_face": config.most_face,
                 "consent": _consent(store),
                 "statistics": shown,
-                "cannot_protect": CANNOT_PROTECT,
+                "cannot_protect": cannot_protect(config.gap),
             },
         )
         _consolidate(beside)

@@ -126,9 +126,10 @@ def residual_section(out: Path, facts: Mapping[str, Any] | None = None) -> Secti
         f"degrees). Grey: the scan has nothing there. Dark skin with thin bright lines at lids and "
         "lips is as it should be. Ears are mostly yellow: the template's ear is laid on as a "
         "whole and keeps its own folds, since no two people's are alike, and the back of an ear "
-        "is seldom on the scan. Bad would be a bright patch on face or neck, or an ear that "
-        "stands beside the person's: there the mesh did not follow, and the atlas shows another "
-        "place's skin."
+        "is seldom on the scan. Nostrils are yellow too, which no camera looks into, and so is "
+        "where the neck ends or clothes begin. Bad would be a bright patch on the face itself, or "
+        "an ear that stands beside the person's: there the mesh did not follow, and the atlas "
+        "shows another place's skin."
     )
     picture = Picture(np.ascontiguousarray(image[..., ::-1]), said, "residual", lossless=True)
     parts: list[str | Picture | Table] = [picture]
@@ -146,9 +147,9 @@ def residual_section(out: Path, facts: Mapping[str, Any] | None = None) -> Secti
                 rows,
                 f"{share:.0%} of the scan's points are compared. The others lie nearest to where "
                 "the template ends: shoulders, clothes or the inside of an open mouth, which it "
-                "does not have. Hair counts, so that a millimetre or more in the last column is "
-                "usual where there is some. Bad would be a median above 0.3 mm: skin that the "
-                "template misses.",
+                "does not have. Hair is compared too. Where all is well the median is below 0.1 mm "
+                "and the last column below 1 mm; bad would be a median of several tenths, skin "
+                "that the template misses.",
             )
         )
     return Section("Registration", parts)
