@@ -56,6 +56,9 @@ def session(
     faults: Path | None = typer.Option(
         None, help="Story of what goes wrong with the devices (TOML, docs/faults.md)."
     ),
+    rows: int = typer.Option(
+        1536, min=96, max=6144, help="Rows of the person's maps, a multiple of 3; a folder's stay."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Photograph a simulated person in the light stage."""
@@ -71,6 +74,7 @@ def session(
     from sim.light.lamps import lamps_of
     from sim.light.polarised import is_polarised
     from sim.light.world import World
+    from sim.people.person import require_rows
     from sim.people.subjects import check_subject, load_subject
     from sim.reference.world import ReferenceWorld
     from sim.session import (
@@ -84,8 +88,9 @@ def session(
 
     begun = time.monotonic()
     check_subject(subject)
+    require_rows(rows, "--rows")
     require_new(out)
-    config = SessionConfig(sequence=sequence)
+    config = SessionConfig(sequence=sequence, texture_rows=rows)
     if light not in ("fast", "reference"):
         raise SimError("--light", found=light, expected="fast or reference")
     done_to_light = load_flaws(flaws)
