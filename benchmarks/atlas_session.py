@@ -166,7 +166,7 @@ def main() -> None:
         ["skin's vertices that the scan shows, to the true head, mm: mean", f"{lies.mean():.3f}"],
         ["the same: median / 95 %", f"{np.median(lies):.3f} / {np.quantile(lies, 0.95):.2f}"],
     ]
-    marks = read_points_mm(truth.root / "landmarks_mm.json")
+    marks = read_points_mm(truth.true_landmarks)
     error = left_out(scan, marks, template, PROTOCOLS["every second"])
     inner = error[17:]
     table += [

@@ -119,7 +119,7 @@ def true_skin(truth: ProcessedFolder, rig: Rig) -> Skin:
         short = 1 - 0.5 / np.linalg.norm(toward, axis=1)
         views += inside & (surface.first_hit(camera.centre_mm, toward) > short)
     normals = surface.nearest(places)[1]
-    marks = read_points_mm(truth.root / "landmarks_mm.json")
+    marks = read_points_mm(truth.true_landmarks)
     return Skin(places, normals, shown, np.maximum(views, 1), _regions(places, marks), mesh)
 
 

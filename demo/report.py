@@ -25,6 +25,7 @@ from demo.sections import (
     relit_section,
     stage_section,
 )
+from lightstage.counting import counted
 from lightstage.errors import LightstageError
 from lightstage.formats.files import read_json, write_bytes, write_json
 from processing.report import Picture, Section, Table, encode, write_report
@@ -215,7 +216,7 @@ def main(root: Path = typer.Argument(Path("build/demo"), help="A finished demo's
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         raise typer.Exit(2) from None
     size = (root / "report.html").stat().st_size / 1e6
-    print(f"{root / 'report.html'}: {len(figures['errors'])} errors, {size:.1f} MB")
+    print(f"{root / 'report.html'}: {counted(len(figures['errors']), 'error')}, {size:.1f} MB")
 
 
 if __name__ == "__main__":

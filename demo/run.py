@@ -20,6 +20,7 @@ import typer
 from demo.measure import run_measured
 from demo.steps import DemoConfig, Layout, steps
 from lightstage.commands import output_folder, run_app
+from lightstage.counting import counted
 from lightstage.errors import LightstageError
 from lightstage.formats.files import read_json, write_json
 
@@ -109,7 +110,7 @@ def main(
     if code == 0:
         steps_done = read_json(Layout(out).steps)["steps"]
         seconds = sum(step["seconds"] for step in steps_done)
-        print(f"\n{out / 'report.html'}: {len(steps_done)} steps, {seconds:.0f} s")
+        print(f"\n{out / 'report.html'}: {counted(len(steps_done), 'step')}, {seconds:.0f} s")
     raise typer.Exit(code)
 
 

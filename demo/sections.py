@@ -170,7 +170,7 @@ def geometry_section(demo: Demo) -> Section:
     template = load_template(default_template_path())
     marked = mesh_picture(registered, demo.camera, MESH_PX)
     wires = wireframe(marked, registered, demo.camera)
-    true_marks = read_points_mm(demo.at.truth / "landmarks_mm.json")
+    true_marks = read_points_mm(demo.truth.true_landmarks)
     marked = marks(marked, true_marks, demo.camera, (30, 150, 50))
     marked = marks(marked, registered.vertices[template.landmarks], demo.camera, (220, 40, 40))
     profile = mesh_picture(registered, side, MESH_PX)[_larger(demo, side)]

@@ -20,8 +20,10 @@ class DemoConfig:
         rig: a rig.json; None takes the default rig.
         scale: of the rig's pixels a side; 0.1795 makes 720 x 1080 of the default rig's.
         atlas_rows: height of the atlas in texels; its width is two thirds of it.
+        skin_rows: height of the maps of the simulated person who is photographed.
         people: parametric people that the network learns from.
         train_seconds: how long the network learns.
+        refine_seconds: how long, at most, the inferred albedo is refined.
     """
 
     subject: str
@@ -29,8 +31,10 @@ class DemoConfig:
     rig: Path | None = None
     scale: float = 1080 / 6016
     atlas_rows: int = 1536
+    skin_rows: int = 1536
     people: int = 4
     train_seconds: int = 40
+    refine_seconds: int = 60
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,7 +144,8 @@ def steps(config: DemoConfig, at: Layout) -> Iterator[Step]:
         # Split before filling in, so that a path may hold spaces.
         return Step(name, title, tuple(word.format(**values) for word in command.split()))
 
-    size = "--scale {config.scale:.6f}" + (" --rig {config.rig}" if config.rig else "")
+    size = "--rows {config.skin_rows} --scale {config.scale:.6f}"
+    size += " --rig {config.rig}" if config.rig else ""
     yield step(
         "session",
         f"photograph {config.subject} on the simulated stage",
@@ -196,7 +201,8 @@ def steps(config: DemoConfig, at: Layout) -> Iterator[Step]:
         "infer",
         "reflectance maps from that texture, by the weights that are shipped",
         "learning infer --texture {at.baked} --mesh {at.mesh}"
-        " --out {at.inferred} --head-pose {at.processed}/head_from_world.json",
+        " --out {at.inferred} --head-pose {at.processed}/head_from_world.json"
+        " --refine {config.refine_seconds}",
     )
     for light in lights:
         yield step(

@@ -24,6 +24,7 @@ from lightstage.commands import (
     quiet,
     run_app,
 )
+from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
 
 app = make_app("Render skin, train the networks, infer reflectance.")
@@ -123,9 +124,9 @@ def render(
         )
     many = f"{facts['pictures']} pictures of " if facts["pictures"] > 1 else ""
     finish(
-        f"{out}: {many}{facts['width_px']} x {facts['height_px']} px, {facts['lights']} lights, "
-        f"{facts['surface_percent']:.0f} % surface, {facts['seconds']:.1f} s"
-        + "".join(f"; {note}" for note in facts["notes"]),
+        f"{out}: {many}{facts['width_px']} x {facts['height_px']} px, "
+        f"{counted(facts['lights'], 'light')}, {facts['surface_percent']:.0f} % surface, "
+        f"{facts['seconds']:.1f} s" + "".join(f"; {note}" for note in facts["notes"]),
         facts,
         as_json,
     )
@@ -157,7 +158,7 @@ def bake(
         )
         facts = bake_command(request, progress)
     finish(
-        f"{out}: {facts['rows']} x {facts['columns']} texels, {facts['lights']} lights, "
+        f"{out}: {facts['rows']} x {facts['columns']} texels, {counted(facts['lights'], 'light')}, "
         f"{facts['seconds']:.1f} s" + "".join(f"; {note}" for note in facts["notes"]),
         facts,
         as_json,
@@ -220,18 +221,26 @@ def train(
     """Train a network on a dataset; some people are held out and scored."""
     from learning.commands import train_command
     from learning.processes import started_by_torchrun
+    from learning.stopped import stopped_training
 
     processes = started_by_torchrun()
     bar = progress_bar("train") if processes.first else contextlib.nullcontext(quiet)
-    with limited_access(group_of([data])), bar as progress:
-        facts = train_command(
-            data, out, preset, config, seconds, seed, resume, progress, device, processes
-        )
+    try:
+        with limited_access(group_of([data])), bar as progress:
+            facts = train_command(
+                data, out, preset, config, seconds, seed, resume, progress, device, processes
+            )
+    except KeyboardInterrupt:
+        if not processes.first:
+            raise
+        given = {"--data": data, "--out": out, "--preset": preset, "--config": config}
+        given |= {"--seconds": seconds, "--seed": seed, "--device": device}
+        raise stopped_training(out, given, processes) from None
     if not processes.first:
         return
     finish(
-        f"{out}: {facts['steps']} steps in {facts['seconds']:.0f} s; {facts['scored']} of the "
-        f"people held out ({facts['held_out']}): {facts['said']}; of the steps' time on "
+        f"{out}: {counted(facts['steps'], 'step')} in {facts['seconds']:.0f} s; {facts['scored']} "
+        f"of the people held out ({facts['held_out']}): {facts['said']}; of the steps' time on "
         f"{facts['device']}: data {100 * facts['share_data']:.0f} %, rendering "
         f"{100 * facts['share_rendering']:.0f} %, network {100 * facts['share_network']:.0f} %, "
         f"waiting for batches {100 * facts['share_idle']:.0f} %",
@@ -276,7 +285,7 @@ def infer(
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels, "
         + (f"{facts['tiles']} tiles, " if facts["tiles"] > 1 else "")
-        + ("" if facts["lamps"] is None else f"{facts['lamps']} lamps found, ")
+        + ("" if facts["lamps"] is None else f"{counted(facts['lamps'], 'lamp')} found, ")
         + f"{facts['seconds']:.1f} s"
         + "".join(f"; {note}" for note in facts["notes"]),
         facts,

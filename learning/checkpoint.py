@@ -28,6 +28,7 @@ from learning.limits import require_within
 from learning.networks.generator import Generator, GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig, WholeFaceNetwork
 from learning.upscale.network import Rcan, RcanConfig
+from lightstage.counting import counted
 from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_path, leftovers, read_json, sha256_file, write_json
 from lightstage.formats.paths import check_name, path_inside
@@ -187,7 +188,7 @@ def load_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
             raise CheckpointError(
                 path,
                 field=name,
-                found=f"{int((~values.isfinite()).sum())} values that are NaN or infinite",
+                found=counted(int((~values.isfinite()).sum()), "NaN or infinite value"),
                 expected="finite weights",
                 hint="The training diverged; use an earlier checkpoint or a lower learning_rate.",
             )

@@ -9,7 +9,6 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import torch
 from torch import Tensor, nn
-from torch._dynamo.exc import TorchDynamoException
 
 from learning.errors import TrainingError
 from lightstage.errors import ConfigError
@@ -67,6 +66,9 @@ class Forward(Generic[SaidT]):
 
     def _called(self, inputs: Tensor) -> Any:
         if self._compiled is not None:
+            # Importing the compiler takes a second of every command's start.
+            from torch._dynamo.exc import TorchDynamoException
+
             try:
                 return self._compiled(inputs)
             except TorchDynamoException as error:

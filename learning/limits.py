@@ -14,6 +14,7 @@ from typing import Any
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
 from learning.upscale.network import RcanConfig
+from lightstage.counting import counted
 from lightstage.errors import ConfigError
 
 _POSITIVE, _ANY = 1e-30, 1e12
@@ -153,7 +154,7 @@ def _require_halvings(config: WholeFaceConfig, where: str | Path) -> None:
                 field=f"network.{name}",
                 found=str(value),
                 expected=f"a multiple of {multiple}",
-                hint=f"The network halves a face {config.halvings} times.",
+                hint=f"The network halves a face {counted(config.halvings, 'time')}.",
             )
 
 
@@ -196,7 +197,7 @@ def _require_patch(patch_px: int, generator: GeneratorConfig, where: str | Path)
             field="data.patch_px",
             found=str(patch_px),
             expected=f"a multiple of {multiple}, at least {least}",
-            hint=f"The generator halves a patch {multiple.bit_length() - 1} times.",
+            hint=f"The generator halves a patch {counted(multiple.bit_length() - 1, 'time')}.",
         )
 
 

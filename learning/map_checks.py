@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from learning.errors import MapsError
+from lightstage.counting import counted
 from lightstage.formats.mesh import Mesh
 
 SMALLEST_HEAD_MM = 20.0
@@ -23,7 +24,8 @@ def require_albedo(values: np.ndarray, path: Path) -> None:
         raise MapsError(
             path,
             field=f"texel ({first})",
-            found=f"{int(bad.sum())} negative values, the lowest {float(values.min()):.3g}",
+            found=f"{counted(int(bad.sum()), 'negative value')}, the lowest "
+            f"{float(values.min()):.3g}",
             expected="an albedo of at least 0",
             hint="Resampling with overshoot does this; clamp the map when it is made.",
         )

@@ -13,6 +13,7 @@ from learning.errors import MapsError
 from learning.map_checks import looks_encoded, not_unit, require_albedo, require_millimetres
 from learning.render.shading import SkinMaps
 from learning.render.uv import UvRaster, rasterise, texel_surface
+from lightstage.counting import counted
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import read_map
 from lightstage.formats.template import Template
@@ -101,7 +102,7 @@ def _notes(maps: dict[str, np.ndarray], covered: np.ndarray) -> tuple[str, ...]:
     for name in ("diffuse_normal", "specular_normal"):
         count = not_unit(maps[name], covered)
         if count:
-            notes.append(f"{name}: {count} normals were not of length 1; made unit")
+            notes.append(f"{name}: {counted(count, 'normal')} not of length 1, made unit")
     if looks_encoded(maps["diffuse_albedo"], covered):
         notes.append("diffuse_albedo looks like an 8-bit sRGB picture; linear light is expected")
     return tuple(notes)

@@ -157,9 +157,10 @@ def train_patches(
     total = max(1, math.ceil(config.epochs * len(data.places) / config.batch))
     with learner.ahead():
         steps = run.steps(learner, total, progress)
-    said = trainer.answers()
-    result = score(said, scored, data, config.score_patches, seed)
-    samples = _samples(said, scored, store, seed)
+    with run.scoring(learner, steps):
+        said = trainer.answers()
+        result = score(said, scored, data, config.score_patches, seed)
+        samples = _samples(said, scored, store, seed)
     return run.end(learner, steps, len(data.places), result, samples)
 
 

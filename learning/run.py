@@ -5,6 +5,7 @@ What is trained is a `Learner`; this is what all of them share.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import fnmatch
 import json
@@ -25,6 +26,7 @@ from learning.guard import LEAP, WINDOW, Guard
 from learning.processes import ALONE, Processes
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.formats.config import as_dict
 from lightstage.formats.values import parse_json
 from lightstage.interrupts import first_signal_noted
@@ -161,6 +163,16 @@ class Run:
                 raise
         return finished
 
+    @contextlib.contextmanager
+    def scoring(self, learner: Learner, steps: int) -> Iterator[None]:
+        """Within the block an interrupt saves the steps that are done, as it does among them."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            if steps > self.first:
+                self._save(learner, steps, self.about)
+            raise
+
     def _steps(self, total: int, progress: ProgressCallback) -> Iterator[tuple[int, float]]:
         """Step numbers with the share that is done, until the steps or the time are used up.
 
@@ -223,7 +235,7 @@ class Run:
         about = {**self.about, "metrics": figures}
         index = self._save(learner, steps, about)
         if samples and self.processes.first:
-            title = f"{self.out.name} after {steps} steps"
+            title = f"{self.out.name} after {counted(steps, 'step')}"
             write_samples(self.out, title, score.sentence(), samples)
         seconds = time.monotonic() - self.began
         held_out = self.about["held_out"]

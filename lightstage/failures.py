@@ -10,6 +10,7 @@ import errno
 import os
 from pathlib import Path
 
+from lightstage.counting import counted
 from lightstage.errors import DiskError, DiskFullError, LightstageError, MemoryLimitError
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
@@ -141,4 +142,4 @@ def _size(count: int) -> str:
     for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if count >= scale:
             return f"{count / scale:.1f} {unit}"
-    return f"{count} bytes"
+    return counted(count, "byte")

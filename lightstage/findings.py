@@ -6,6 +6,8 @@ import dataclasses
 import math
 from typing import Literal
 
+from lightstage.counting import counted
+
 Severity = Literal["refuse", "retake", "warn", "note"]
 """``refuse``: no light goes on; ``retake``: this photograph or pattern does not do; ``warn``: the
 operator should know; ``note``: for the record."""
@@ -41,11 +43,6 @@ class Finding:
     def __str__(self) -> str:
         text = f"{self.where}: found {self.found}, expected {self.expected}"
         return f"{text}. {self.hint}" if self.hint else text
-
-
-def counted(count: int, what: str) -> str:
-    """``1 warning``, ``2 warnings``."""
-    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def accepted_in_words(patterns: int, findings: int) -> str:

@@ -40,6 +40,7 @@ def find_photographs(
         cameras: ids, where the rig's cameras are not known yet.
 
     Raises:
+        FormatError: a session's folder.
         FormatError, PatternError: every unknown pattern or camera, doubled or missing photograph,
             in one message.
     """
@@ -87,7 +88,7 @@ def named_cameras(folder: Path) -> list[str]:
     """Cameras that a folder's photographs are named after, in the order of their numbers.
 
     Raises:
-        FormatError: no such folder.
+        FormatError: no such folder, or a session's.
     """
     names = {
         file.stem
@@ -109,7 +110,17 @@ def _padded(digits: re.Match[str]) -> str:
 
 
 def _top(folder: Path) -> Path:
-    """The folder that holds the patterns' folders."""
+    """The folder that holds the patterns' folders; FormatError where there is none."""
+    if (folder / "session.json").is_file() or (folder / "journal.jsonl").is_file():
+        raise FormatError(
+            folder,
+            found="a session",
+            expected="a folder of photographs, PATTERN/CAMERA.EXT in it",
+            hint="A session needs no import: `lightstage-processing run SESSION --out OUT` takes "
+            "it, and `lightstage capture --resume` goes on with one that is not finished. To make "
+            "another session of its photographs, without its consent, calibration and levels, "
+            f"import {folder / 'frames'}.",
+        )
     top = folder / "frames" if (folder / "frames").is_dir() else folder
     if not top.is_dir():
         raise FormatError(folder, found="no such folder", expected="PATTERN/CAMERA.EXT in it")

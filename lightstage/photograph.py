@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 
 _EXR = b"\x76\x2f\x31\x01"
@@ -91,7 +92,7 @@ def _identify(source: _Source, where: str | Path) -> Kind:
     if head[:15] == b"FUJIFILMCCD-RAW":
         return Kind(".raf", "raw")
     jpeg = head[:3] == b"\xff\xd8\xff"
-    begun = f"{source.size} bytes that begin with {head[:8].hex() or 'none'}"
+    begun = f"{counted(source.size, 'byte')}, beginning with {head[:8].hex() or 'none'}"
     raise FormatError(
         where,
         found="a JPEG" if jpeg else begun,
@@ -163,7 +164,7 @@ def _require_whole(tags: dict[int, list[int]], size: int, where: str | Path) -> 
 def _truncated(where: str | Path, size: int, expected: str) -> FormatError:
     return FormatError(
         where,
-        found=f"{size} bytes",
+        found=counted(size, "byte"),
         expected=expected,
         hint="The file is truncated; download or copy it again.",
     )

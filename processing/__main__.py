@@ -7,6 +7,7 @@ if __name__ == "__main__":
 
     end_without_traceback()  # until the imports below are done
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from lightstage.commands import (
     progress_bar,
     run_app,
 )
+from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.template import default_template_path
 from processing.calibration import cameras_command
@@ -115,7 +117,7 @@ def _process(
     seconds = sum(report["stages"][stage]["seconds"] for stage in ran)
     peak = max((report["stages"][stage]["peak_rss_mb"] for stage in ran), default=0.0)
     said = f"ran {' '.join(ran)} in {seconds:.1f} s, peak {peak:.0f} MB" if ran else "up to date"
-    warned = f", {len(report['warnings'])} warnings" if report["warnings"] else ""
+    warned = f", {counted(len(report['warnings']), 'warning')}" if report["warnings"] else ""
     facts = {"out": str(out), "ran": ran, "stages": report["stages"]}
     finish(f"{out}: {said}{warned}", {**facts, "warnings": report["warnings"]}, as_json)
 
@@ -204,7 +206,7 @@ def build(
         "subjects_without_consent": unasked,
         "passed_over": [str(path) for path in passed],
     }
-    said = f"{len(scans)} scans of {subjects} subjects"
+    said = f"{counted(len(scans), 'scan')} of {counted(subjects, 'subject')}"
     if unasked:
         said += f", {unasked} without a consent record"
     if passed:
@@ -246,7 +248,7 @@ def publish(
 ) -> None:
     """The anonymous form: small patches apart from each other, turned, shuffled, some left out."""
     from lightstage.formats.files import read_json
-    from processing.dataset import DATASET, PUBLISHED, PublishConfig, open_store
+    from processing.dataset import DATASET, PUBLISHED, PublishConfig, narrow_gap, open_store
     from processing.dataset import publish as publish_store
 
     _require_new(out, PUBLISHED, overwrite)
@@ -260,13 +262,18 @@ def publish(
     with progress_bar("dataset publish") as progress:
         opened = open_store(store, "These patches are published already.")
         publish_store(opened, out, seed, config, progress)
+    warnings = [said for said in [narrow_gap(config.gap)] if said]
+    for said in warnings:
+        print(f"warning: {said}", file=sys.stderr)
     written = read_json(out / DATASET)
     counts, unasked = written["counts"], written["consent"]["subjects_without"]
-    said = f"{counts['patches']} patches of {counts['subjects']} subjects"
+    said = counted(counts["patches"], "patch", "patches")
+    said += f" of {counted(counts['subjects'], 'subject')}"
     if unasked:
         said += f", {unasked} of them without a consent record"
     facts = {"out": str(out), **counts, "patch": written["patch"], "gap": written["gap"]}
-    finish(f"{out}: {said}", {**facts, "subjects_without_consent": unasked}, as_json)
+    facts |= {"subjects_without_consent": unasked, "warnings": warnings}
+    finish(f"{out}: {said}", facts, as_json)
 
 
 def _require_new(out: Path, kind: str, overwrite: bool) -> None:

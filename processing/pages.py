@@ -36,7 +36,18 @@ CAPTIONS = {
     "roughness": f"Roughness of the mirror lobe (Beckmann's m); {ROUGHNESS_WHITE} shows as white "
     "and half of it as mid grey, skin has .2 to .35, less is shinier. It should change slowly.",
     "ambient_occlusion": "Ambient occlusion, 1 is open. Folds should be darker.",
-    "confidence": "Confidence, 0 to 1: white is well seen.",
+    "confidence": "Confidence, 0 to 1: white is well seen. Black was not solved, or is seen too "
+    "much from the side; an even grey has no mesh, and keeps the coarse maps. Dark dots all over "
+    "the skin are single pixels whose readings agree less than others', by noise or at a hair, a "
+    "mole or a pore; the atlas takes such places from other views. Bad would be dark patches on "
+    "skin that the camera looks at, or a view that is dark all over: wrong pattern, room light or "
+    "motion.",
+}
+ATLAS_CAPTIONS = CAPTIONS | {
+    "confidence": "Confidence of the view that counts most, 0 to 1. Black was seen by no camera: "
+    "colours there are filled in from the other side of the face or from around. Dark dots are "
+    "places that no view is sure of, such as pores and hairs. Bad would be black on forehead, "
+    "cheeks, nose or chin.",
 }
 
 
@@ -52,7 +63,8 @@ def write_processed_report(out: Path, report: Mapping[str, Any]) -> Path:
     """
     folder = ProcessedFolder(out)
     sections = [Section("Stages", _stages(report))]
-    light = light_section(out, report.get("stages", {}).get("decode", {}).get("sums", {}))
+    stages = report.get("stages", {})
+    light = light_section(out, stages.get("decode", {}))
     if light is not None:
         sections.append(light)
     views = _views(folder)
@@ -61,7 +73,7 @@ def write_processed_report(out: Path, report: Mapping[str, Any]) -> Path:
     mesh = mesh_section(out)
     if mesh is not None:
         sections.append(mesh)
-    registered = residual_section(out)
+    registered = residual_section(out, stages.get("register"))
     if registered is not None:
         sections.append(registered)
     atlas = _atlas(folder)
@@ -115,7 +127,7 @@ def _views(folder: ProcessedFolder) -> list[str | Picture | Table]:
 
 def _atlas(folder: ProcessedFolder) -> list[str | Picture | Table]:
     parts: list[str | Picture | Table] = []
-    for name, caption in CAPTIONS.items():
+    for name, caption in ATLAS_CAPTIONS.items():
         if folder.atlas_path(name).is_file():
             image = show(name, folder.read_atlas(name))
             parts.append(Picture(resize(image, min(ATLAS_PX, image.shape[0])), caption, name))

@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
+from lightstage.counting import counted
 from lightstage.formats.half import half_bits
 from lightstage.formats.processed import ProcessedFolder
 
@@ -51,7 +52,7 @@ def pasted(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
     """
     count, channels = int(np.count_nonzero(mask)), math.prod(values.shape[1:])
     if len(values) != count:
-        raise ValueError(f"{len(values)} values for a mask of {count} pixels")
+        raise ValueError(f"{counted(len(values), 'value')} for a mask of {counted(count, 'pixel')}")
     image = np.zeros((*mask.shape, *values.shape[1:]), np.float16)
     flat = np.ascontiguousarray(values, np.float32).reshape(count, channels)
     bits = image.view(np.uint16).reshape(*mask.shape, channels)

@@ -21,6 +21,7 @@ from lightstage.commands import (
     progress_bar,
     run_app,
 )
+from lightstage.counting import counted
 from sim.devices.stage_command import add_stage_commands
 from sim.errors import SimError
 from sim.scans.commands import add_import_commands
@@ -55,6 +56,9 @@ def session(
     faults: Path | None = typer.Option(
         None, help="Story of what goes wrong with the devices (TOML, docs/faults.md)."
     ),
+    rows: int = typer.Option(
+        1536, min=96, max=6144, help="Rows of the person's maps, a multiple of 3; a folder's stay."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Photograph a simulated person in the light stage."""
@@ -70,6 +74,7 @@ def session(
     from sim.light.lamps import lamps_of
     from sim.light.polarised import is_polarised
     from sim.light.world import World
+    from sim.people.person import require_rows
     from sim.people.subjects import check_subject, load_subject
     from sim.reference.world import ReferenceWorld
     from sim.session import (
@@ -83,8 +88,9 @@ def session(
 
     begun = time.monotonic()
     check_subject(subject)
+    require_rows(rows, "--rows")
     require_new(out)
-    config = SessionConfig(sequence=sequence)
+    config = SessionConfig(sequence=sequence, texture_rows=rows)
     if light not in ("fast", "reference"):
         raise SimError("--light", found=light, expected="fast or reference")
     done_to_light = load_flaws(flaws)
@@ -130,7 +136,9 @@ def session(
         "encoding": "linear" if direct else "raw",
         "seconds": round(seconds, 1),
     }
-    finish(f"{out}: {count} photographs, truth in {truth}, {seconds:.1f} s", facts, as_json)
+    finish(
+        f"{out}: {counted(count, 'photograph')}, truth in {truth}, {seconds:.1f} s", facts, as_json
+    )
 
 
 @app.command()
@@ -171,7 +179,8 @@ def dataset(
         "seconds": round(seconds, 1),
     }
     finish(
-        f"{out}: {plan.scans} scans, {len(plan.persons)} people, {made} made now, {seconds:.1f} s",
+        f"{out}: {counted(plan.scans, 'scan')} of "
+        f"{counted(len(plan.persons), 'person', 'people')}, {made} made now, {seconds:.1f} s",
         facts,
         as_json,
     )
@@ -272,7 +281,9 @@ def targets(
         "photographs": count,
         "seconds": round(seconds, 1),
     }
-    finish(f"{out}: {count} photographs, truth in {truth}, {seconds:.1f} s", facts, as_json)
+    finish(
+        f"{out}: {counted(count, 'photograph')}, truth in {truth}, {seconds:.1f} s", facts, as_json
+    )
 
 
 @app.command()
@@ -305,7 +316,7 @@ def gallery(
         )
     seconds = time.monotonic() - begun
     facts = {"picture": str(out), "people": subjects, "seconds": round(seconds, 1)}
-    finish(f"{out}: {subjects} people, {seconds:.1f} s", facts, as_json)
+    finish(f"{out}: {counted(subjects, 'person', 'people')}, {seconds:.1f} s", facts, as_json)
 
 
 @app.command()

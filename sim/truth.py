@@ -59,7 +59,7 @@ def write_truth(world: World, out: Path, progress: ProgressCallback = quiet) -> 
             progress(done, total)
     write_ply(subject.mesh, folder.base_mesh)
     write_atlas(subject, occlusion, folder)
-    write_points_mm(subject.landmarks_mm, out / "landmarks_mm.json")
+    write_points_mm(subject.landmarks_mm, folder.true_landmarks)
     progress(total - 1, total)
     for lights, weights in relit_sets(world.rig):
         picture = world.relit(RELIT_CAMERA, weights)

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from lightstage.formats.files import write_json
+from processing.dataset import CHANNELS, build_store, open_store, publish
+from processing.dataset.publish import CHANNELS as PUBLISHED_CHANNELS
 from tests.documents import PACKAGES, ROOT, blocks, commands, options, run_as_written, table_code
 
 README = (ROOT / "README.md").read_text()
@@ -62,6 +64,47 @@ def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
     assert "the whole texture" in refused.stderr
     assert "Traceback" not in refused.stderr
     assert json.loads((tmp_path / "PUB" / "dataset.json").read_text())["counts"]["subjects"] == 3
+
+
+def fields(value: object, name: str = "") -> set[str]:
+    """Dotted names of all values of a JSON file, those of a map with NAME for it."""
+    if isinstance(value, dict):
+        below = [fields(each, f"{name}.{key}" if name else key) for key, each in value.items()]
+        return set().union(*below)
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return set().union(*(fields(each, f"{name}[]") for each in value))
+    for part in ("_mean", "_deviation", ""):
+        start, _, last = name.rpartition(".")
+        if last.removesuffix(part) in {*CHANNELS, *PUBLISHED_CHANNELS} and last.endswith(part):
+            return {f"{start}.NAME{part}"}
+    return {name}
+
+
+def test_the_datasets_page_explains_every_field_that_is_written_and_no_other(
+    tmp_path: Path, make_processed: Callable[..., Path]
+) -> None:
+    roots = [
+        make_processed(tmp_path / name, 192, 128, subject=name, seed=index)
+        for index, name in enumerate(PEOPLE)
+    ]
+    store = build_store(roots, tmp_path / "S")
+    published = publish(open_store(store), tmp_path / "P")
+    written = {"store": store, "published": published}
+    found = {
+        (field, kind)
+        for kind, folder in written.items()
+        for field in fields(json.loads((folder / "dataset.json").read_text()))
+    }
+    table = DATASET.split("## Every field of dataset.json")[1].split("\n## ")[0]
+    rows = [line.split(" | ") for line in table.splitlines() if line.startswith("| `")]
+    told = [
+        (row[0].strip("| `"), kind)
+        for row in rows
+        for kind in (written if row[1] == "both" else [row[1]])
+    ]
+    assert len(told) == len(set(told))
+    assert set(told) == found
+    assert all(len(row) == 3 and len(row[2]) > 4 for row in rows)
 
 
 @pytest.mark.parametrize("command", commands((ROOT / "docs" / "learning.md").read_text()))

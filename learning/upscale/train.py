@@ -129,6 +129,7 @@ def train_upscaling(
         learner.network.mean_srgb.copy_(pictures.mean_srgb())
     processes.same_tensors(learner.network.state_dict().values())
     steps = run.steps(learner, config.steps, progress)
-    learner.network.eval()
-    result = score_upscaling(learner.network, scored.pictures)
+    with run.scoring(learner, steps):
+        learner.network.eval()
+        result = score_upscaling(learner.network, scored.pictures)
     return run.end(learner, steps, len(pictures.pictures), result)

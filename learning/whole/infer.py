@@ -29,6 +29,7 @@ from learning.render.shading import unit
 from learning.render.uv import rasterise
 from learning.whole.detail import enlarged, with_detail
 from learning.whole.refine import Answer, Refined, refine
+from lightstage.counting import counted
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
@@ -178,7 +179,8 @@ def _both_known(network: WholeFaceNetwork, position_mm: Tensor, where: str | Pat
         raise MapsError(
             where,
             field="uv",
-            found=f"{int(known.sum())} texels of the network's in common with those trained on",
+            found=f"{counted(int(known.sum()), 'texel')} of the network's in common with "
+            "those trained on",
             expected=f"at least {LEAST_TEXELS}",
             hint=OTHER_LAYOUT,
         )

@@ -222,14 +222,15 @@ def train_faces(
     learner = FaceLearner(trainer, faces, run.clock)
     with learner.ahead():
         steps = run.steps(learner, config.steps, progress)
-    trained = trainer.trained
-    shares = torch.tensor(fit_shares(trained, faces, config))
-    doubt = measured_doubt(trained, faces, config)
-    for one in {network, trained}:
-        one.detail_shares.copy_(shares)
-        one.mode_doubt.copy_(doubt)
-    result = score_faces(trained, scored, config.score_lights, config.seed)
-    samples = _samples(trained, scored, config.seed)
+    with run.scoring(learner, steps):
+        trained = trainer.trained
+        shares = torch.tensor(fit_shares(trained, faces, config))
+        doubt = measured_doubt(trained, faces, config)
+        for one in {network, trained}:
+            one.detail_shares.copy_(shares)
+            one.mode_doubt.copy_(doubt)
+        result = score_faces(trained, scored, config.score_lights, config.seed)
+        samples = _samples(trained, scored, config.seed)
     return run.end(learner, steps, len(faces.faces), result, samples)
 
 

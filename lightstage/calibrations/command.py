@@ -22,6 +22,7 @@ from lightstage.capture.config import read_config
 from lightstage.capture.shot import stopped
 from lightstage.capture.stage import open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
+from lightstage.counting import counted
 from lightstage.errors import ConfigError, LightstageError
 from lightstage.leds.address import parse_url
 from lightstage.operator import Unattended
@@ -91,8 +92,8 @@ def calibrate_command(
             raise type(told)(f"{told}\n  Go on with: {line}") from None
     held = (shots.file.expires - shots.file.created).total_seconds() / 86400
     finish(
-        f"{shots.root}: {report.poses} poses, {report.again} taken again, "
-        f"{report.warnings} faults accepted, holds {duration(held)}",
+        f"{shots.root}: {counted(report.poses, 'pose')}, {report.again} taken again, "
+        f"{counted(report.warnings, 'fault')} accepted, holds {duration(held)}",
         {
             "shots": str(shots.root),
             "id": shots.file.id,
@@ -123,7 +124,8 @@ def calibrations_command(
         print(f"cannot be read: {said}", file=sys.stderr)
     holding = sum(entry.state == "holds" for entry in entries)
     finish(
-        f"{lab}: {holding} of {len(KIND_NAMES)} kinds hold, {len(damaged)} files damaged",
+        f"{lab}: {holding} of {len(KIND_NAMES)} kinds hold, "
+        f"{counted(len(damaged), 'file')} damaged",
         {
             "lab": str(lab),
             "holds": holding,
@@ -149,7 +151,7 @@ def _require_meaning(kind: str, resume: bool, poses: int | None, every_light: bo
 
 def _poses_done(done: int, count: int) -> None:
     if done:
-        _say(f"  {done} of {count} poses done.")
+        _say(f"  {done} of {counted(count, 'pose')} done.")
 
 
 def _say(text: str) -> None:

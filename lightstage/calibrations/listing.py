@@ -10,6 +10,7 @@ from lightstage.calibrations.config import CalibrationConfig
 from lightstage.calibrations.folder import lab_shots
 from lightstage.calibrations.kinds import KINDS
 from lightstage.calibrations.stale import duration
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.calibration_shots import Shots
 
@@ -77,8 +78,9 @@ def _entry(
     elif file.finished_utc is None:
         state = "unfinished"
         says = (
-            f"{len(file.poses)} of {file.poses_wanted} poses, begun {duration(age)} ago; "
-            f"calibrate {file.kind} with --resume and its other options goes on"
+            f"{len(file.poses)} of {counted(file.poses_wanted, 'pose')}, begun "
+            f"{duration(age)} ago; calibrate {file.kind} with --resume and its other options "
+            "goes on"
         )
     elif replaced:
         state, says = "replaced", f"{duration(age)} old, newer ones count"
@@ -88,5 +90,5 @@ def _entry(
         state, says = "holds", f"{duration(age)} old, holds {duration(left)} more"
     accepted = sum(len(pose.accepted) for pose in file.poses)
     if accepted:
-        says += f" ({accepted} faults accepted by the operator)"
+        says += f" ({counted(accepted, 'fault')} accepted by the operator)"
     return Entry(file.kind, shots.root.name, state, says)

@@ -15,6 +15,7 @@ import numpy as np
 
 from lightstage.calibrations.config import CalibrationConfig
 from lightstage.calibrations.picture import Picture
+from lightstage.counting import counted
 
 BRIGHT_SHARE = 0.25
 """Of a picture's brightest light: a ball and highlights are looked for above it."""
@@ -48,7 +49,7 @@ def look_at_board(picture: Picture, config: CalibrationConfig) -> Seen:
         amiss.append(
             Amiss(
                 "board-corners",
-                f"{count} corners of the board",
+                f"{counted(count, 'corner')} of the board",
                 f"at least {wanted} of {config.board.corners}",
                 "Turn the board more toward this camera, keep fingers off it, and see that it is "
                 "sharp and its markers at least 15 pixels wide; is it the board of the "
@@ -75,7 +76,7 @@ def look_at_mirror(picture: Picture, config: CalibrationConfig) -> Seen:
     if count < config.look.min_highlights:
         few = Amiss(
             "ball-highlights",
-            f"{count} highlights apart from each other",
+            counted(count, "separate highlight"),
             f"at least {config.look.min_highlights}, one for each light that the ball mirrors",
             "Is the ball in this camera's picture, clean and sharp?",
         )

@@ -17,6 +17,7 @@ from lightstage.calibrations.reasons import told_together
 from lightstage.calibrations.stale import changes
 from lightstage.cameras.camera import Summary
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.errors import CaptureError
 from lightstage.findings import Finding
 from lightstage.formats.calibration_shots import MANIFEST, CalibrationFile, Pose, Shots
@@ -226,11 +227,11 @@ def _keep(shots: Shots, kind: Kind, rig: Rig, index: int, folder: str, look: Pos
 def _stopped(shots: Shots, index: int, failed: Sequence[Sequence[Finding]]) -> CaptureError:
     """Why no more is taken of a pose: what was amiss in each take, and what to change."""
     done, count = len(shots.file.poses), shots.file.poses_wanted
-    found, expected = f"stopped after {done} of {count} poses", "all poses"
+    found, expected = f"stopped after {done} of {counted(count, 'pose')}", "all poses"
     if not failed:
         return CaptureError(shots.root, found=found, expected=expected)
     reasons, wanted, hints = told_together(failed)
-    takes = "1 take" if len(failed) == 1 else f"{len(failed)} takes"
+    takes = counted(len(failed), "take")
     return CaptureError(
         shots.root,
         found=f"{found}: pose {index + 1} did not do in {takes}: {reasons}",

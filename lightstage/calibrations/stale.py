@@ -16,6 +16,7 @@ from lightstage.calibrations.config import CalibrationConfig, require_kind
 from lightstage.calibrations.folder import lab_shots, latest
 from lightstage.calibrations.kinds import KINDS, Kind
 from lightstage.cameras.camera import Summary
+from lightstage.counting import counted
 from lightstage.errors import LightstageError, one_error
 from lightstage.findings import Finding, Severity
 from lightstage.formats.calibration_shots import Shots
@@ -204,9 +205,9 @@ def _findings(
 def duration(days: float) -> str:
     """Days in plain words."""
     if days >= 2:
-        return f"{days:.0f} days"
+        return counted(round(days), "day")
     hours = days * 24
-    return f"{hours:.0f} hours" if hours >= 2 else f"{hours * 60:.0f} minutes"
+    return counted(round(hours), "hour") if hours >= 2 else counted(round(hours * 60), "minute")
 
 
 def _named(own: Collection[str], told: Collection[str]) -> str:

@@ -25,6 +25,7 @@ from lightstage.cameras.camera import CardFile, Download, Exposure, Summary
 from lightstage.cameras.card_file import pieces, write_card_file
 from lightstage.cameras.gphoto_events import Events, joined
 from lightstage.cameras.gphoto_link import Link, Patience
+from lightstage.counting import counted
 from lightstage.errors import DeviceError
 
 
@@ -145,7 +146,7 @@ class GphotoCamera:
             raise DeviceError(
                 self.port,
                 field=name,
-                found=f"{len(data)} bytes",
+                found=counted(len(data), "byte"),
                 expected=f"{size} bytes, as the camera says",
                 hint="The download was cut; check the cable.",
             )

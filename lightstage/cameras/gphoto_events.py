@@ -8,6 +8,7 @@ from typing import Any
 
 from lightstage.cameras import gphoto_settings as known
 from lightstage.cameras.gphoto_link import BUSY, Link
+from lightstage.counting import counted
 from lightstage.errors import DeviceError
 
 DRAIN_MS = 1
@@ -83,7 +84,9 @@ class Events:
             raise DeviceError(
                 link.port,
                 field="trigger",
-                found=f"files of {len(shots)} shots ({', '.join(names)})" if shots else "no file",
+                found=f"files of {counted(len(shots), 'shot')} ({', '.join(names)})"
+                if shots
+                else "no file",
                 expected="the files of this shot",
                 hint="They are still on the card; nobody knows which is this shot's."
                 if shots

@@ -20,8 +20,9 @@ from lightstage.capture.session_run import (
 )
 from lightstage.capture.stage import Stage, open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
+from lightstage.counting import counted
 from lightstage.errors import ConfigError, FormatError, LightstageError, one_error
-from lightstage.findings import accepted_in_words, counted
+from lightstage.findings import accepted_in_words
 from lightstage.formats.access import group_of, limited_access
 from lightstage.leds.address import parse_url
 from lightstage.operator import open_operator
@@ -128,9 +129,8 @@ def capture_command(
         if whole is not None:
             frames, written = whole
             did = f"{' and '.join(written)} written again; " if written else ""
-            said = (
-                f"{out}: finished and whole, {frames} frames read back; {did}nothing is left to do"
-            )
+            read = f"{counted(frames, 'frame')} read back"
+            said = f"{out}: finished and whole, {read}; {did}nothing is left to do"
             facts = {"session": str(out), "frames": frames, "taken": 0, "written": written}
             finish(said, facts, as_json)
             return
@@ -193,7 +193,7 @@ def take_session(
         report = capture_session(stage, order, settings, operator)
     accepted = accepted_in_words(report.accepted, report.accepted_findings)
     finish(
-        f"{order.root}: {report.frames} frames, {report.taken} taken now "
+        f"{order.root}: {counted(report.frames, 'frame')}, {report.taken} taken now "
         f"in {report.seconds:.1f} s, overhead {report.overhead_s:.2f} s, "
         f"{report.retakes} taken again, {accepted and accepted + ', '}"
         f"{counted(report.warnings, 'warning')} while it ran, "

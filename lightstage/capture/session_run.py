@@ -18,6 +18,7 @@ from lightstage.capture.run import CaptureReport, Run
 from lightstage.capture.shot import stopped
 from lightstage.capture.stage import Stage
 from lightstage.checks import ShotChecks
+from lightstage.counting import counted
 from lightstage.errors import CaptureError, FormatError, LightstageError
 from lightstage.findings import Finding
 from lightstage.formats.config import as_dict, make_config
@@ -192,8 +193,8 @@ def _split_lights(rig: Rig, shots: Sequence[Shot]) -> list[Finding]:
             "note",
             "on-plane",
             f"patterns {axis}+ and {axis}-",
-            f"{len(ids)} lights on the splitting plane (ids {', '.join(map(str, ids[:8]))}"
-            f"{', ..' if len(ids) > 8 else ''})",
+            f"{counted(len(ids), 'light')} on the splitting plane (ids "
+            f"{', '.join(map(str, ids[:8]))}{', ..' if len(ids) > 8 else ''})",
             "none, or half in each",
             "They are lit by half in both.",
         )

@@ -10,7 +10,8 @@ import typer
 
 from lightstage.checks import check_session
 from lightstage.commands import JsonFlag, finish, progress_bar
-from lightstage.findings import accepted_in_words, counted
+from lightstage.counting import counted
+from lightstage.findings import accepted_in_words
 
 
 def register(app: typer.Typer) -> None:
@@ -31,8 +32,10 @@ def check_command(
         print(f"note: {sentence}", file=sys.stderr)
     accepted = accepted_in_words(len(report.accepted), sum(report.accepted.values()))
     finish(
-        f"{session}: {report.frames} frames whole and unchanged, {report.sums} pattern sums "
-        f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % clipped, "
+        f"{session}: {counted(report.frames, 'frame')} whole and unchanged, "
+        f"{counted(report.sums, 'pattern sum')} "
+        f"within {100 * report.worst_sum:.2f} %, at most {100 * report.clipped:.2f} % of a "
+        "photograph clipped, "
         f"{accepted and accepted + ', '}{counted(len(told), 'warning')} "
         "of what lies there",
         {"session": str(session), **dataclasses.asdict(report)},

@@ -13,6 +13,7 @@ from lightstage.checks.photo import Photo
 from lightstage.checks.sharpness import sharpness
 from lightstage.checks.single import where
 from lightstage.checks.sums import MIN_CELLS, lit_cells
+from lightstage.counting import counted
 from lightstage.findings import Finding, two_digits
 
 UNLIKE, UNLIKE_RATIO = 0.2, 1.5
@@ -138,7 +139,7 @@ def _shared(
     """One finding where most cameras agree, else one for each camera."""
     if len(values) > known / 2 and known > 1:
         found, expected, hint = say(pattern, list(values.values()))
-        place = f"{len(values)} of {known} cameras, pattern {pattern}"
+        place = f"{len(values)} of {counted(known, 'camera')}, pattern {pattern}"
         return [Finding("retake", shared_code, place, found, expected, hint, pattern, None)]
     out = []
     for camera, value in values.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from lightstage.checks.config import ChecksConfig
 from lightstage.checks.photo import Photo
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.findings import Finding, Severity, two_digits
 from lightstage.rig import Camera
@@ -64,7 +65,7 @@ def photo_findings(
         say(
             "retake",
             "not-finite",
-            f"{photo.wild} pixels that are no finite number",
+            counted(photo.wild, "pixel without a finite number", "pixels without a finite number"),
             "finite light",
             "The file is damaged, or was made by a program that divided by nothing.",
         )

@@ -16,6 +16,7 @@ from typing import Any
 
 import typer
 
+from lightstage.counting import counted
 from lightstage.errors import ConfigError, DiskError
 from lightstage.failures import disk_full, explain, is_disk_full, nearest_existing
 from lightstage.formats.access import share
@@ -135,7 +136,7 @@ def _named(option: str, path: Path) -> Iterator[None]:
             if len(os.fsencode(name)) > _NAME_BYTES:
                 raise DiskError(
                     path,
-                    found=f"a name of {len(os.fsencode(name))} bytes",
+                    found=f"a name of {counted(len(os.fsencode(name)), 'byte')}",
                     expected=f"at most {_NAME_BYTES} bytes a name",
                 )
         yield

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import time
 from collections.abc import Callable, Iterator
 
 from lightstage.interrupts import interrupted
@@ -18,12 +19,14 @@ def quiet(done: int, total: int) -> None:
 
 @contextlib.contextmanager
 def progress_bar(label: str) -> Iterator[ProgressCallback]:
-    """A bar on stderr, drawn from `progress(done, total)` calls; none in a log file.
+    """A bar on stderr, drawn from `progress(done, total)` calls.
 
+    In a log file it is two plain lines: that the work has begun, and when it ended.
     The yielded callback raises KeyboardInterrupt where a signal came before.
     """
-    if not sys.stderr.isatty():  # a log file wants the last line only
-        yield _stop_where_interrupted
+    if not sys.stderr.isatty():
+        with _told_by_lines(label):
+            yield _stop_where_interrupted
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -38,6 +41,17 @@ def progress_bar(label: str) -> Iterator[ProgressCallback]:
             bar.update(task, completed=done, total=total)
 
         yield progress
+
+
+@contextlib.contextmanager
+def _told_by_lines(label: str) -> Iterator[None]:
+    began, how = time.monotonic(), "stopped after"
+    print(f"{label}: begun", file=sys.stderr, flush=True)
+    try:
+        yield
+        how = "done in"
+    finally:
+        print(f"{label}: {how} {time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)
 
 
 def _stop_where_interrupted(*_: int) -> None:

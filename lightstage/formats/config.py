@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from lightstage.counting import counted
 from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.formats.values import read_toml_value
 
@@ -79,7 +80,7 @@ def _convert(hint: Any, value: Any, where: str | Path, key: str) -> Any:
         else:
             kinds = [inner, *rest]
         if len(value) != len(kinds):
-            found, expected = f"{len(value)} values", f"{len(kinds)} values"
+            found, expected = counted(len(value), "value"), counted(len(kinds), "value")
             raise ConfigError(where, field=key, found=found, expected=expected)
         return tuple(
             _convert(kind, each, where, f"{key}[{index}]")

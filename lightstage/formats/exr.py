@@ -10,6 +10,7 @@ from typing import BinaryIO
 import numpy as np
 import OpenEXR
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.failures import free_bytes
 from lightstage.formats.files import atomic_path
@@ -213,7 +214,7 @@ def require_finite(image: np.ndarray, where: str | Path) -> None:
         raise FormatError(
             where,
             field=f"element {first}",
-            found=f"{int(bad.sum())} values that are NaN or infinite",
+            found=counted(int(bad.sum()), "NaN or infinite value"),
             expected="finite numbers",
             hint="Mask such texels (0) before passing the map on.",
         )

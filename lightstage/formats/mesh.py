@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.failures import free_bytes
 from lightstage.formats.files import atomic_path, write_text
@@ -140,7 +141,7 @@ def read_obj(path: Path) -> Mesh:
                         raise FormatError(
                             path,
                             field=f"line {number}",
-                            found=f"a face of {len(corners)} corners",
+                            found=f"a face of {counted(len(corners), 'corner')}",
                             expected="triangles or quads",
                         )
                     pad = [-1] * (4 - len(corners))
@@ -161,7 +162,7 @@ def read_obj(path: Path) -> Mesh:
 
 def _numbers(words: list[str], count: int) -> list[float]:
     if len(words) != count:
-        raise ValueError(f"{len(words)} coordinates instead of {count}")
+        raise ValueError(f"{counted(len(words), 'coordinate')} instead of {count}")
     return [float(word) for word in words]
 
 
@@ -178,7 +179,8 @@ def _check(mesh: Mesh, path: Path) -> None:
     if not len(mesh.vertices) or not len(mesh.faces):
         raise FormatError(
             path,
-            found=f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces",
+            found=f"{counted(len(mesh.vertices), 'vertex', 'vertices')}, "
+            f"{counted(len(mesh.faces), 'face')}",
             expected="a mesh",
         )
     if not np.isfinite(mesh.vertices).all():
@@ -190,7 +192,7 @@ def _check(mesh: Mesh, path: Path) -> None:
             raise FormatError(
                 path,
                 field="uv",
-                found=f"{len(mesh.face_uvs)} of {len(mesh.faces)} faces with UV",
+                found=f"{len(mesh.face_uvs)} of {counted(len(mesh.faces), 'face')} with UV",
                 expected="all or none",
             )
         if mesh.uvs is not None and not np.isfinite(mesh.uvs).all():

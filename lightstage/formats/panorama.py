@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
 
@@ -62,7 +63,7 @@ def require_panorama(radiance: np.ndarray, where: str | Path) -> None:
             raise FormatError(
                 where,
                 field=f"row {row}, column {column}, {'RGB'[channel]}",
-                found=f"{int(bad.sum())} values that are {found}",
+                found=counted(int(bad.sum()), f"{found} value"),
                 expected="light of at least 0",
                 hint="Clamp or repair the picture: no value is left out silently.",
             )

@@ -68,6 +68,11 @@ class ProcessedFolder:
         """JSON ``{"head_from_world": [[3 x 4]]}``, written by registration."""
         return self.root / "head_from_world.json"
 
+    @property
+    def true_landmarks(self) -> Path:
+        """JSON of the landmarks, mm, world; only the truth of a simulated session has it."""
+        return self.root / "landmarks_mm.json"
+
     def view_ids(self) -> list[str]:
         """Cameras that have a folder under views/, sorted."""
         return sorted(p.name for p in (self.root / "views").glob("*") if p.is_dir())

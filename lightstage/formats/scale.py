@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.environment import white_reading
 from lightstage.formats.files import read_json
@@ -87,8 +88,10 @@ def chart_levels(colour: Mapping[str, Any], count: int, path: Path) -> np.ndarra
         raise FormatError(
             path,
             field="full_levels",
-            found=f"{levels.size} values" if levels.size != count else "values not all in 0..1",
-            expected=f"{count} levels of 0..1, one a light, not all dark",
+            found=counted(levels.size, "value")
+            if levels.size != count
+            else "values not all in 0..1",
+            expected=f"{counted(count, 'level')} of 0..1, one a light, not all dark",
             hint="It is what the chart was lit by; make the calibration again with this rig.",
         )
     return levels

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
 from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.formats.names import require_pseudonym
@@ -260,7 +261,9 @@ def _faults(session: Session) -> list[LightstageError]:
         field = f"patterns.{pattern}.levels"
         if len(levels) != count:
             problems.append(
-                FormatError(path, field=field, found=f"{len(levels)} levels", expected=str(count))
+                FormatError(
+                    path, field=field, found=counted(len(levels), "level"), expected=str(count)
+                )
             )
             continue
         for index in np.flatnonzero(~((levels >= 0) & (levels <= 1)))[:3]:

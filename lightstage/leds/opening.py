@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Protocol, Self
 
+from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.leds.adalight import AdalightLeds
 from lightstage.leds.address import (
@@ -60,7 +61,7 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
         raise ConfigError(
             "--leds",
             field=address.scheme,
-            found=f"{light_count} lights in the rig",
+            found=f"{counted(light_count, 'light')} in the rig",
             expected=f"at most {MAX_LIGHTS}: the wire counts them with 16 bits",
         )
     if isinstance(options, AdalightOptions):
@@ -84,8 +85,8 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
             raise ConfigError(
                 "--leds",
                 field="timeout_s",
-                found=f"{options.timeout_s:g} for {light_count} lights, whose levels alone take "
-                f"{needed_s:.2g} s at {options.baud} baud",
+                found=f"{options.timeout_s:g} for {counted(light_count, 'light')}, whose levels "
+                f"alone take {needed_s:.2g} s at {options.baud} baud",
                 expected=f"at least {2 * needed_s:.2g}, or a faster line",
             )
     return WireLeds(where, line, options.timeout_s, options.attempts, options.pulse_hz)

@@ -7,6 +7,7 @@ import uuid
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import ConfigError, DeviceError
 from lightstage.leds import e131
 from lightstage.leds.address import MULTICAST, SacnOptions
@@ -49,7 +50,7 @@ class SacnLeds(UnansweredLeds):
             raise ConfigError(
                 "--leds",
                 field="universe",
-                found=f"{light_count} lights up to universe {self._universes[-1]}",
+                found=f"{counted(light_count, 'light')} up to universe {self._universes[-1]}",
                 expected=f"at most {e131.MAX_UNIVERSE}",
             )
         # The same machine and the same address make the same sender.

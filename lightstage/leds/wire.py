@@ -11,6 +11,7 @@ import struct
 import numpy as np
 from cobs import cobs
 
+from lightstage.counting import counted
 from lightstage.leds.controller import Hello, level_steps
 from lightstage.printable import printable
 
@@ -63,7 +64,7 @@ def decode(frame: bytes) -> Packet:
     except cobs.DecodeError as error:
         raise WireError(str(error)) from None
     if len(decoded) < 6:
-        raise WireError(f"{len(decoded)} bytes")
+        raise WireError(counted(len(decoded), "byte"))
     body, (checksum,) = decoded[:-2], struct.unpack("<H", decoded[-2:])
     if crc16(body) != checksum:
         raise WireError("CRC")
@@ -135,7 +136,7 @@ def parse_hello(payload: bytes) -> Hello:
     are passed over; a device that says nothing there has no watchdog that is known of.
     """
     if len(payload) < 6:
-        raise WireError(f"a HELLO of {len(payload)} bytes")
+        raise WireError(f"a HELLO of {counted(len(payload), 'byte')}")
     boot_id, count = struct.unpack_from("<IH", payload)
     try:
         firmware, *fields = payload[6:].decode().split("\0")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.errors import LightstageError, MotionError, one_error
 from lightstage.exif import Exif, read_exif
 from lightstage.formats.cameras import SCHEMA
@@ -114,7 +115,8 @@ def find_cameras(
     )
     progress(total, total)
     warnings = scale.warnings() + [
-        f"{name} sees {count} points alone (of {MIN_POINTS} at least): its place is uncertain"
+        f"{name} sees {counted(count, 'point')} alone (of {MIN_POINTS} at least): "
+        "its place is uncertain"
         for name, count in solved.seen.items()
         if count < FAINT_POINTS
     ]

@@ -12,6 +12,7 @@ import typer
 
 from lightstage.capture.config import read_config
 from lightstage.commands import JsonFlag, finish, output_folder, progress_bar
+from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.access import limited_access
 from lightstage.formats.cameras import NAME
@@ -78,8 +79,6 @@ def import_command(
     settings = read_config(config).session
     require_known(check_pseudonym(subject, "subject"), settings)
     findings = consent_findings(consent, settings)
-    for finding in findings:
-        print(f"warning: {finding}", file=sys.stderr)
     found: FoundCameras | None = None
     if rig is not None:
         given = {"--length": length, "--points": points, "--front": front, "--lights": lights}
@@ -93,8 +92,6 @@ def import_command(
         lengths = [parse_length(text) for text in length]
         found = _found(folder, lengths, landmarks, points, front, lights)
         the_rig = found.rig
-        for warning in found.warnings:
-            print(f"warning: {warning}", file=sys.stderr)
     carried = Carried() if colour is None else read_calibration(colour, the_rig)
     if found is not None:
         data = json.dumps(found.facts, indent=2).encode() + b"\n"
@@ -104,18 +101,21 @@ def import_command(
             folder, the_rig, out, subject, expression, carried, landmarks, progress,
             consent, findings,
         )  # fmt: skip
-    warnings = [str(finding) for finding in findings]
+    warnings = [*map(str, findings), *(found.warnings if found is not None else ())]
+    # Only now: who reads them beside an error takes them for its cause.
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
     facts: dict[str, Any] = {
         "session": str(out), "frames": frames, "consent": consent, "warnings": warnings,
     }  # fmt: skip
     said = ""
     if found is not None:
-        facts |= {"cameras": found.facts, "warnings": [*warnings, *found.warnings]}
+        facts |= {"cameras": found.facts}
         said = (
-            f"; {len(the_rig.cameras)} cameras found from the photographs, approximate: "
-            f"{found.facts['residual_px']:.2f} px (mean), {found.facts['points']} points"
+            f"; {counted(len(the_rig.cameras), 'camera')} found from the photographs, approximate: "
+            f"{found.facts['residual_px']:.2f} px (mean), {counted(found.facts['points'], 'point')}"
         )
-    finish(f"{out}: {frames} frames imported{said}", facts, as_json)
+    finish(f"{out}: {counted(frames, 'frame')} imported{said}", facts, as_json)
 
 
 def _found(

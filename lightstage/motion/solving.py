@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import LightstageError, MotionError, one_error
 from lightstage.exif import Exif
 from lightstage.formats.files import read_json
@@ -126,7 +127,7 @@ def _refuse(
         if best[name] < MIN_MATCHES:
             refuse(
                 name,
-                f"{best[name]} matches with the camera that fits best",
+                f"{counted(best[name], 'match', 'matches')} with the camera that fits best",
                 f"{MIN_MATCHES} at least",
                 "Does it show the same subject, sharp, within 30 degrees of another camera?",
             )

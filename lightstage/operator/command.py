@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.text import Text
 
 from lightstage.commands import JsonFlag, finish, output_file
+from lightstage.counting import counted
 from lightstage.errors import CaptureError, ConfigError, FormatError
 from lightstage.formats.files import write_text
 from lightstage.operator.attendance import Request
@@ -88,8 +89,8 @@ def watch_command(
     gone, ended = view.phase == "gone", view.phase in ("aborted", "complete", "before")
     again = f"\n  Go on with: {resume_line(session, view.options)}" if gone else ""
     finish(
-        f"{session}: {view.kept} of {view.wanted} photographs kept, "
-        f"{len(view.done)} of {len(view.patterns)} patterns done, "
+        f"{session}: {view.kept} of {counted(view.wanted, 'photograph')} kept, "
+        f"{len(view.done)} of {counted(len(view.patterns), 'pattern')} done, "
         f"{view.phase if ended else 'not over'} at line {view.last_id}"
         f"{', and no capture runs' if gone else ''}{again}",
         {

@@ -14,6 +14,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from lightstage.counting import counted
 from lightstage.operator.cells import battery, card, sayable, short
 from lightstage.operator.view import CameraView, View
 from lightstage.operator.window import Scroll, fitting
@@ -179,7 +180,7 @@ class Screen:
         line = Text(no_wrap=True, overflow="ellipsis")
         line.append(full * filled, "" if view.phase in ("aborted", "gone") else "green")
         line.append(empty * (cells - filled), "dim")
-        line.append(f" {kept} of {view.wanted} photographs", "bold")
+        line.append(f" {kept} of {counted(view.wanted, 'photograph')}", "bold")
         if view.phase == "complete":
             line.append(", COMPLETE", "bold green")
         elif view.phase == "aborted":

@@ -14,6 +14,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, Literal
 
+from lightstage.counting import counted
 from lightstage.operator.attendance import Decision, possible_answers
 from lightstage.operator.words import (
     Mark,
@@ -160,7 +161,9 @@ class View:
     def progress(self) -> str:
         """How far it is, as one sentence."""
         with self.lock:
-            return f"{self.kept} of {self.wanted} photographs, {duration(self.left_s())}."
+            return (
+                f"{self.kept} of {counted(self.wanted, 'photograph')}, {duration(self.left_s())}."
+            )
 
     def told(self, line: Mapping[str, Any]) -> Said:
         """Take up a line; returns its words."""
@@ -233,7 +236,7 @@ class View:
             self.acknowledged = leds["acknowledged"]
         count, firmware = number_of(leds, "light_count"), text_of(leds, "firmware")
         boot = text_of(leds, "boot_id")
-        parts = [f"{count:.0f} lights" if count is not None else ""]
+        parts = [counted(round(count), "light") if count is not None else ""]
         parts += [f"firmware {firmware}" if firmware else "", f"boot {boot}" if boot else ""]
         self.lights = ", ".join(filter(None, parts)) or self.lights
 

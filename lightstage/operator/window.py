@@ -9,6 +9,8 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.segment import Segment
 from rich.text import Text
 
+from lightstage.counting import counted
+
 
 @dataclasses.dataclass
 class Scroll:
@@ -66,7 +68,7 @@ def fitting(
         scroll.at = start = max(0, min(last, scroll.at))
     shown = lines[start : start + room]
     below = len(lines) - start - len(shown)
-    parts = [f"{start} more lines above"] if start else []
-    parts += [f"{below} more lines below"] if below else []
+    parts = [f"{counted(start, 'more line')} above"] if start else []
+    parts += [f"{counted(below, 'more line')} below"] if below else []
     how = ": arrow keys" if keys else ""
     return [Window(shown), Text(f"  {', '.join(parts)}{how}", "dim")]

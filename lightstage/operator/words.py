@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
+from lightstage.counting import counted
 from lightstage.findings import accepted_in_words
 from lightstage.operator.plain import cause
 from lightstage.printable import printable
@@ -156,7 +157,8 @@ def _at(line: Line) -> str:
 def _begin(line: Line) -> Said:
     patterns, cameras = len(names_of(line, "sequence")), len(names_of(line, "cameras"))
     who = " ".join(filter(None, (text_of(line, "subject"), text_of(line, "expression"))))
-    return Said("plain", f"Session of {who or 'nobody'}: {patterns} patterns, {cameras} cameras")
+    told = f"{counted(patterns, 'pattern')}, {counted(cameras, 'camera')}"
+    return Said("plain", f"Session of {who or 'nobody'}: {told}")
 
 
 def _lit(line: Line) -> Said:
@@ -229,7 +231,7 @@ def _aborted(line: Line) -> Said:
 
 def _end(line: Line) -> Said:
     frames = number_of(line, "frames")
-    count = "" if frames is None else f": {frames:.0f} photographs"
+    count = "" if frames is None else f": {counted(round(frames), 'photograph')}"
     report = line.get("capture")
     told: Line = report if isinstance(report, dict) else {}
     patterns, faults = number_of(told, "accepted"), number_of(told, "accepted_findings")
@@ -239,7 +241,7 @@ def _end(line: Line) -> Said:
 
 def _accepted(line: Line) -> Said:
     findings = line.get("findings")
-    count = f" with {len(findings)} findings" if isinstance(findings, list) else ""
+    count = f" with {counted(len(findings), 'finding')}" if isinstance(findings, list) else ""
     return Said("warning", f"{_at(line)}accepted by the operator{count}")
 
 

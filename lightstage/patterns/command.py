@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lightstage.commands import JsonFlag, finish, output_file
+from lightstage.counting import counted
 from lightstage.errors import PatternError
 from lightstage.patterns.drive import Drive, drive_levels
 from lightstage.patterns.names import (
@@ -58,7 +59,7 @@ def patterns_command(
     if out is not None and len(shots) > MOST_PICTURES:
         raise PatternError(
             f"sequence {sequence!r}",
-            found=f"{len(shots)} patterns",
+            found=counted(len(shots), "pattern"),
             expected=f"at most {MOST_PICTURES} in one picture",
             hint="Name some of them with commas.",
         )
@@ -81,16 +82,18 @@ def patterns_command(
         _show(rows, own)
         for axis, ids in planes.items():
             some = ", ".join(map(str, ids[:12])) + (" .." if len(ids) > 12 else "")
-            print(f"On the plane {axis} = 0, half in each of a pair: {len(ids)} lights ({some})")
+            lit = counted(len(ids), "light")
+            print(f"On the plane {axis} = 0, half in each of a pair: {lit} ({some})")
         if any(s.pattern.startswith("mux-") for s in shots) and not has_coloured_lights(the_rig):
             print("These lights are not red, green and blue: mux-1 and mux-2 hold one diagonal")
             print("gradient and its complement, not six. Take `binary` for normals.")
     if out is not None:
-        title = f"{len(the_rig.lights)} lights, driven {_words(how)}"
+        title = f"{counted(len(the_rig.lights), 'light')}, driven {_words(how)}"
         write_sheet(out, pattern_sheet(the_rig, [(s.pattern, s.levels) for s in shots], title))
     drawn = "" if out is None else f", drawn in {out}"
     finish(
-        f"{len(shots)} patterns on {len(the_rig.lights)} lights driven {_words(how)}; "
+        f"{counted(len(shots), 'pattern')} on {counted(len(the_rig.lights), 'light')} driven "
+        f"{_words(how)}; "
         f"full is uneven by {100 * even:.2f} %{drawn}",
         facts,
         as_json,

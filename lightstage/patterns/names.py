@@ -11,6 +11,7 @@ import re
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import PatternError
 from lightstage.rig import Rig
 
@@ -200,7 +201,9 @@ def _unpolarised(base: str, name: str, rig: Rig) -> np.ndarray:
         wanted = [int(match.group(1)) == light.id for light in rig.lights]
         if not any(wanted):
             raise PatternError(
-                f"pattern {name}", found="no light of this id", expected=f"one of {count} lights"
+                f"pattern {name}",
+                found="no light of this id",
+                expected=f"one of {counted(count, 'light')}",
             )
         return np.array(wanted, float)
     raise _unknown(name)

@@ -30,6 +30,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import LightstageError, PatternError, one_error
 from lightstage.formats.config import make_config, read_toml
 from lightstage.patterns.names import is_reserved
@@ -223,7 +224,7 @@ def _made(
     name: str, kind: Kind, levels: np.ndarray, is_field: bool, scale: float | None = None
 ) -> UserPattern:
     lit = int((levels > 0).sum())
-    said = f"{lit} of {len(levels)} lights"
+    said = f"{lit} of {counted(len(levels), 'light')}"
     if scale is not None:
         said += f", level {scale:.4g} for one unit of luminance times steradian"
         faint = int(((levels > 0) & (levels < 0.5 / 65535)).sum())

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import LightstageError, PatternError, one_error
 from lightstage.rig import Rig
 
@@ -19,10 +20,10 @@ def numbers(values: tuple[Any, ...], where: str, field: str, count: int) -> np.n
     good = [isinstance(v, (int, float)) and not isinstance(v, bool) for v in values]
     good = [ok and not abs(v) > HUGE for ok, v in zip(good, values, strict=True)]
     if len(values) != count or not all(good):
-        found = f"{len(values)} values"
+        found = counted(len(values), "value")
         if not all(good):
             found = repr(values[good.index(False)])
-        raise PatternError(where, field=field, found=found, expected=f"{count} numbers")
+        raise PatternError(where, field=field, found=found, expected=counted(count, "number"))
     return np.array(values, float)
 
 

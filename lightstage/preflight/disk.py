@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from lightstage.cameras.camera import Summary
+from lightstage.counting import counted
 from lightstage.findings import Finding
 from lightstage.preflight.config import Plan, PreflightConfig
 from lightstage.rig import Camera, Rig
@@ -44,7 +45,7 @@ def card_findings(
                     "card-space",
                     f"camera {camera_id}, card",
                     f"{_size(free)} free",
-                    f"{_size(wanted)} for {plan.photographs_per_camera} photographs",
+                    f"{_size(wanted)} for {counted(plan.photographs_per_camera, 'photograph')}",
                     "Copy its photographs away and format it, or put a larger card in.",
                     camera=camera_id,
                 )
@@ -105,7 +106,7 @@ def _space(rig: Rig, there: Path, plan: Plan, config: PreflightConfig) -> list[F
                 "refuse",
                 "disk-space",
                 f"disk of {there}",
-                f"{disk.f_favail} files free",
+                f"{counted(disk.f_favail, 'file')} free",
                 f"{files} for the whole capture",
                 "Remove small files, or give an --out on another disk.",
             )
@@ -143,7 +144,7 @@ def _names(rig: Rig, out: Path, there: Path, plan: Plan) -> list[Finding]:
                     "refuse",
                     "path-length",
                     f"{there}, session",
-                    f"{what} of {found} bytes",
+                    f"{what} of {counted(found, 'byte')}",
                     f"at most {most}",
                     "Give a shorter --out, or shorter names of cameras and patterns.",
                 )

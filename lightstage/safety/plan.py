@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.rig import Rig
 from lightstage.safety.budget import FlashCounter, worst_heat
@@ -128,8 +129,8 @@ def check_shots(shots: Sequence[Shot], rig: Rig, config: SafetyConfig, shot_wors
             ConfigError(
                 "sequence",
                 field=field,
-                found=f"{over} lights over the budget, light {worst.id} ({worst.name}) up to "
-                + said.format(values.max()),
+                found=f"{counted(over, 'light')} over the budget, light {worst.id} ({worst.name}) "
+                "up to " + said.format(values.max()),
                 expected="at most " + limit_said.format(limit),
                 hint="Split the sequence, or lower the cameras' deadline.",
             )

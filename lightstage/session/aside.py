@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from lightstage.cameras.camera import CameraDevice, CardFile
+from lightstage.counting import counted
 from lightstage.errors import CaptureError
 from lightstage.formats.files import fsync_path
 from lightstage.session.disk import disk_errors, make_folder, rename_new
@@ -64,8 +65,8 @@ def take_aside(
     if (found, size) != (got.sha256, file.size):
         raise CaptureError(
             f"{file.name} of {camera.id}",
-            found=f"{size} bytes, {found[:12]}.. on the disk",
-            expected=f"{file.size} bytes, {got.sha256[:12]}.. as the camera gave it",
+            found=f"{counted(size, 'byte')}, {found[:12]}.. on the disk",
+            expected=f"{counted(file.size, 'byte')}, {got.sha256[:12]}.. as the camera gave it",
             hint="The file is still on the camera.",
         )
     if is_anothers(found):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.session import Calibration, Driven, Frame, SessionFile
 from lightstage.resume_line import known_options, resume_line
@@ -40,9 +41,13 @@ def session_from_lines(lines: Sequence[Line], path: Path) -> SessionFile:
     """
     state = SessionState(lines)
     missing = [pattern for pattern in state.patterns if not state.is_shot(pattern)]
-    counted = [state.accepted(p, c) for p in state.patterns for c in state.cameras]
-    if missing or (lacking := counted.count(None)):
-        said = f"no finished shot of {', '.join(missing)}" if missing else f"{lacking} photographs"
+    kept = [state.accepted(p, c) for p in state.patterns for c in state.cameras]
+    if missing or (lacking := kept.count(None)):
+        said = (
+            f"no finished shot of {', '.join(missing)}"
+            if missing
+            else counted(lacking, "photograph")
+        )
         raise FormatError(
             path,
             found=said if missing else f"{said} missing",
@@ -61,7 +66,7 @@ def session_from_lines(lines: Sequence[Line], path: Path) -> SessionFile:
         subject=state.begin["subject"],
         expression=state.begin["expression"],
         sequence=list(state.patterns),
-        frames=[_frame(frames[each.key]) for each in counted if each is not None],
+        frames=[_frame(frames[each.key]) for each in kept if each is not None],
         patterns={p: Driven(levels=driven[p]) for p in state.patterns if p in driven},
         calibration=Calibration(**state.calibration()),
         **extra,

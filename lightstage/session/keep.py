@@ -7,6 +7,7 @@ import hashlib
 import os
 from pathlib import Path
 
+from lightstage.counting import counted
 from lightstage.errors import CaptureError, CutPhotographError, FormatError
 from lightstage.formats.files import fsync_path
 from lightstage.photograph import Kind, identify_file
@@ -65,7 +66,7 @@ def settle(arrival: Arrival) -> tuple[Path, Kind]:
             raise CutPhotographError(
                 where,
                 field="size",
-                found=f"{size} bytes on the disk",
+                found=f"{counted(size, 'byte')} on the disk",
                 expected=f"{arrival.size} as the camera says",
                 hint="The photograph is still on the camera.",
             )

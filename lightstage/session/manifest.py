@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.files import read_json, sha256_file, write_json
 from lightstage.formats.paths import path_inside
@@ -157,7 +158,7 @@ def check_manifest(root: Path, known: Mapping[str, str] | None = None) -> list[L
         problems.append(_wrong(root / JOURNAL, "no journal", expected, "Restore it."))
     else:
         if len(data) < limit:
-            said = f"{len(data)} bytes, cut"
+            said = f"{counted(len(data), 'byte')}, cut"
             problems.append(_wrong(root / JOURNAL, said, f"at least {limit}", "Restore it."))
         elif hashlib.sha256(data).hexdigest() != whole:
             problems.append(_wrong(root / JOURNAL, "another beginning", expected, "Restore it."))

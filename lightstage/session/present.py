@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.files import read_json
 from lightstage.formats.paths import path_inside
@@ -65,7 +66,7 @@ def why_not_delete(root: Path, state: SessionState, key: Key) -> str:
         return "its file on the disk is missing or damaged"
     missing = absent(root, photographs)
     if missing:
-        return f"{len(missing)} photographs are missing on the disk, such as {missing[0].path}"
+        return f"the disk lacks {counted(len(missing), 'photograph')}, such as {missing[0].path}"
     return ""
 
 

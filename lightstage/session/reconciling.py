@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from lightstage.cameras.camera import CameraDevice, CardFile
+from lightstage.counting import counted
 from lightstage.errors import DeviceError, FormatError, LightstageError
 from lightstage.exif import read_exif
 from lightstage.findings import Finding
@@ -141,7 +142,7 @@ class Reconciler(Leftovers):
         if twin is not None:
             why = f"the bytes of {twin}"
         elif size != exposed.file.size:
-            why = f"{size} bytes came of {exposed.file.size}"
+            why = f"{counted(size, 'byte')} came of {exposed.file.size}"
         if why:
             self.set_aside(incoming, exposed, why)
             self.reject(exposed.key, why)
@@ -239,13 +240,13 @@ class Reconciler(Leftovers):
     def _tell_changed(
         self, camera: CameraDevice, changed: Collection[CardFile], unknown: Sequence[CardFile]
     ) -> None:
-        left = f" {len(unknown)} files of others were left on it." if unknown else ""
+        left = f" It still holds {counted(len(unknown), 'file')} of others." if unknown else ""
         self.say(
             Finding(
                 "warn",
                 "card-changed",
                 f"camera {camera.id}",
-                found=f"{len(changed)} files missing from its card, such as "
+                found=f"{counted(len(changed), 'file')} missing from its card, such as "
                 f"{min(file.name for file in changed)}",
                 expected="the card as this session left it",
                 hint="Was it emptied or exchanged? What was not yet on this computer is taken "

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from lightstage.commands import ProgressCallback
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
 from lightstage.formats.session import Session
@@ -223,7 +224,7 @@ def find_ball(pictures: list[Picture], radius_mm: float, where: Path) -> Outline
     if len(axes) < 2:
         raise ProcessingError(
             where,
-            found=f"a lit ball in {len(axes)} of {len(pictures)} cameras",
+            found=f"a lit ball in {len(axes)} of {counted(len(pictures), 'camera')}",
             expected="one in two at least",
             hint="Is the grey ball in the middle of the stage, and the radius told the right one?",
         )

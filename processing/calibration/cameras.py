@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lightstage.counting import counted
 from lightstage.formats.board import BoardConfig
 from lightstage.rig import Camera, Rig
 from processing.calibration.boards import Sight
@@ -92,29 +93,29 @@ def measure_cameras(
         raise PoseError("cameras", field="model", found=config.model, expected=" or ".join(MODELS))
     corners = board.corners_mm()
     rig_cameras = {camera.id: camera for camera in rig.cameras}
-    counted = enough(sights, config.min_sights)
-    if len({sight.camera for sight in counted}) < 1:
+    usable = enough(sights, config.min_sights)
+    if len({sight.camera for sight in usable}) < 1:
         raise PoseError(
             "cameras",
-            found=f"{len(sights)} boards seen",
+            found=f"{counted(len(sights), 'board')} seen",
             expected=f"at least {config.min_sights} by a camera",
             hint="Is it the board of the configuration, lit and sharp?",
         )
     lenses = {
-        name: _lens_alone([s for s in counted if s.camera == name], corners, rig_cameras[name])
-        for name in sorted({s.camera for s in counted})
+        name: _lens_alone([s for s in usable if s.camera == name], corners, rig_cameras[name])
+        for name in sorted({s.camera for s in usable})
     }
     placed, boards = first_poses(
-        counted, corners, {n: (c.opencv_matrix, np.array(c.dist)) for n, c in lenses.items()}
+        usable, corners, {n: (c.opencv_matrix, np.array(c.dist)) for n, c in lenses.items()}
     )
     start = {
         name: dataclasses.replace(lenses[name], cam_from_world=pose[:3])
         for name, pose in placed.items()
     }
     # From afar to near: a narrow loss takes a first guess that is pixels off for outliers.
-    far = adjust(counted, corners, start, boards, model=config.model, lenses=False, scale_px=20.0)
-    near = adjust(counted, corners, far.cameras, far.boards, model=config.model, scale_px=2.0)
-    clean = _without_outliers(counted, near, config.outlier_px)
+    far = adjust(usable, corners, start, boards, model=config.model, lenses=False, scale_px=20.0)
+    near = adjust(usable, corners, far.cameras, far.boards, model=config.model, scale_px=2.0)
+    clean = _without_outliers(usable, near, config.outlier_px)
     found = adjust(clean, corners, near.cameras, near.boards, model=config.model, scale_px=WIDE_PX)
     warnings = _refuse(_contradicting(clean, corners, found, config), config)
     # Most corners are found to a hundredth of a pixel and a few to a half: a loss as wide as the
@@ -190,7 +191,7 @@ def _told(
         own = [m for s, m in zip(clean, found.residual_px, strict=True) if s.camera == name]
         if name not in found.cameras or not own:
             count = sum(s.camera == name for s in sights)
-            warnings.append(f"{name} was not measured: it saw {count} boards that others saw")
+            warnings.append(f"{name} was not measured: of boards that others saw it saw {count}")
             continue
         miss = np.concatenate(own)
         now = found.cameras[name]

@@ -9,6 +9,7 @@ from pathlib import Path
 import typer
 
 from lightstage.commands import JsonFlag, finish, output_folder, progress_bar
+from lightstage.counting import counted
 
 
 def register(app: typer.Typer) -> None:
@@ -46,7 +47,8 @@ def calibrate_cameras_command(
     held = [each["held_out_px"] for each in told if each["held_out_px"] is not None]
     said = f", {max(held):.2f} px at most on boards held out" if held else ""
     finish(
-        f"{out}: {len(told)} cameras, boards within {worst:.2f} px (median of the worst){said}",
+        f"{out}: {counted(len(told), 'camera')}, boards within {worst:.2f} px (median of the "
+        f"worst){said}",
         {"out": str(out), **found.facts, "warnings": found.warnings},
         as_json,
     )

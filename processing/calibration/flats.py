@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.rig import Camera
 from processing.calibration.flat_file import FlatField
 from processing.calibration.picture import Mosaic
@@ -118,7 +119,7 @@ def read_darks(
     if level > config.max_dark_level or len(hot) > config.max_hot_share * lowest.size:
         raise ProcessingError(
             where,
-            found=f"{100 * level:.2f} % of white in the mean, {len(hot)} bright pixels",
+            found=f"{100 * level:.2f} % of white in the mean, {counted(len(hot), 'bright pixel')}",
             expected=f"at most {100 * config.max_dark_level:g} %, and "
             f"{100 * config.max_hot_share:g} % of the pixels",
             hint="Put the lens caps on and take the darks again.",

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.patterns import complement
 from lightstage.rig import Camera
 from processing.calibration.ball import (
@@ -70,7 +71,7 @@ def _too_few(shots: BallShots, count: int) -> ProcessingError:
     return ProcessingError(
         shots.where,
         field="grey",
-        found=f"{count} places of the grey ball that no photograph clips",
+        found=f"{counted(count, 'place')} of the grey ball not clipped in any photograph",
         expected=f"{LEAST_PLACES} at least, the whole ball in the picture",
         hint="Expose for `full`, and set the ball in the middle of the stage.",
     )

@@ -13,6 +13,7 @@ import dataclasses
 import numpy as np
 from scipy.spatial import cKDTree
 
+from lightstage.counting import counted
 from lightstage.rig import Camera
 from processing.calibration.ball import nearest_point, rays_through
 from processing.calibration.flux import Flux
@@ -139,7 +140,7 @@ def solve_lamps(
             raise ProcessingError(
                 where,
                 field="mirror",
-                found=f"{len(matched.lamp)} highlights that fit the rig's lamps",
+                found=f"{counted(len(matched.lamp), 'highlight')} at the rig's lamps",
                 expected=f"at least {LEAST_SEEN} a pose",
                 hint="Is it the rig of this stage, and the mirror ball in its middle?",
             )
@@ -187,7 +188,7 @@ def _first_place(seen: list[Seen], pose: int, where: str) -> np.ndarray:
         raise ProcessingError(
             where,
             field=f"mirror, pose {pose + 1}",
-            found=f"{total} highlights in {len(own)} cameras",
+            found=f"{counted(total, 'highlight')} in {counted(len(own), 'camera')}",
             expected=f"at least {LEAST_SEEN}, in two cameras",
             hint="Is the mirror ball in the middle of the stage, and the exposure long enough?",
         )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.formats.files import atomic_folder, write_json
 from lightstage.formats.lights import write_measured_lights
 from processing.calibration.chart_reference import chart_reflectance
@@ -76,19 +77,21 @@ def headline(found: Calibration) -> str:
         after = np.mean([each["delta_e"]["mean"] for each in facts])
         bent = sum(each["used"] == "root_polynomial" for each in facts)
         said.append(
-            f"colours of {len(facts)} cameras ({bent} by root-polynomial), Delta E 2000 "
+            f"colours of {counted(len(facts), 'camera')} ({bent} by root-polynomial), Delta E 2000 "
             f"{before:.2f} by white balance alone, {after:.2f} now"
         )
     if "grey" in found.facts:
         said.append(f"grey ball within {100 * found.facts['grey']['largest_error']:.2f} %")
     if "flat" in found.facts:
         corners = [each["light_at_the_corner"] for each in found.facts["flat"].values()]
-        said.append(f"flats of {len(corners)} cameras, corners at {100 * min(corners):.1f} %")
+        said.append(
+            f"flats of {counted(len(corners), 'camera')}, corners at {100 * min(corners):.1f} %"
+        )
     if "dark" in found.facts:
         hot = sum(each["hot_pixels"] for each in found.facts["dark"].values())
-        said.append(f"{hot} hot pixels in {len(found.facts['dark'])} cameras")
+        said.append(f"{counted(hot, 'hot pixel')} in {counted(len(found.facts['dark']), 'camera')}")
     if found.lights is not None:
-        said.append(f"{len(found.lights[1].lights)} lamps")
+        said.append(counted(len(found.lights[1].lights), "lamp"))
     return ", ".join(said)
 
 

@@ -1,5 +1,6 @@
 """RealFaceDB: the lab's store of whole maps, and the patches that may leave the lab."""
 
+from processing.dataset.protection import narrow_gap
 from processing.dataset.publish import PublishConfig, publish
 from processing.dataset.scan import (
     CHANNELS,
@@ -19,6 +20,7 @@ __all__ = [
     "Scan",
     "Store",
     "build_store",
+    "narrow_gap",
     "open_store",
     "publish",
     "read_head_pose",

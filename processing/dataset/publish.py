@@ -23,10 +23,11 @@ import numpy as np
 import zarr
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.files import atomic_folder, write_json
 from processing.dataset.places import Layout, Place, clear_skin, places_of, size_that_shows, turned
-from processing.dataset.protection import CANNOT_PROTECT
+from processing.dataset.protection import DEFAULT_GAP, cannot_protect
 from processing.dataset.scan import DatasetError
 from processing.dataset.statistics import Statistics
 from processing.dataset.store import DATASET, PATCH, PUBLISHED, SCHEMA, Scan, Store
@@ -66,7 +67,7 @@ class PublishConfig:
     """
 
     patch_px: int | None = None
-    gap: float = 0.5
+    gap: float = DEFAULT_GAP
     wander: float = 0.5
     turned: bool = True
     drop: float = 0.25
@@ -170,7 +171,7 @@ def publish(
                 "most_of_a_face": config.most_face,
                 "consent": _consent(store),
                 "statistics": shown,
-                "cannot_protect": CANNOT_PROTECT,
+                "cannot_protect": cannot_protect(config.gap),
             },
         )
         _consolidate(beside)
@@ -261,7 +262,7 @@ def _refuse_unasked(store: Store, unasked: list[Scan]) -> None:
     raise DatasetError(
         store.path,
         field="consent",
-        found=f"{len(unasked)} scans without a consent record, of {shown}",
+        found=f"{counted(len(unasked), 'scan')} without a consent record, of {shown}",
         expected="a consent record of everybody who is shown",
         hint="`lightstage capture --consent ID` records one. Leave these scans out of "
         "`dataset build`, or publish them --without-consent; the published set then says so.",

@@ -84,7 +84,8 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
         Its entry, and its maps by name, (rows, columns, c) float32, in the head frame.
 
     Raises:
-        FormatError, DatasetError: something else than a processed folder, an atlas older than the
+        FormatError, DatasetError: something else than a processed folder, such as the truth of a
+            simulated session, an atlas older than the
             stages before it, a report of another session than the atlas, a map that is missing,
             damaged or of another size, no subject, a pose that is not rigid.
     """
@@ -156,6 +157,12 @@ def _require_processed(root: Path) -> None:
         found = "no such folder"
     elif not root.is_dir():
         found = "a file"
+    elif ProcessedFolder(root).true_landmarks.is_file():
+        found = "the truth of a simulated session, which no photograph shows"
+        hint = (
+            "Run `lightstage-processing run SESSION --out OUT` on the session itself, and name "
+            "OUT. Simulated people to train on are made by `lightstage-sim dataset --maps-only`."
+        )
     elif (root / "atlas").is_dir():
         return
     elif (root / "session.json").is_file() or (root / "journal.jsonl").is_file():

@@ -233,13 +233,14 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
     Raises:
         FormatError, DatasetError: no folder, something that is no processed folder, a missing map,
             maps or atlases of different size, NaN, a missing or not rigid head_from_world, a folder
-            given twice; all in one message.
+            given twice, a pseudonym of a simulated and of a captured person; all in one message.
     """
     if not processed:
         raise DatasetError(out, found="no processed folder", expected="at least one")
     problems: list[LightstageError] = []
     entries: list[ScanEntry] = []
     first: tuple[Path, ScanEntry] | None = None
+    known: dict[str, tuple[Path, ScanEntry]] = {}
     statistics = Statistics({name: CHANNELS[name] for name in AVERAGED})
     with atomic_folder(out, DATASET, STORE) as beside:
         for index, root in enumerate(processed):
@@ -249,6 +250,7 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
                 entry, maps = read_scan(root)
                 first = first or (root, entry)
                 _require_same_size(root, entry, *first)
+                _require_same_person(root, entry, *known.setdefault(entry.subject, (root, entry)))
                 if not problems:
                     _write_scan(beside / "scans" / f"{index:04d}", maps)
                 entries.append(entry)
@@ -289,6 +291,20 @@ def _require_same_size(root: Path, entry: ScanEntry, first_root: Path, first: Sc
             found=f"{entry.rows} x {entry.columns} texels",
             expected=f"{first.rows} x {first.columns}, as {first_root / 'atlas'} has",
             hint="Make all atlases of a store again with one --atlas-rows.",
+        )
+
+
+def _require_same_person(root: Path, entry: ScanEntry, own_root: Path, own: ScanEntry) -> None:
+    """Refuse a pseudonym of two people: one would be trained on while the other is held out."""
+    if entry.synthetic != own.synthetic:
+        whose = {True: "a simulated person's", False: "a captured person's"}
+        raise DatasetError(
+            root,
+            field="subject",
+            found=f"{entry.subject!r}, {whose[entry.synthetic]}",
+            expected=f"a pseudonym of its own: in {own_root} it is {whose[own.synthetic]}",
+            hint="Leave one of them out, or make one under another pseudonym. What was "
+            "photographed on the simulated stage and processed counts as captured.",
         )
 
 

@@ -25,12 +25,13 @@ AMBIENT_WHITE = 0.05
 """Share of full that ambient light shows as white."""
 
 
-def light_section(out: Path, sums: Mapping[str, Mapping[str, Any]]) -> Section | None:
+def light_section(out: Path, facts: Mapping[str, Any]) -> Section | None:
     """Pictures and figures of light and motion; None where decode left none.
 
     Args:
         out: processed folder.
-        sums: camera to the facts of `preparation.prepare_view`.
+        facts: of the stage decode: ``sums``, camera to the facts of `preparation.prepare_view`, and
+            ``clipped_share_of_foreground``, camera to share.
     """
     cameras = diagnosed_cameras(out)
     if not cameras:
@@ -43,14 +44,16 @@ def light_section(out: Path, sums: Mapping[str, Mapping[str, Any]]) -> Section |
         "in pairs of red and blue are motion, patches everywhere are another pattern; the same "
         f"red on all axes is light that no lamp made. Full colour is {100 * RESIDUAL_WHITE:.0f} % "
         f"of full. Ambient: that light, in its own colour, {100 * AMBIENT_WHITE:.0f} % of full "
-        "shows as white. Clipped: red pixels are clipped in some photograph and not used. "
+        "shows as white. Clipped: where a red square is, some photograph has a clipped pixel, and "
+        "that pixel is used in none; spots on nose, forehead and lips are usual, red over whole "
+        "cheeks is overexposure. "
         "Pattern: how far the photograph that is least like its own pattern is from it on a ball; "
         "dark is right."
     )
     pictures = grid(dict(zip(cameras, views, strict=True)))
     parts: list[str | Picture | Table] = [Picture(pictures, caption, "light and motion", True)]
-    if sums:
-        parts.append(_table(sums))
+    if facts.get("sums"):
+        parts.append(_table(facts["sums"], facts.get("clipped_share_of_foreground", {})))
     return Section("Light and motion", parts)
 
 
@@ -122,7 +125,7 @@ def _padded(image: np.ndarray, width: int) -> np.ndarray:
     return np.concatenate([image, left], axis=1)
 
 
-def _table(sums: Mapping[str, Mapping[str, Any]]) -> Table:
+def _table(sums: Mapping[str, Mapping[str, Any]], clipped: Mapping[str, float]) -> Table:
     rows = []
     for camera, facts in sums.items():
         moved, ambient, apart = facts["displaced_px"], facts["ambient"], facts["pairs_apart"]
@@ -140,6 +143,7 @@ def _table(sums: Mapping[str, Mapping[str, Any]]) -> Table:
                 left or "not known",
                 wrong or "none",
                 ", ".join(facts["rebuilt"]) or "none",
+                f"{100 * clipped[camera]:.2f}" if camera in clipped else "not known",
             )
         )
     header = (
@@ -149,8 +153,21 @@ def _table(sums: Mapping[str, Mapping[str, Any]]) -> Table:
         "ambient R, G, B, % of full",
         "axes apart, %",
         "flicker, times as bright",
-        "left over, %",
+        "left over, % of full",
         "looks like another",
         "rebuilt",
+        "clipped, % of the subject",
     )
-    return Table(header, rows, "What the sums of the photographs tell of each camera.")
+    said = (
+        "What the sums of the photographs tell of each camera: the pair of gradients of an axis, "
+        "added, should give full. Left over: how far it is from that in the mean, when flicker "
+        "and ambient light are taken off. It is the photographs' noise as long as all axes have "
+        "about the same; bad would be one axis with twice the others', or several per cent: two "
+        "photographs that do not belong together, by motion or by their light. Axes apart: the "
+        "largest difference of two axes in what their pairs have too much or too little. Clipped: "
+        "of the pixels that show the subject, those that are clipped in any of the photographs. "
+        "So it is more than what `lightstage check` tells, which is of all pixels of one "
+        "photograph, background included; a capture takes a photograph again above 2 % of the lit "
+        "pixels of one colour, where nothing else is configured."
+    )
+    return Table(header, rows, said)

@@ -100,7 +100,7 @@ def evaluate(
             read_obj(found.registered_mesh),
             read_obj(true.registered_mesh),
             surface,
-            read_points_mm(truth / "landmarks_mm.json"),
+            read_points_mm(true.true_landmarks),
             load_template(template or default_template_path()),
         )
     progress(parts - 1, parts)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from lightstage.counting import counted
 from processing.colour import srgb_from_linear
 from processing.evaluation.errors import EvaluationError
 
@@ -129,7 +130,7 @@ def picture_errors(found: np.ndarray, true: np.ndarray, mask: np.ndarray) -> dic
     if found.shape != true.shape or not mask.any():
         raise EvaluationError(
             "picture",
-            found=f"shape {found.shape}, {int(mask.sum())} pixels",
+            found=f"shape {found.shape}, {counted(int(mask.sum()), 'pixel')}",
             expected=f"shape {true.shape} and a mask",
         )
     mine, theirs = found[mask].astype(float), true[mask].astype(float)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template
@@ -84,7 +85,7 @@ def registration_errors(
     if len(found.vertices) != len(template.mesh.vertices):
         raise EvaluationError(
             "registered mesh",
-            found=f"{len(found.vertices)} vertices",
+            found=counted(len(found.vertices), "vertex", "vertices"),
             expected=f"the {len(template.mesh.vertices)} of template {template.name}",
             hint="Name the template that it was registered to.",
         )

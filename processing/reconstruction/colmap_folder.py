@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_folder, write_bytes, write_json
 from processing.colmap import pycolmap
@@ -143,7 +144,9 @@ def read_map(path: Path) -> np.ndarray:
     except (OSError, ValueError) as error:
         raise FormatError(path, found=str(error)[:80], expected="a map of COLMAP's") from None
     if not whole:
-        raise FormatError(path, found=f"{len(raw)} bytes", expected=f"{start + planes.nbytes}")
+        raise FormatError(
+            path, found=counted(len(raw), "byte"), expected=f"{start + planes.nbytes}"
+        )
     return planes.reshape(channels, height, width).transpose(1, 2, 0).astype(np.float32)
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import open3d
 
+from lightstage.counting import counted
 from lightstage.formats.mesh import Mesh, connected, edge_counts, vertex_normals
 from processing.errors import ReconstructionError
 from processing.reconstruction.config import ReconstructConfig
@@ -48,7 +49,7 @@ def fuse(points: Points, config: ReconstructConfig) -> Mesh:
     if len(points.positions) < MIN_POINTS:
         raise ReconstructionError(
             "fusion",
-            found=f"{len(points.positions)} points that two views agree on",
+            found=f"agreement of two views on {counted(len(points.positions), 'point')}",
             expected=f"at least {MIN_POINTS}",
             hint="Are the cameras' poses right, and do neighbouring views overlap?",
         )

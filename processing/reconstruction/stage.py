@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
 from lightstage.formats.cameras import read_session_cameras, said_approximate
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.processed import ProcessedFolder
@@ -191,7 +192,7 @@ def reconstruct_views(
     if len(showing) < 2:
         raise ReconstructionError(
             "reconstruct",
-            found=f"{len(showing)} views that show something",
+            found=f"something to see in {counted(len(showing), 'view')}",
             expected="at least two that overlap",
             hint="Are the photographs black, or the cameras turned away?",
         )
@@ -228,7 +229,7 @@ def _warnings(session: Session, views: list[View], poses: PoseReport) -> list[st
     known = {view.camera.id for view in views}
     said += [f"{c.id} has no photographs" for c in session.rig.cameras if c.id not in known]
     said += [
-        f"the pose of {camera} could not be checked: {count} matches"
+        f"the pose of {camera} could not be checked: {counted(count, 'match', 'matches')}"
         for camera, count, residual in zip(
             poses.camera_ids, poses.matches, poses.residual_px, strict=True
         )

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from lightstage.counting import counted
 from processing.errors import RegistrationError
 
 
@@ -63,7 +64,7 @@ def umeyama(
     weight = np.ones(len(source)) if weights is None else np.asarray(weights, float)
     used = weight > 0
     if used.sum() < 3:
-        raise _undetermined(f"{int(used.sum())} pairs", "at least 3")
+        raise _undetermined(counted(int(used.sum()), "pair"), "at least 3")
     source, target, weight = source[used], target[used], weight[used] / weight.sum()
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise _undetermined("NaN or infinity", "finite points")

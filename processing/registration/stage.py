@@ -23,7 +23,7 @@ from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import Fit, NonrigidConfig, fit_nonrigid
 from processing.registration.providers import ClickedLandmarks, CommandLandmarks
 from processing.registration.quiet import quieted
-from processing.registration.residual import residual, write_residual
+from processing.registration.residual import residual, scan_in_common, write_residual
 from processing.registration.rigid import Similarity, robust_umeyama
 from processing.registration.sky import sky_share
 from processing.registration.start import first_pose, require_surface
@@ -219,16 +219,12 @@ def register_mesh(
     contradicted[kept[result.contradicted]] = True
     kept = kept[~result.contradicted]
     left = np.linalg.norm(result.vertices[template.landmarks] - landmarks_mm, axis=1)[kept]
-    back = Target(template.mesh.with_vertices(result.vertices)).closest(
-        scan.vertices[:: max(1, len(scan.vertices) // 50_000)]
-    )
     facts: dict[str, Any] = {
         "vertices": len(result.vertices),
         "matched_share": float(result.matched.mean()),
         "template_to_scan_median_mm": _quantile(result.distance_mm[result.matched], 0.5),
         "template_to_scan_p95_mm": _quantile(result.distance_mm[result.matched], 0.95),
-        "scan_to_template_median_mm": _quantile(back.distance_mm, 0.5),
-        "scan_to_template_p95_mm": _quantile(back.distance_mm, 0.95),
+        **scan_in_common(scan, template.mesh.with_vertices(result.vertices)),
         "landmarks_used": len(kept),
         "landmarks_left_out": [
             f"landmark {i} ({gap[i]:.1f} mm from the fitted model)" for i in np.flatnonzero(wrong)

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from lightstage.counting import counted
 from sim.camera.noise import count_kernel
 from sim.errors import SimError
 
@@ -125,7 +126,7 @@ class Sensor:
             raise SimError(
                 "light",
                 field=f"row {int(np.flatnonzero(unusable)[0])}",
-                found=f"{int(unusable.sum())} pixels that are NaN",
+                found=counted(int(unusable.sum()), "NaN pixel"),
                 expected="numbers",
             )
         return counts

@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from lightstage.counting import counted
 from sim.camera.exposure import told_by
 from sim.devices.faults import FaultLog, Story
 from sim.errors import SimError
@@ -83,7 +84,9 @@ class CameraFolders:
         size = self._sizes.setdefault(camera_id, len(data))
         if len(data) != size:
             raise SimError(
-                f"camera {camera_id}", found=f"a file of {len(data)} bytes", expected=f"{size}"
+                f"camera {camera_id}",
+                found=f"a file of {counted(len(data), 'byte')}",
+                expected=f"{size}",
             )
         shot = self._files.get(camera_id, -1) + 1
         self._files[camera_id] = shot

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.formats.files import write_text
 from lightstage.formats.session import Session, load_session
 from lightstage.rig import Rig, save_rig
@@ -165,13 +166,13 @@ class CodedStage:
         wrong = int((shone != wanted).sum())
         asked = self._asked[code.light - 1]
         if np.array_equal(asked, wanted):
-            return "wrong_light", f"{wrong} lamps were not as they told"
+            return "wrong_light", f"{counted(wrong, 'lamp')} shone otherwise than told"
         names = [
             name
             for name in session.file.sequence
             if np.array_equal(asked, _counts(session.levels(name)))
         ]
-        lit = f"{int((asked > 0).sum())} lamps"
+        lit = counted(int((asked > 0).sum()), "lamp")
         return "mislabelled", f"taken when {', '.join(names) or lit} was asked for"
 
 

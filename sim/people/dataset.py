@@ -39,6 +39,10 @@ DEMO_SCALE = 0.1795
 BYTES_A_TEXEL = 400
 """About what a worker needs for each texel of a person's maps, besides `BYTES_A_WORKER`."""
 BYTES_A_WORKER = 0.6 * 2**30
+TEXELS_A_SCAN = 300_000
+"""Head and occlusion of a scan take as long as painting so many texels of its skin."""
+TEXELS_A_WORKER = 1_000_000
+"""A process takes seconds to begin: less work is not worth it."""
 MADE_FROM = "made_from.json"
 SEED_LIMIT = 2**32
 
@@ -142,7 +146,7 @@ def write_people(plan: Plan, jobs: int = 0, progress: ProgressCallback = quiet) 
         if kept:
             progress(kept, plan.scans)
         made = 0
-        jobs = min(jobs or workers(plan.rows), max(1, len(todo)))
+        jobs = min(jobs or workers(plan.rows, plan.scans - kept), max(1, len(todo)))
         try:
             for count in _counts(plan, todo, jobs):
                 made += count
@@ -192,11 +196,19 @@ def write_sessions(plan: Plan, progress: ProgressCallback = quiet) -> int:
     return made
 
 
-def workers(rows: int) -> int:
-    """How many processes the cores and the free memory allow for maps of so many rows."""
-    each = BYTES_A_WORKER + BYTES_A_TEXEL * rows * (rows * 2 // 3)
+def workers(rows: int, scans: int) -> int:
+    """How many processes the cores and the free memory allow, and the work is worth.
+
+    Args:
+        rows: of the maps.
+        scans: to be made.
+    """
+    texels = rows * (rows * 2 // 3)
     free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return max(1, min(len(os.sched_getaffinity(0)), int(free / each)))
+    allowed = min(
+        len(os.sched_getaffinity(0)), int(free / (BYTES_A_WORKER + BYTES_A_TEXEL * texels))
+    )
+    return max(1, min(allowed, scans * (TEXELS_A_SCAN + texels) // TEXELS_A_WORKER))
 
 
 @functools.lru_cache(maxsize=1)

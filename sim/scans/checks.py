@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.formats.mesh import Mesh, connected, directed_edges, edge_counts
 from sim.errors import SimError
 
@@ -149,7 +150,7 @@ def check_scan(
         raise SimError(
             where,
             field="holes",
-            found=f"{len(holes)} holes, the largest of {listed} mm",
+            found=f"{counted(len(holes), 'hole')}, the largest of {listed} mm",
             expected=f"at most {config.largest_hole_mm:g} mm",
             hint="Close them, or allow them with --largest-hole-mm; a hole shows black.",
         )

@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from lightstage.commands import JsonFlag, finish, output_folder
+from lightstage.counting import counted
 
 
 def import_ict(
@@ -86,11 +87,12 @@ def import_scan(
     save_subject(person, out, {"from": file.name, **report.facts()})
     seconds = time.monotonic() - begun
     holes = report.mesh.holes_mm
-    said = f"{len(holes)} holes" + (f" (up to {holes[0]:.0f} mm)" if holes else "")
+    said = counted(len(holes), "hole") + (f" (up to {holes[0]:.0f} mm)" if holes else "")
     finish(
-        f"{out}: {called}, {len(person.mesh.faces)} triangles, {report.mesh.zero_area} without "
-        f"area dropped, {said}, one unit = {report.mm_per_unit:g} mm, {report.landmarks} "
-        f"landmarks, made up: {', '.join(report.made_up)}, {seconds:.1f} s",
+        f"{out}: {called}, {counted(len(person.mesh.faces), 'triangle')}, "
+        f"{report.mesh.zero_area} without area dropped, {said}, "
+        f"one unit = {report.mm_per_unit:g} mm, {counted(report.landmarks, 'landmark')}, "
+        f"made up: {', '.join(report.made_up)}, {seconds:.1f} s",
         {
             "subject": str(out),
             "name": called,

@@ -20,6 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import atomic_folder, read_json, write_json, write_text
 from lightstage.formats.mesh import Mesh, read_obj
@@ -137,7 +138,7 @@ def load_subject_folder(path: Path) -> Subject:
         )
     marks = value.get("landmarks_mm")
     if not isinstance(marks, list) or len(marks) != 68:
-        found = f"{len(marks)} entries" if isinstance(marks, list) else repr(marks)
+        found = counted(len(marks), "entry", "entries") if isinstance(marks, list) else repr(marks)
         raise SimError(where, field="landmarks_mm", found=found, expected="68 points or null")
     points = np.full((68, 3), np.nan)
     for index, entry in enumerate(marks):
@@ -197,7 +198,7 @@ def _check_maps(maps: dict[str, np.ndarray], skin: np.ndarray, path: Path) -> No
             raise SimError(
                 where,
                 field=f"texel {first}",
-                found=f"{float(image[first]):.4g} ({int(bad.sum())} such values)",
+                found=f"{float(image[first]):.4g} ({counted(int(bad.sum()), 'such value')})",
                 expected=f"{low:g} to {high:g}",
             )
 

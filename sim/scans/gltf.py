@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.formats.paths import path_inside
 from lightstage.formats.values import parse_json, read_regular
 from sim.errors import SimError
@@ -66,7 +67,7 @@ def read_gltf(path: Path) -> ScanFile:
         raise SimError(
             path,
             field=f"vertex {int(np.flatnonzero(bad)[0])}",
-            found=f"{int(bad.sum())} vertices that are NaN or infinite",
+            found=counted(int(bad.sum()), "NaN or infinite vertex", "NaN or infinite vertices"),
             expected="finite places",
         )
     known = [texture for texture in uvs if texture is not None]
@@ -74,7 +75,7 @@ def read_gltf(path: Path) -> ScanFile:
         raise SimError(
             path,
             field="TEXCOORD_0",
-            found=f"UV on {len(known)} of {len(uvs)} parts",
+            found=f"UV on {len(known)} of {counted(len(uvs), 'part')}",
             expected="all or none",
             hint="Remove the parts without UV, or unwrap them.",
         )
@@ -120,7 +121,9 @@ class _Reader:
     def _chunks(self, data: bytes) -> tuple[bytes, bytes | None]:
         """JSON and binary chunk of a .glb."""
         if len(data) < 20 or struct.unpack_from("<I", data, 8)[0] > len(data):
-            raise self.wrong(f"{len(data)} bytes", "a whole file", "Is it truncated? Copy again.")
+            raise self.wrong(
+                counted(len(data), "byte"), "a whole file", "Is it truncated? Copy again."
+            )
         found: list[bytes] = []
         at = 12
         while at + 8 <= len(data) and len(found) < 2:
@@ -199,7 +202,7 @@ class _Reader:
         start = int(accessor.get("byteOffset", 0))
         if start + (count - 1) * stride + size * kind.itemsize > len(data):
             raise self.wrong(
-                f"{len(data)} bytes", f"{count} values", "Is the file truncated?", field
+                counted(len(data), "byte"), counted(count, "value"), "Is the file truncated?", field
             )
         values = np.ndarray((count, size), kind, data, start, (stride, kind.itemsize))
         if not accessor.get("normalized", False):
@@ -262,7 +265,7 @@ class _Reader:
             used = {int(self.root["textures"][r["index"]]["source"]) for r in references}
             if len(used) > 1 or (used and len(references) < len(self.materials)):
                 raise self.wrong(
-                    f"{len(used)} of them on {len(self.materials)} materials",
+                    f"{len(used)} of them on {counted(len(self.materials), 'material')}",
                     "one texture for the whole mesh",
                     "Bake all materials into one texture with one UV.",
                     keys[-1],

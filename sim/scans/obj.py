@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from lightstage.counting import counted
 from lightstage.formats.mesh import read_obj
 from sim.errors import SimError
 from sim.scans.file import Picture, ScanFile, merged, read_picture
@@ -106,7 +107,7 @@ def _texture(
         raise SimError(
             path,
             field=key,
-            found=f"{len(named)} of them on {len(files)} materials",
+            found=f"{len(named)} of them on {counted(len(files), 'material')}",
             expected="one texture for the whole mesh",
             hint="Bake all materials into one texture with one UV.",
         )

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from lightstage.counting import counted
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import Mesh
 from sim.errors import SimError
@@ -54,7 +55,7 @@ def read_landmarks(path: Path) -> tuple[np.ndarray, bool]:
     field = "points_mm" if "points_mm" in value else "points"
     entries = value.get(field)
     if not isinstance(entries, list) or len(entries) != 68:
-        found = f"{len(entries)} entries" if isinstance(entries, list) else "none"
+        found = counted(len(entries), "entry", "entries") if isinstance(entries, list) else "none"
         raise SimError(path, field=field, found=found, expected="68 points or null")
     out = np.full((68, 3), np.nan)
     for index, entry in enumerate(entries):
@@ -91,7 +92,7 @@ def require_near(mesh: Mesh, marks: np.ndarray, where: Path, farthest_mm: float)
         raise SimError(
             where,
             field=f"landmark {far[0]}",
-            found=f"{len(far)} landmarks off the surface, by up to {away.max():.0f} mm",
+            found=f"{counted(len(far), 'landmark')} off the surface, by up to {away.max():.0f} mm",
             expected=f"at most {farthest_mm:g} mm",
             hint="points_mm are millimetres in the file's axes; points are in the file's unit.",
         )

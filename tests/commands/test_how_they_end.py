@@ -44,7 +44,9 @@ def test_an_input_that_is_not_there_is_an_error_in_json_too(tmp_path, run_comman
     assert ended.code == 2
     error = json.loads(ended.out)["error"]
     assert str(tmp_path / "none") in error["where"]
-    assert ended.err == f"{error['type']}: {error['message']}\n"
+    # The lines of the log besides.
+    said = [line for line in ended.err.splitlines() if not line.startswith("check: ")]
+    assert said == [f"{error['type']}: {error['message']}"]
 
 
 def test_a_traceback_is_shown_where_it_is_asked_for(tmp_path, run_command, monkeypatch):
@@ -120,3 +122,12 @@ print(sorted(heavy & set(sys.modules)), file=sys.stderr)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert "capture" in done.stdout
     assert done.stderr == "[]\n"
+
+
+def test_one_of_something_is_told_as_one(world, tmp_path, run_command):
+    ended = run_command(
+        "processing", "dataset", "build", world["processed"], "--out", tmp_path / "S"
+    )
+    assert ended.out.endswith("1 scan of 1 subject\n")
+    ended = run_command("lightstage", "check", world["session"])
+    assert "2 frames whole and unchanged, 0 pattern sums" in ended.out

@@ -116,7 +116,7 @@ def test_normals_of_another_length_are_made_unit_and_counted(
     normal = map_of(person, "diffuse_normal")
     normal[40:42, 10:13] *= 1.5
     head = load_head(atlas_with(person, tmp_path / "a", "diffuse_normal", normal), mesh)
-    assert head.notes == ("diffuse_normal: 6 normals were not of length 1; made unit",)
+    assert head.notes == ("diffuse_normal: 6 normals not of length 1, made unit",)
     plain, lights = load_head(person.root / "atlas", mesh), one_light((0, 0, 1000.0))
     for mode, engine in WAYS:
         options = ShadeOptions(mode=mode, engine=engine)

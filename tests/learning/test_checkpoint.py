@@ -132,7 +132,7 @@ def test_weights_that_are_not_finite_are_refused(run: Path) -> None:
     value = json.loads((run / INDEX).read_text())
     value["files"]["generator"]["sha256"] = sha256_file(weights)
     (run / INDEX).write_text(json.dumps(value))
-    with pytest.raises(CheckpointError, match=f"{name}: found 2 values that are NaN or infinite"):
+    with pytest.raises(CheckpointError, match=f"{name}: found 2 NaN or infinite values"):
         load_generator(run)
 
 

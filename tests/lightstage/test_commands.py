@@ -2,6 +2,8 @@
 
 import json
 import os
+import pty
+import re
 import signal
 import subprocess
 import sys
@@ -38,6 +40,9 @@ run_app(app)
 """
 
 
+SECONDS = r"\d+\.\d s"
+
+
 def run(*arguments):
     command = [sys.executable, "-c", SCRIPT, "use", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True)
@@ -50,9 +55,27 @@ def texture(tmp_path):
 
 def test_a_command_ends_with_its_facts(texture, tmp_path):
     done = run(texture, tmp_path / "out")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "mean 2.0\n", "")
+    assert (done.returncode, done.stdout) == (0, "mean 2.0\n")
     done = run(texture, tmp_path / "out", "--json")
-    assert json.loads(done.stdout.splitlines()[-1]) == {"mean": 2.0}
+    assert json.loads(done.stdout) == {"mean": 2.0}
+
+
+def test_a_log_gets_one_plain_line_as_work_begins_and_one_as_it_ends(texture, tmp_path):
+    for words in ([], ["--json"]):
+        done = run(texture, tmp_path / "out", *words)
+        assert re.fullmatch(rf"use: begun\nuse: done in {SECONDS}\n", done.stderr)
+
+
+def test_a_terminal_gets_the_bar_and_no_such_line(texture, tmp_path):
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-c", SCRIPT, "use", str(texture), str(tmp_path / "out")]
+    environment = {**os.environ, "TERM": "xterm"}
+    subprocess.run(command, stdout=subprocess.PIPE, stderr=theirs, env=environment, check=True)
+    os.close(theirs)
+    shown = os.read(ours, 1 << 16).decode()
+    os.close(ours)
+    assert "\x1b[" in shown
+    assert "begun" not in shown
 
 
 def test_a_texture_with_nan_exits_2_with_one_message_and_nothing_half_written(texture, tmp_path):
@@ -61,8 +84,10 @@ def test_a_texture_with_nan_exits_2_with_one_message_and_nothing_half_written(te
     write_exr(texture, image)
     done = run(texture, tmp_path / "out")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == (
-        f"FormatError: {texture}, element (1, 2, 0): found 1 values that are NaN or infinite, "
+    log, said = done.stderr.split("FormatError: ")
+    assert re.fullmatch(rf"use: begun\nuse: stopped after {SECONDS}\n", log)
+    assert said == (
+        f"{texture}, element (1, 2, 0): found 1 NaN or infinite value, "
         "expected finite numbers. Mask such texels (0) before passing the map on.\n"
     )
     assert os.listdir(tmp_path) == ["t.exr"]

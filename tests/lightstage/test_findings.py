@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from lightstage.findings import accepted_in_words, counted, two_digits
+from lightstage.counting import counted
+from lightstage.findings import accepted_in_words, two_digits
 
 
 @pytest.mark.parametrize(
@@ -29,4 +30,5 @@ def test_numbers_are_told_in_plain_figures_without_a_power_of_ten(value, said):
 
 def test_one_is_one_and_two_are_several():
     assert (counted(1, "warning"), counted(2, "warning")) == ("1 warning", "2 warnings")
+    assert [counted(n, "patch", "patches") for n in (0, 1)] == ["0 patches", "1 patch"]
     assert accepted_in_words(1, 2) == "1 pattern accepted by the operator with 2 findings"

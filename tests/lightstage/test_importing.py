@@ -13,7 +13,7 @@ from lightstage.checks import check_session
 from lightstage.errors import CaptureError, FormatError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.session import load_session
-from lightstage.importing import find_photographs, import_session
+from lightstage.importing import find_photographs, import_session, named_cameras
 from lightstage.patterns import pattern_levels
 from lightstage.rig import save_rig
 
@@ -45,9 +45,24 @@ def test_linear_photographs_become_a_session_that_passes_its_check(folder, tmp_p
     assert check_session(out).sums == 3
 
 
-def test_a_sessions_own_folder_imports_too(folder, tmp_path, small_rig):
+@pytest.mark.parametrize("lost", ["nothing", "session.json"])
+def test_a_session_is_refused_with_what_to_do_and_its_photographs_alone_are_taken(
+    folder, tmp_path, small_rig, lost
+):
     import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")
-    assert import_session(tmp_path / "S", small_rig, tmp_path / "T", "p1", "neutral") == 9
+    (tmp_path / "S" / lost).unlink(missing_ok=True)
+    with pytest.raises(FormatError, match=r"S: found a session, .*processing run .*/S/frames"):
+        import_session(tmp_path / "S", small_rig, tmp_path / "T", "p1", "neutral")
+    assert not (tmp_path / "T").exists()
+    with pytest.raises(FormatError, match="found a session"):
+        named_cameras(tmp_path / "S")
+    assert import_session(tmp_path / "S" / "frames", small_rig, tmp_path / "T", "p1", "a") == 9
+
+
+def test_photographs_in_a_folder_frames_import_too(folder, tmp_path, small_rig):
+    (tmp_path / "card").mkdir()
+    folder.rename(tmp_path / "card" / "frames")
+    assert import_session(tmp_path / "card", small_rig, tmp_path / "S", "p1", "neutral") == 9
 
 
 def test_raw_photographs_are_named_by_their_bytes(tmp_path, small_rig, dng):
@@ -149,9 +164,23 @@ def test_an_import_keeps_the_consent_record_and_may_require_one(folder, tmp_path
     assert not (tmp_path / "S").exists()
     more = ("--config", str(config), "--consent", "C-17")
     done = imported(folder, tmp_path, small_rig, *more)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    assert "warning" not in done.stderr
     assert load_session(tmp_path / "S").file.model_extra["consent"] == "C-17"
     assert stat.S_IMODE((tmp_path / "S").stat().st_mode) == 0o750
+
+
+@pytest.mark.parametrize("wrong", ["rig", "photograph", "calibration"])
+def test_an_import_that_fails_says_why_and_nothing_of_consent(folder, tmp_path, small_rig, wrong):
+    more = ("--length", "cam0:cam1=100") if wrong == "rig" else ()
+    if wrong == "photograph":
+        (folder / "full" / "cam1.exr").write_bytes(b"")
+    if wrong == "calibration":
+        more = ("--colour", str(tmp_path / "none"))
+    done = imported(folder, tmp_path, small_rig, *more)
+    assert done.returncode == 2
+    assert "consent" not in done.stderr
+    assert not (tmp_path / "S").exists()
 
 
 def test_an_import_of_a_subject_that_the_labs_table_lacks_is_refused(folder, tmp_path, small_rig):

@@ -103,7 +103,7 @@ def test_a_ball_of_another_size_and_an_empty_stage_are_told() -> None:
     rig = small_rig(5, 0.3)
     ball = Ball(np.zeros(3), 50.0, 0.6)
     seen = sightings(rig, rig.positions_mm, ball, 0, 0.02)
-    with pytest.raises(ProcessingError, match=r"radius|highlights that fit"):
+    with pytest.raises(ProcessingError, match=r"radius|highlights? at the rig"):
         solve_lamps(seen, rig.positions_mm, MirrorConfig(radius_sigma_mm=20.0), "here")
     with pytest.raises(ProcessingError, match="0 highlights in 0 cameras"):
         solve_lamps([_without(s) for s in seen], rig.positions_mm, MirrorConfig(), "here")

@@ -352,6 +352,30 @@ def test_what_it_cannot_protect_is_said_in_the_folder(tmp_path: Path, store: Sto
         assert word in said
 
 
+@pytest.mark.parametrize(("words", "warned"), [(["--gap", "0"], True), ([], False)])
+def test_a_gap_of_nothing_is_warned_of_with_the_figures_of_the_docs(
+    tmp_path: Path, store: Store, words: list[str], warned: bool
+) -> None:
+    out = tmp_path / "published"
+    asked = ["dataset", "publish", str(store.path), "--out", str(out), "--patch", "16", *words]
+    done = CliRunner().invoke(app, [*asked, "--json"])
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout)
+    said = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
+    assert said == [f"warning: {each}" for each in facts["warnings"]]
+    told = json.loads((out / "dataset.json").read_text())["cannot_protect"]
+    assert ("Of this set" in told) == warned == bool(said)
+    table = (Path(__file__).parents[2] / "docs" / "dataset.md").read_text().splitlines()
+    rows = {gap: next(row for row in table if row.startswith(f"| {gap} | 0.5 | yes |"))
+            for gap in ("0", "0.5")}  # fmt: skip
+    for row in rows.values() if warned else ():
+        _, _, _, _, _, right, _, _, same, _ = (cell.strip() for cell in row.split("|"))
+        count, share = right.split(" of ")[0], float(right.split(", ")[1].removesuffix(" %"))
+        assert count in said[0]
+        assert f"{share:.0f} %" in said[0]
+        assert f"{float(same.removesuffix(' %')):.0f} %" in said[0]
+
+
 def test_maps_smaller_than_a_patch_are_refused(tmp_path: Path, store: Store) -> None:
     with pytest.raises(LightstageError, match=r"no place has that much skin.*Try --patch 16"):
         publish(store, tmp_path / "out" / "published", SEED, PublishConfig(patch_px=512))

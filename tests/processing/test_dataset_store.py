@@ -250,6 +250,39 @@ def test_what_is_no_processed_folder_is_refused_by_name(
         build_store([good, root], tmp_path / "out" / "store")
 
 
+def test_the_truth_of_a_simulated_session_is_refused_and_simulated_people_are_not(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    people = make_processed(tmp_path / "P" / "person-0000-neutral", consent=None)
+    truth = make_processed(tmp_path / "S.truth", subject="P07", consent=None)
+    ProcessedFolder(truth).true_landmarks.write_text("{}")
+    with pytest.raises(
+        LightstageError,
+        match=r"S\.truth: found the truth of a simulated .* name OUT\..*--maps-only",
+    ):
+        build_store([people, truth], tmp_path / "out" / "store")
+    assert list((tmp_path / "out").iterdir()) == []
+    assert len(open_store(build_store([people], tmp_path / "out" / "store")).scans) == 1
+
+
+@pytest.mark.parametrize("first", ["captured", "simulated"])
+def test_one_pseudonym_of_a_simulated_and_a_captured_person_is_refused(
+    tmp_path: Path, make_processed: Make, first: str
+) -> None:
+    captured = make_processed(tmp_path / "in" / "captured", subject="P07")
+    simulated = make_processed(tmp_path / "in" / "simulated", subject="P07", consent=None)
+    smile = make_processed(tmp_path / "in" / "smile", subject="P07", expression="smile")
+    report = json.loads((simulated / "report.json").read_text())
+    (simulated / "report.json").write_text(json.dumps({**report, "synthetic": True}))
+    roots = [captured, smile, simulated] if first == "captured" else [simulated, captured]
+    with pytest.raises(LightstageError, match=r"subject: found 'P07', a .* person's") as caught:
+        build_store(roots, tmp_path / "out" / "store")
+    for said in (str(captured), str(simulated), "another pseudonym"):
+        assert said in str(caught.value)
+    assert list((tmp_path / "out").iterdir()) == []
+    assert len(open_store(build_store([captured, smile], tmp_path / "out" / "store")).scans) == 2
+
+
 def test_a_folder_of_processed_folders_is_told_with_what_to_name(
     tmp_path: Path, make_processed: Make
 ) -> None:

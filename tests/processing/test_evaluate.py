@@ -80,7 +80,7 @@ def folders(tmp_path: Path) -> tuple[ProcessedFolder, ProcessedFolder]:
         write_obj(dome(flip=flip), folder.registered_mesh)
         write_ply(dome(), folder.base_mesh)
     marks = np.arange(68) * 50
-    write_points_mm(dome().vertices[marks], truth.root / "landmarks_mm.json")
+    write_points_mm(dome().vertices[marks], truth.true_landmarks)
     skin = {"skin": np.arange(3600)}
     save_template(Template("dome", dome(), marks, skin, "none", "test"), tmp_path / "template")
     return out, truth

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.formats.processed import ProcessedFolder
-from processing.pages import CAPTIONS, show, write_processed_report
+from processing.pages import ATLAS_CAPTIONS, CAPTIONS, show, write_processed_report
 
 REPORT = {
     "subject": "person <7>",
@@ -47,3 +47,9 @@ def test_roughness_is_shown_on_its_own_scale() -> None:
     assert (show("roughness", 9 * wide) == 255).all()
     assert (show("roughness", none) == 0).all()
     assert set(CAPTIONS) >= {"roughness", "specular_normal", "confidence"}
+
+
+def test_a_confidence_says_what_its_dots_are_and_what_would_be_bad() -> None:
+    for captions, black in ((CAPTIONS, "not solved"), (ATLAS_CAPTIONS, "no camera")):
+        for said in ("Dark dots", "Bad would be", black):
+            assert said in captions["confidence"]

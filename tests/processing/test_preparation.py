@@ -186,7 +186,7 @@ def test_patterns_without_pairs_are_left_alone(tmp_path: Path) -> None:
     facts = prepare_view(tmp_path, "cam0", ("full",), images, usable, alone, config, {})
     assert facts["ambient"] is None
     assert read_diagnosis(tmp_path, "cam0").ambient is None
-    assert light_section(tmp_path, {"cam0": facts}) is not None
+    assert light_section(tmp_path, {"sums": {"cam0": facts}}) is not None
 
 
 @given(
@@ -219,7 +219,8 @@ def test_small_pictures_are_the_means_of_their_cells(dtype: type) -> None:
 
 def test_the_report_shows_a_row_a_camera(tmp_path: Path) -> None:
     facts = prepared(noisy(still()), tmp_path)
-    section = light_section(tmp_path, {"cam0": facts})
+    told = {"sums": {"cam0": facts}, "clipped_share_of_foreground": {"cam0": 0.0123}}
+    section = light_section(tmp_path, told)
     assert section is not None
     picture, table = section.parts
     assert isinstance(picture, Picture)

@@ -131,7 +131,7 @@ def test_two_equal_cameras_are_not_matched_with_each_other() -> None:
 
 
 def test_fewer_than_two_views_are_refused() -> None:
-    with pytest.raises(ReconstructionError, match="1 views that show something"):
+    with pytest.raises(ReconstructionError, match="something to see in 1 view,"):
         reconstruct_views(ball_views(2, black=("cam1",)), CONFIG)
     cams = textured_ball.cameras(1)
     twice = [cams[0], dataclasses.replace(cams[0], id="again")]

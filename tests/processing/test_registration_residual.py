@@ -9,6 +9,7 @@ from processing.registration.residual import (
     drawn,
     residual,
     residual_section,
+    scan_in_common,
     write_residual,
 )
 from tests.processing.shapes import bumpy_ellipsoid
@@ -39,6 +40,23 @@ def test_what_the_scan_does_not_have_is_not_a_number():
     assert (np.isnan(found.distance_mm) == np.isnan(found.angle_deg)).all()
 
 
+def test_what_the_mesh_does_not_have_is_not_compared():
+    """Shoulders far below a head would make the 95th percentile their distance from it."""
+    scan = bumpy_ellipsoid()
+    upper = scan.triangles()[scan.vertices[scan.triangles()].mean(axis=1)[:, 1] > 0]
+    middle = scan.vertices.mean(axis=0)
+    head = Mesh(middle + 0.99 * (scan.vertices - middle), upper)
+    found = scan_in_common(scan, head)
+    assert 0.3 < found["scan_in_common_share"] < 0.7
+    radius = np.linalg.norm(scan.vertices - middle, axis=1).max()
+    assert 0 < found["scan_in_common_to_template_median_mm"] < 0.01 * radius
+    assert found["scan_in_common_to_template_p95_mm"] < 0.02 * radius
+    below = scan.vertices + np.array([0.0, -500.0, 0.0])
+    none = scan_in_common(Mesh(below, scan.faces), head)
+    assert none["scan_in_common_share"] == 0
+    assert none["scan_in_common_to_template_p95_mm"] is None
+
+
 def test_files_and_picture_show_where_it_is_off(tmp_path):
     mesh = bumpy_ellipsoid()
     distance = np.where(mesh.vertices[:, 1] > 0, 2.0, 0.0).astype(np.float32)
@@ -53,6 +71,12 @@ def test_files_and_picture_show_where_it_is_off(tmp_path):
     section = residual_section(tmp_path)
     assert section is not None
     assert section.parts[0].image.shape == image.shape
+    assert len(section.parts) == 1
+    facts = {"template_to_scan_median_mm": 0.1, "template_to_scan_p95_mm": 0.4}
+    facts |= {"scan_in_common_share": 0.613, "scan_in_common_to_template_median_mm": None}
+    table = residual_section(tmp_path, facts).parts[1]
+    assert [row[1:] for row in table.rows] == [(0.1, 0.4)]
+    assert "61% of the scan's points" in table.caption
     with np.load(tmp_path / "work" / "registration" / "residual.npz") as kept:
         assert np.array_equal(kept["distance_mm"], distance, equal_nan=True)
         assert kept["angle_deg"][0] == pytest.approx(left.angle_deg[0], nan_ok=True)

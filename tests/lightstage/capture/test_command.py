@@ -128,7 +128,7 @@ def test_lights_on_a_splitting_plane_are_told_and_lit_by_half(stage, tmp_path):
     out = tmp_path / "S"
     done = run(stage, out, "--sequence", "full,x+,x-", "--drive", "on-off")
     assert done.returncode == 0, done.stderr
-    assert "1 lights on the splitting plane (ids 3)" in done.stderr
+    assert "1 light on the splitting plane (ids 3)" in done.stderr
     session = load_session(out)
     halves = [session.levels(pattern)[3] for pattern in ("x+", "x-")]
     assert sum(halves) == 1.0

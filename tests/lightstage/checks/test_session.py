@@ -127,7 +127,9 @@ def test_a_linear_frame_with_nan_is_found(session):
     value["frames"][0] |= {"path": "frames/full/cam0.exr", "encoding": "linear"}
     value["frames"][0]["sha256"] = sha256_file(path)
     write_json(session / "session.json", value)
-    with pytest.raises(FormatError, match=r"cam0.exr, element \(3, 4, 1\): found 1 values"):
+    with pytest.raises(
+        FormatError, match=r"cam0.exr, element \(3, 4, 1\): found 1 NaN or infinite value"
+    ):
         check_session(session)
 
 

@@ -134,7 +134,7 @@ def test_a_light_set_gives_its_lights_to_their_cells_and_its_ambient_to_all(tmp_
 def test_a_bad_value_is_refused_with_its_place(tmp_path, value, said):
     picture = np.ones((8, 16, 3))
     picture[2, 5, 2] = value
-    with pytest.raises(FormatError, match=f"row 2, column 5, B: found 1 values that are {said}"):
+    with pytest.raises(FormatError, match=f"row 2, column 5, B: found 1 {said} value"):
         flux(tmp_path, picture, OCTAHEDRON)
 
 

@@ -137,7 +137,7 @@ def test_labels_tell_right_from_wrong(tmp_path, rig):
     assert "taken by cam0" in labels.mislabelled[0]
     assert "taken when x- was asked for" in labels.mislabelled[1]
     assert [said.split(" (")[0] for said in labels.wrong_light] == ["y+ by cam0", "y+ by cam1"]
-    assert "1 lamps were not as they told" in labels.wrong_light[0]
+    assert "1 lamp shone otherwise than told" in labels.wrong_light[0]
     assert len(labels.doubled) == 2
     assert labels.missing == ("y+ by cam2",)
     assert labels.right == 12 - 4 - 2 - 1

@@ -1,0 +1,39 @@
+"""Last words of an interrupted training: the step that is kept, and how to go on."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+
+from learning.checkpoint import INDEX, read_checkpoint
+from learning.processes import Processes
+from lightstage.errors import StoppedError
+
+
+def stopped_training(
+    out: Path, options: Mapping[str, object], processes: Processes
+) -> StoppedError:
+    """The last words of an interrupted `train`.
+
+    Args:
+        out: the run's folder.
+        options: that the command was given, by name; those that are None were not.
+        processes: that trained together.
+
+    Raises:
+        CheckpointError, FormatError: the run's checkpoint is damaged.
+    """
+    words = ["lightstage-learning"]
+    if processes.count > 1:
+        words = ["torchrun", "--nproc-per-node", str(processes.count), "-m", "learning"]
+    words.append("train")
+    for name, value in options.items():
+        words += [] if value is None else [name, str(value)]
+    if not (out / INDEX).exists():
+        return StoppedError(
+            f"Interrupted before the first checkpoint: no step is kept in {out}. "
+            f"Begin again with: {shlex.join(words)}"
+        )
+    kept = f"step {read_checkpoint(out).step} is kept in {out}"
+    return StoppedError(f"Interrupted: {kept}. Go on with: {shlex.join([*words, '--resume'])}")

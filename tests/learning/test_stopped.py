@@ -1,0 +1,197 @@
+"""A training that is interrupted says which step is kept, where, and the command that goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from learning import run as runs
+from learning.__main__ import main
+from learning.checkpoint import read_checkpoint
+from learning.presets import FAMILIES
+from learning.processes import ALONE, Processes
+from learning.stopped import stopped_training
+from lightstage import interrupts
+
+PATCHES = """
+batch = 2
+seconds = 60
+score_patches = 1
+[generator]
+width = 4
+downsamplings = 1
+global_blocks = 1
+local_blocks = 1
+[discriminator]
+width = 4
+scales = 1
+[data]
+patch_px = 32
+stride_px = 32
+shadow_rows = 16
+shadow_sets = 1
+patches_in_memory = 4
+"""
+TINY = {
+    "patches": PATCHES,
+    "four_networks": PATCHES,
+    "whole_face": """
+seconds = 60
+batch = 2
+detail_pairs = 1
+score_lights = 1
+[network]
+rows = 24
+columns = 16
+width = 4
+halvings = 1
+[faces]
+shadow_sets = 1
+""",
+    "super_resolution": """
+steps = 40
+batch = 2
+score_lights = 1
+[network]
+groups = 1
+blocks = 1
+width = 8
+reduction = 2
+tail_width = 4
+times = 2
+[pictures]
+patch_px = 8
+count = 2
+shadow_sets = 1
+""",
+}
+
+
+@pytest.fixture
+def train(
+    store_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> Callable[..., tuple[int, str, str]]:
+    """Runs `train`, by default in a folder with a space: exit code, stdout, stderr."""
+    handlers = {number: signal.getsignal(number) for number in interrupts.NUMBERS}
+
+    def run(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["lightstage-learning", "train", *words])
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        capsys.readouterr()
+        try:
+            with pytest.raises(SystemExit) as ended:
+                main()
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+        said = capsys.readouterr()
+        return int(ended.value.code or 0), said.out, said.err
+
+    return run
+
+
+def interrupt_at(monkeypatch: pytest.MonkeyPatch, name: str, call: int) -> None:
+    """Ctrl-C as a method of `Run` is called for the so many-th time."""
+    real, calls = getattr(runs.Run, name), []
+
+    def interrupted(self: runs.Run, *rest: object) -> object:
+        calls.append(name)
+        if len(calls) == call:
+            os.kill(os.getpid(), signal.SIGINT)
+        return real(self, *rest)
+
+    monkeypatch.setattr(runs.Run, name, interrupted)
+
+
+@pytest.mark.parametrize("preset", FAMILIES)
+def test_every_preset_says_what_is_kept_and_the_line_it_says_goes_on(
+    preset: str,
+    store_path: Path,
+    tmp_path: Path,
+    train: Callable[..., tuple[int, str, str]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config, out = tmp_path / "tiny.toml", tmp_path / "my run"
+    config.write_text(TINY[FAMILIES[preset].family])
+    words = ["--data", str(store_path), "--out", str(out), "--preset", preset]
+    words += ["--config", str(config), "--seed", "3"]
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, "_mean", 2)
+        code, said, told = train(*words, "--json")
+    assert code == 130
+    assert read_checkpoint(out).step == 2
+    found = re.fullmatch(r"Interrupted: step 2 is kept in (.*)\. Go on with: (.*)", last(told))
+    assert found is not None, told
+    assert found[1] == str(out)
+    assert json.loads(said)["error"]["message"] == last(told)
+    line = shlex.split(found[2])
+    assert line[:2] == ["lightstage-learning", "train"]
+    assert line[2:] == [*words, "--device", "auto", "--resume"]
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, "_mean", 1)
+        code, _, told = train(*line[2:])
+    assert (code, read_checkpoint(out).step) == (130, 3)
+    assert "step 3 is kept" in last(told)
+
+
+def last(told: str) -> str:
+    return told.splitlines()[-1]
+
+
+def test_an_interrupt_before_the_first_step_says_that_nothing_is_kept(
+    store_path: Path,
+    tmp_path: Path,
+    train: Callable[..., tuple[int, str, str]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config, out = tmp_path / "tiny.toml", tmp_path / "run"
+    config.write_text(TINY["whole_face"])
+    words = ["--data", str(store_path), "--out", str(out), "--config", str(config)]
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("learning.whole.train.begin", stop)
+    code, _, told = train(*words)
+    assert code == 130
+    assert f"no step is kept in {out}. Begin again with: lightstage-learning train" in last(told)
+    assert "--resume" not in told
+
+
+def test_an_interrupt_while_people_are_scored_keeps_all_steps(
+    store_path: Path,
+    tmp_path: Path,
+    train: Callable[..., tuple[int, str, str]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config, out = tmp_path / "tiny.toml", tmp_path / "run"
+    config.write_text(TINY["whole_face"].replace("seconds = 60", "steps = 3"))
+    words = ["--data", str(store_path), "--out", str(out), "--config", str(config)]
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("learning.whole.train.score_faces", stop)
+    code, _, told = train(*words)
+    assert (code, read_checkpoint(out).step) == (130, 3)
+    assert "step 3 is kept" in last(told)
+
+
+def test_several_processes_are_told_to_go_on_as_several(tmp_path: Path) -> None:
+    options = {"--data": tmp_path / "S", "--out": tmp_path / "R", "--seconds": None}
+    said = str(stopped_training(tmp_path / "R", options, Processes(0, 4, 0)))
+    line = f"torchrun --nproc-per-node 4 -m learning train --data {tmp_path}/S --out {tmp_path}/R"
+    assert said.endswith(line)
+    assert "torchrun" not in str(stopped_training(tmp_path / "R", options, ALONE))
