@@ -82,7 +82,7 @@ def test_a_ply_mesh_survives_its_file(tmp_path):
     ("text", "said"),
     [
         ("", "0 vertices, 0 faces"),
-        ("v 0 0 0\n", "1 vertices, 0 faces"),
+        ("v 0 0 0\n", "1 vertex, 0 faces"),
         ("v 0 0 x\n", "readable OBJ"),
         ("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "2 coordinates instead of 3"),
         (MIXED.replace("vt 1 1", "vt 1 nan"), "uv: found NaN"),

@@ -52,7 +52,7 @@ def test_an_exr_is_linear(tmp_path):
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (b"", "0 bytes that begin with none"),
+        (b"", "0 bytes, beginning with none"),
         (b"\xff\xd8\xff\xe1 Exif", "a JPEG"),
         (b"\x89PNG\r\n\x1a\n", "89504e47"),
         (tiff("<", ""), "a TIFF without DNGVersion"),

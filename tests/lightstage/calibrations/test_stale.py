@@ -300,7 +300,7 @@ def test_a_lab_is_listed_in_plain_words(bench, lab, small_stage):
             "chart",
             "-20260302T120000Z",
             "unfinished",
-            "1 of 1 poses, begun 7 days ago; calibrate chart with --resume and its other options "
+            "1 of 1 pose, begun 7 days ago; calibrate chart with --resume and its other options "
             "goes on",
         ),
         ("chart", day, "holds", "8 days old, holds 6 days more"),

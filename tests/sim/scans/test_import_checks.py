@@ -76,7 +76,7 @@ def test_small_holes_are_counted_and_large_ones_refused_unless_allowed(egg):
     assert len(report.holes_mm) == 1
     assert 20 < report.holes_mm[0] < 80
     assert report.neck_mm > 0
-    with pytest.raises(SimError, match=r"holes: found 1 holes.*at most 30 mm.*--largest-hole-mm"):
+    with pytest.raises(SimError, match=r"holes: found 1 hole,.*at most 30 mm.*--largest-hole-mm"):
         check_scan(punched(egg, 40.0), "egg")
 
 

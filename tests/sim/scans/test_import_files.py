@@ -144,7 +144,7 @@ def test_nan_vertices_are_told_by_their_number(egg, files, tmp_path):
     places = egg.vertices.copy()
     places[3] = np.nan
     broken = egg.with_vertices(places)
-    with pytest.raises(SimError, match=r"vertex \d+: found \d+ vertices that are NaN"):
+    with pytest.raises(SimError, match=r"vertex \d+: found \d+ NaN or infinite vert"):
         read_scan(files["write_glb"](tmp_path / "nan.glb", broken))
     with pytest.raises(FormatError, match="vertices: found NaN"):
         read_scan(files["write_textured_obj"](tmp_path / "nan.obj", broken))
