@@ -258,10 +258,9 @@ def test_training_beats_bicubic_and_scores(store_path: Path, tmp_path: Path) -> 
 
 
 def test_a_resumed_training_has_the_same_bits(store_path: Path, tmp_path: Path) -> None:
-    # Over the first of the four rates, so that one of them is gone on with and one begins.
-    config = dataclasses.replace(
-        TINY, steps=8, pictures=dataclasses.replace(TINY.pictures, count=2)
-    )
+    # Interrupted while the learning rate is its second of five.
+    pictures = dataclasses.replace(TINY.pictures, count=2)
+    config = dataclasses.replace(TINY, steps=8, pictures=pictures)
     store = open_store(store_path)
 
     def stop(done: int, total: int) -> None:
