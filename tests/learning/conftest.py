@@ -10,6 +10,8 @@ from lightstage.formats.files import write_json
 from lightstage.formats.mesh import Mesh, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from processing.dataset import build_store
+from sim.people.dataset import make_plan, write_people
+from sim.people.table import load_table
 
 ROWS, COLUMNS = 96, 64
 RADIUS_MM = 90.0
@@ -67,6 +69,14 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> list[ProcessedFolder]:
 @pytest.fixture(scope="session")
 def store_path(people: list[ProcessedFolder], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build_store([p.root for p in people], tmp_path_factory.mktemp("data") / "store")
+
+
+@pytest.fixture(scope="session")
+def strangers(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Four simulated people on whom no shipped weights were trained, 192 rows."""
+    folder = tmp_path_factory.mktemp("strangers")
+    write_people(make_plan(folder, load_table("balanced"), 4, 1, 900, 192), jobs=1)
+    return sorted(path.parent for path in folder.glob("*/report.json"))
 
 
 @pytest.fixture(scope="session")

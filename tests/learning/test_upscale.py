@@ -242,11 +242,8 @@ def test_an_untrained_network_beside_bicubic_scores_as_bicubic(store_path: Path)
         score_upscaling(network, [bare])
 
 
-def test_training_beats_bicubic_scores_and_resumes_to_the_same_bits(
-    store_path: Path, tmp_path: Path
-) -> None:
-    store = open_store(store_path)
-    whole = train_upscaling(store, tmp_path / "whole", TINY)
+def test_training_beats_bicubic_and_scores(store_path: Path, tmp_path: Path) -> None:
+    whole = train_upscaling(open_store(store_path), tmp_path / "whole", TINY)
     assert (whole.steps, whole.held_out) == (60, ["person-2"])
     assert whole.score.psnr_db > whole.score.psnr_bicubic_db + 0.5
     assert "bicubic" in whole.score.sentence()
@@ -254,23 +251,32 @@ def test_training_beats_bicubic_scores_and_resumes_to_the_same_bits(
     rates = [line["learning_rate"] for line in lines[:-1]]
     assert rates[0] == TINY.learning_rate
     assert rates[-1] == pytest.approx(TINY.learning_rate / 16)
+    network = load_super_resolution(tmp_path / "whole")[0]
+    assert bool((network.mean_srgb != 0.5).all())
+    with pytest.raises(CheckpointError, match="found super_resolution, expected whole_face"):
+        load_whole_face(tmp_path / "whole")
+
+
+def test_a_resumed_training_has_the_same_bits(store_path: Path, tmp_path: Path) -> None:
+    # Interrupted while the learning rate is its second of five.
+    pictures = dataclasses.replace(TINY.pictures, count=2)
+    config = dataclasses.replace(TINY, steps=8, pictures=pictures)
+    store = open_store(store_path)
 
     def stop(done: int, total: int) -> None:
-        if done == 20:
+        if done == 3:
             raise KeyboardInterrupt
 
     interrupting: ProgressCallback = stop
+    train_upscaling(store, tmp_path / "whole", config)
     with pytest.raises(KeyboardInterrupt):
-        train_upscaling(store, tmp_path / "parts", TINY, progress=interrupting)
-    train_upscaling(store, tmp_path / "parts", TINY, resume=True)
+        train_upscaling(store, tmp_path / "parts", config, progress=interrupting)
+    train_upscaling(store, tmp_path / "parts", config, resume=True)
     one, other = (load_super_resolution(tmp_path / name)[0] for name in ("whole", "parts"))
     assert all(
         torch.equal(a, b)
         for a, b in zip(one.state_dict().values(), other.state_dict().values(), strict=True)
     )
-    assert bool((one.mean_srgb != 0.5).all())
-    with pytest.raises(CheckpointError, match="found super_resolution, expected whole_face"):
-        load_whole_face(tmp_path / "whole")
 
 
 def test_light_above_white_stays_and_what_is_below_black_is_black() -> None:

@@ -32,8 +32,6 @@ from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.mesh import Mesh
 from processing.dataset import build_store, open_store
-from sim.people.dataset import make_plan, write_people
-from sim.people.table import load_table
 
 SIZE = WholeFaceConfig(rows=48, columns=32, width=4, halvings=2)
 TINY = WholeTrainConfig(
@@ -357,12 +355,9 @@ def test_the_modern_preset_refuses_what_cannot_be() -> None:
 
 
 def test_the_shipped_weights_beat_the_plain_guesses_on_people_not_trained_on(
-    tmp_path: Path,
+    strangers: list[Path], tmp_path: Path
 ) -> None:
-    plan = make_plan(tmp_path / "people", load_table("balanced"), 4, 1, 900, 192)
-    write_people(plan, jobs=1)
-    folders = sorted(path.parent for path in (tmp_path / "people").glob("*/report.json"))
-    store = open_store(build_store(folders, tmp_path / "store"))
+    store = open_store(build_store(strangers, tmp_path / "store"))
     network, _ = load_whole_face(shipped_weights())
     people = {scan.subject for scan in store.scans}
     rng = np.random.default_rng(0)

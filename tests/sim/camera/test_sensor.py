@@ -234,7 +234,7 @@ def test_light_that_is_no_number_is_refused_endless_light_clips_and_less_than_no
     rng = np.random.default_rng(15)
     broken = flat([0.1, 0.1, 0.1]).copy()
     broken[3, 4, 1] = np.nan
-    with pytest.raises(SimError, match="row 3: found 1 NaN pixel"):
+    with pytest.raises(SimError, match="row 3: found 1 NaN pixel,"):
         sensor.expose(broken, rng)
     assert sensor.expose(flat([np.inf] * 3), rng).min() == sensor.config.white_dn
     assert sensor.expose(flat([0, np.inf, 0]), rng).min() == sensor.config.white_dn
