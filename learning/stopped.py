@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
 from learning.checkpoint import INDEX, read_checkpoint
 from learning.processes import Processes
 from lightstage.errors import StoppedError
+from lightstage.resume_line import shell_line
 
 
 def stopped_training(
@@ -33,7 +33,7 @@ def stopped_training(
     if not (out / INDEX).exists():
         return StoppedError(
             f"Interrupted before the first checkpoint: no step is kept in {out}. "
-            f"Begin again with: {shlex.join(words)}"
+            f"Begin again with: {shell_line(*words)}"
         )
     kept = f"step {read_checkpoint(out).step} is kept in {out}"
-    return StoppedError(f"Interrupted: {kept}. Go on with: {shlex.join([*words, '--resume'])}")
+    return StoppedError(f"Interrupted: {kept}. Go on with: {shell_line(*words, '--resume')}")

@@ -21,7 +21,7 @@ def resume_line(session: str | Path, options: Sequence[str] = ()) -> str:
         session: its folder.
         options: as the capture was given them; none where they are not known.
     """
-    line = _joined("capture", "--resume", "--out", str(session), *options)
+    line = shell_line("lightstage", "capture", "--resume", "--out", str(session), *options)
     return line if options else f"{line} (with --leds and --cameras as before)"
 
 
@@ -39,7 +39,7 @@ def retake_line(
         cameras: ids; all where there are none.
         options: as the capture was given them; none where they are not known.
     """
-    line = _joined("retake", str(session), ",".join(patterns), *cameras, *options)
+    line = shell_line("lightstage", "retake", str(session), ",".join(patterns), *cameras, *options)
     return line if options else f"{line} (with --leds and --cameras as before)"
 
 
@@ -52,12 +52,14 @@ def calibrate_line(kind: str, rig: Path, lab: Path, options: Sequence[str]) -> s
         lab: the lab's folder.
         options: as the command was given them.
     """
-    return _joined("calibrate", kind, "--resume", "--rig", str(rig), "--out", str(lab), *options)
+    return shell_line(
+        "lightstage", "calibrate", kind, "--resume", "--rig", str(rig), "--out", str(lab), *options
+    )
 
 
 def watch_line(session: str | Path) -> str:
     """What to type to follow a session."""
-    return _joined("watch", str(session))
+    return shell_line("lightstage", "watch", str(session))
 
 
 def options_of(line: Mapping[str, Any]) -> list[str]:
@@ -74,5 +76,6 @@ def known_options(lines: Iterable[Mapping[str, Any]]) -> list[str]:
     return told[-1] if told else []
 
 
-def _joined(*words: str) -> str:
-    return printable(shlex.join(["lightstage", *words]), LONGEST, squeeze=False)
+def shell_line(*words: str) -> str:
+    """Words as one printable line to paste into a shell, quoted where they need it."""
+    return printable(shlex.join(words), LONGEST, squeeze=False)

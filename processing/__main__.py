@@ -262,9 +262,9 @@ def publish(
     with progress_bar("dataset publish") as progress:
         opened = open_store(store, "These patches are published already.")
         publish_store(opened, out, seed, config, progress)
-    warnings = [said for said in [narrow_gap(config.gap)] if said]
-    for said in warnings:
-        print(f"warning: {said}", file=sys.stderr)
+    narrow = narrow_gap(config.gap)
+    if narrow:
+        print(f"warning: {narrow}", file=sys.stderr)
     written = read_json(out / DATASET)
     counts, unasked = written["counts"], written["consent"]["subjects_without"]
     said = counted(counts["patches"], "patch", "patches")
@@ -272,7 +272,7 @@ def publish(
     if unasked:
         said += f", {unasked} of them without a consent record"
     facts = {"out": str(out), **counts, "patch": written["patch"], "gap": written["gap"]}
-    facts |= {"subjects_without_consent": unasked, "warnings": warnings}
+    facts |= {"subjects_without_consent": unasked, "warnings": [narrow] if narrow else []}
     finish(f"{out}: {said}", facts, as_json)
 
 

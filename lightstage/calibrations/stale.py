@@ -205,9 +205,9 @@ def _findings(
 def duration(days: float) -> str:
     """Days in plain words."""
     if days >= 2:
-        return counted(round(days), "day")
+        return f"{days:.0f} days"
     hours = days * 24
-    return counted(round(hours), "hour") if hours >= 2 else counted(round(hours * 60), "minute")
+    return f"{hours:.0f} hours" if hours >= 2 else counted(round(hours * 60), "minute")
 
 
 def _named(own: Collection[str], told: Collection[str]) -> str:

@@ -85,9 +85,9 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
 
     Raises:
         FormatError, DatasetError: something else than a processed folder, such as the truth of a
-            simulated session, an atlas older than the
-            stages before it, a report of another session than the atlas, a map that is missing,
-            damaged or of another size, no subject, a pose that is not rigid.
+            simulated session, an atlas older than the stages before it, a report of another
+            session than the atlas, a map that is missing, damaged or of another size, no subject,
+            a pose that is not rigid.
     """
     _require_processed(root)
     folder = ProcessedFolder(root)

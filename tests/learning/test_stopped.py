@@ -115,6 +115,17 @@ def interrupt_at(monkeypatch: pytest.MonkeyPatch, name: str, call: int) -> None:
     monkeypatch.setattr(runs.Run, name, interrupted)
 
 
+def asked(store: Path, out: Path, config: str) -> tuple[Path, list[str]]:
+    """A run's folder, and the options of a training with such a configuration."""
+    path = out.parent / "tiny.toml"
+    path.write_text(config)
+    return out, ["--data", str(store), "--out", str(out), "--config", str(path)]
+
+
+def stop(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize("preset", FAMILIES)
 def test_every_preset_says_what_is_kept_and_the_line_it_says_goes_on(
     preset: str,
@@ -123,10 +134,8 @@ def test_every_preset_says_what_is_kept_and_the_line_it_says_goes_on(
     train: Callable[..., tuple[int, str, str]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    config, out = tmp_path / "tiny.toml", tmp_path / "my run"
-    config.write_text(TINY[FAMILIES[preset].family])
-    words = ["--data", str(store_path), "--out", str(out), "--preset", preset]
-    words += ["--config", str(config), "--seed", "3"]
+    out, words = asked(store_path, tmp_path / "my run", TINY[FAMILIES[preset].family])
+    words = [*words[:4], "--preset", preset, *words[4:], "--seed", "3"]
     with monkeypatch.context() as patch:
         interrupt_at(patch, "_mean", 2)
         code, said, told = train(*words, "--json")
@@ -156,13 +165,7 @@ def test_an_interrupt_before_the_first_step_says_that_nothing_is_kept(
     train: Callable[..., tuple[int, str, str]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    config, out = tmp_path / "tiny.toml", tmp_path / "run"
-    config.write_text(TINY["whole_face"])
-    words = ["--data", str(store_path), "--out", str(out), "--config", str(config)]
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
+    out, words = asked(store_path, tmp_path / "run", TINY["whole_face"])
     monkeypatch.setattr("learning.whole.train.begin", stop)
     code, _, told = train(*words)
     assert code == 130
@@ -176,13 +179,9 @@ def test_an_interrupt_while_people_are_scored_keeps_all_steps(
     train: Callable[..., tuple[int, str, str]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    config, out = tmp_path / "tiny.toml", tmp_path / "run"
-    config.write_text(TINY["whole_face"].replace("seconds = 60", "steps = 3"))
-    words = ["--data", str(store_path), "--out", str(out), "--config", str(config)]
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
+    out, words = asked(
+        store_path, tmp_path / "run", TINY["whole_face"].replace("seconds = 60", "steps = 3")
+    )
     monkeypatch.setattr("learning.whole.train.score_faces", stop)
     code, _, told = train(*words)
     assert (code, read_checkpoint(out).step) == (130, 3)

@@ -247,9 +247,8 @@ class Terminal:
 
 
 BECOME = """
-import fcntl, os, signal, sys, termios
+import fcntl, os, sys, termios
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-signal.signal(signal.SIGINT, signal.SIG_DFL)  # ignored where the tests are a job in the background
 os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 """
 
