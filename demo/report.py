@@ -216,7 +216,8 @@ def main(root: Path = typer.Argument(Path("build/demo"), help="A finished demo's
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         raise typer.Exit(2) from None
     size = (root / "report.html").stat().st_size / 1e6
-    print(f"{root / 'report.html'}: {counted(len(figures['errors']), 'error')}, {size:.1f} MB")
+    known = counted(len(figures["errors"]), "figure")
+    print(f"{root / 'report.html'}: {known} against known answers, {size:.1f} MB")
 
 
 if __name__ == "__main__":

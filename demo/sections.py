@@ -297,7 +297,7 @@ def learning_section(demo: Demo) -> Section:
             "A network is shown a texture with light and shadow in it, as a photograph gives, and "
             "learns to say albedo. Training on the few people above for less than a minute shows "
             "that training works; the maps below come from the weights that are shipped, which "
-            "were trained on 150 other simulated people.",
+            "were trained on other simulated people alone.",
             _losses(demo),
             Picture(
                 side_by_side([labelled(resize(i, 420), t) for t, i in rows], 444),
@@ -305,7 +305,9 @@ def learning_section(demo: Demo) -> Section:
                 "network makes of it beside the truth: light and shadow should go, the skin's "
                 "colour should stay. The network never saw this person. It sees 96 x 64 texels; "
                 "what is finer comes from the texture itself, and with it some of the edges of "
-                "hard shadows. The normals are the mesh's own.",
+                "hard shadows. A scanned head is unlike the people that it was trained on: where "
+                "its shadows are deep, brows, lips and closed eyes give way to the mean person's, "
+                "and its colour comes out too dull. The normals are the mesh's own.",
                 "inference",
             ),
         ],

@@ -137,7 +137,7 @@ def _table(sums: Mapping[str, Mapping[str, Any]], clipped: Mapping[str, float]) 
                 camera,
                 f"{max(moved.values()):.2f}" if moved else "not known",
                 ", ".join(facts["aligned"]) or "none",
-                "not known" if ambient is None else ", ".join(f"{100 * x:.2f}" for x in ambient),
+                "not known" if ambient is None else ", ".join(f"{100 * x:z.2f}" for x in ambient),
                 "not known" if apart is None else f"{100 * apart:.2f}",
                 flicker or "none",
                 left or "not known",

@@ -226,6 +226,9 @@ def test_the_report_shows_a_row_a_camera(tmp_path: Path) -> None:
     assert isinstance(picture, Picture)
     assert isinstance(table, Table)
     assert len(table.rows[0]) == len(table.header)
+    dark = {"cam0": {**facts, "ambient": [-1e-6, 0.0, 0.012]}}
+    dark_table = light_section(tmp_path, {"sums": dark}).parts[1]
+    assert "0.00, 0.00, 1.20" in dark_table.rows[0]
     view = read_diagnosis(tmp_path, "cam0")
     one, two = grid({"cam0": view}), grid({"cam0": view, "cam1": view})
     assert one.dtype == np.uint8
