@@ -124,7 +124,7 @@ def refine(
     skin = known_skin(network, answer, here, weight)
     fit = LightFit(LitSurface(mesh, low, CAMERA_MM), colours, weight)
     light: Light | None = None
-    found = Explained(skin.said, np.zeros((0, 3)), 1.0)
+    found = Explained(skin.said, np.zeros((0, 3)), 1.0, skin.doubt)
     for _ in range(ROUNDS):
         before = skin.albedo(found.along)
         light = fit.find(before, found.gloss * skin.specular, light, until)

@@ -68,12 +68,14 @@ class Explained:
         along: (K,) of the skin, in standard deviations of people.
         rgb: (L, 3) of the lamps.
         gloss: factor on the specular albedo.
+        covariance: (K, K) of `along`, as far as the texture tells.
         cost: what the squared errors and the distance from what was known before add up to.
     """
 
     along: np.ndarray
     rgb: np.ndarray
     gloss: float
+    covariance: np.ndarray
     cost: float = math.inf
 
 
@@ -118,11 +120,11 @@ def explain(
     values = problem.start()
     for _ in range(ROUNDS):
         problem.look(values)
-        values, cost = _descended(problem, values)
-    return problem.answer(values, cost)
+        values, cost, normal = _descended(problem, values)
+    return problem.answer(values, np.linalg.inv(normal), cost)
 
 
-def _descended(problem: _Problem, values: np.ndarray) -> tuple[np.ndarray, float]:
+def _descended(problem: _Problem, values: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     """Damped Gauss-Newton steps as long as the cost falls [Marquardt1963]."""
     damping = 1e-3
     cost, normal, right = problem.linear(values)
@@ -139,7 +141,7 @@ def _descended(problem: _Problem, values: np.ndarray) -> tuple[np.ndarray, float
             damping *= 8
             if damping > 1e6:
                 break
-    return values, cost
+    return values, cost, normal
 
 
 class _Problem:
@@ -167,14 +169,16 @@ class _Problem:
         gloss = np.log(self._begin.gloss)
         return np.concatenate([self._begin.along, self._strength.ravel(), [gloss]])
 
-    def answer(self, values: np.ndarray, cost: float) -> Explained:
+    def answer(self, values: np.ndarray, covariance: np.ndarray, cost: float) -> Explained:
         """What values of the unknowns mean."""
         along, strength, gloss = self._parts(values)
         faint = self._begin.rgb <= 0
+        count = len(along)
         return Explained(
             along,
             np.where(faint, 0.0, np.exp(strength)),
             float(np.exp(gloss)),
+            covariance[:count, :count],
             cost,
         )
 
