@@ -60,29 +60,25 @@ def measured(store_path: Path, name: str, full: bool, steps: int) -> dict[str, A
     import numpy as np
 
     from learning.data import PatchData
-    from learning.four.config import FourTrainConfig
     from learning.four.train import FourTrainer
-    from learning.patch_run import PatchLearner
-    from learning.presets import TrainConfig, preset
+    from learning.patch_config import PatchConfig, TrainConfig
+    from learning.presets import preset
     from learning.run import split
-    from learning.train import Trainer
+    from learning.train import TRAINERS
+    from learning.training import Fed
     from processing.dataset import open_store
 
     config = preset(name, FULL if full else REDUCED, "benchmark")
-    assert isinstance(config, TrainConfig | FourTrainConfig)
+    assert isinstance(config, PatchConfig)
     store = open_store(store_path)
-    _, trained_on = split(store, config.data.held_out_subjects)
+    _, trained_on = split(store, config.held_out_subjects)
     # A step takes as long whoever is shown; reading more people does not belong to it.
     people = set(sorted(trained_on)[: PEOPLE - 1])
-    draws = config.environments if isinstance(config, TrainConfig) else 0
-    parts = (config.data, config.lights, config.augment, np.random.default_rng([config.seed, 1]))
-    data = PatchData(store, people, *parts, config.shading, draws=draws, seed=config.seed)
-    if isinstance(config, TrainConfig):
-        trainer = Trainer(config)
-        learner, networks = PatchLearner(trainer, data), [trainer.generator]
-    else:
-        four = FourTrainer(config)
-        learner, networks = PatchLearner(four, data), [t.generator for t in four.trainers.values()]
+    how = (config.data, config.lights, config.augment, np.random.default_rng([config.seed, 1]))
+    data = PatchData(store, people, *how, config.shading, draws=config.draws, seed=config.seed)
+    trainer: Any = TRAINERS[config.family][0](config)
+    parts = trainer.trainers.values() if isinstance(trainer, FourTrainer) else [trainer]
+    learner, networks = Fed(trainer, data.draw), [part.generator for part in parts]
     seconds, lines = [], []
     for number in range(steps):
         # On a machine with other work the clock tells of that.
@@ -108,11 +104,11 @@ def shares(config: Any, data: Any, first: dict[str, float]) -> dict[str, float]:
     import torch
 
     from learning.losses import rendering_loss
-    from learning.train import Trainer
+    from learning.patch_train import PatchTrainer
 
     batch = data.draw(config.batch, np.random.default_rng([config.seed, 2, 0]))
     with torch.inference_mode():
-        said = Trainer(config).generator(batch.inputs) * batch.covered_channels
+        said = PatchTrainer(config).generator(batch.inputs) * batch.covered_channels
         patch, texel = (float(rendering_loss(said, batch, n)) for n in ("patch", "texel"))
     others = first["adversarial"] + first["features"] + first["maps"]
     texels = float(batch.covered.sum()) / len(batch.inputs)

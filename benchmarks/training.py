@@ -21,7 +21,7 @@ def run(*words: str) -> None:
 def main() -> None:
     # Before torch is imported: waiting threads give their core away.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    from learning.presets import TrainConfig, preset
+    from learning.presets import preset
     from learning.train import train
     from processing.dataset import build_store, open_store
 
@@ -32,7 +32,6 @@ def main() -> None:
         processed = sorted(p.parent for p in (root / "people").glob("*/report.json"))
         store = open_store(build_store(processed, root / "store"))
         config = preset("demo", {"seconds": SECONDS}, "benchmark")
-        assert isinstance(config, TrainConfig)
         result = train(store, root / "run", config)
     score = result.score
     rows = [

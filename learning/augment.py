@@ -34,6 +34,10 @@ class AugmentConfig:
     shininess: tuple[float, float] = (12.0, 60.0)
     translucency: tuple[float, float] = (0.2, 0.8)
 
+    def as_they_are(self) -> AugmentConfig:
+        """The same with people's own complexions."""
+        return dataclasses.replace(self, melanin=0.0, haemoglobin=0.0)
+
 
 @dataclasses.dataclass(frozen=True)
 class Variation:

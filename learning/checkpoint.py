@@ -15,8 +15,9 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError
@@ -33,6 +34,8 @@ from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_path, leftovers, read_json, sha256_file, write_json
 from lightstage.formats.paths import check_name, path_inside
 
+NetworkT = TypeVar("NetworkT", bound=nn.Module)
+SizeT = TypeVar("SizeT")
 SCHEMA = "lightstage.checkpoint/1"
 INDEX = "checkpoint.json"
 AVERAGE = "average"
@@ -195,41 +198,60 @@ def load_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:
     return tensors
 
 
-def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
-    """The generator of a checkpoint, ready to infer with: averaged where it kept an average.
+def load_network(
+    path: Path,
+    family: str,
+    table: str,
+    size_of: type[SizeT],
+    make: Callable[[SizeT], NetworkT],
+    role: str = "",
+) -> tuple[NetworkT, Checkpoint]:
+    """A family's network of a checkpoint, ready to infer with: averaged where it kept an average.
+
+    Args:
+        path: run folder, or its checkpoint.json.
+        family: of the network.
+        table: of the configuration that has its size.
+        size_of: class of that table.
+        make: the network of a size.
+        role: of its file; as the table where empty.
 
     Raises:
         CheckpointError, FormatError, ConfigError: as `read_checkpoint`, or weights of another
             network.
     """
-    checkpoint, where = of_family(path, "patches")
-    config = make_config(GeneratorConfig, checkpoint.config.get("generator", {}), where)
-    require_within(config, where, "generator")
-    with torch.device("meta"):
-        generator = Generator(config)
-    generator.to_empty(device="cpu")
-    fill(generator, trained_tensors(checkpoint, "generator"), where)
-    return generator.eval(), checkpoint
+    checkpoint, where = of_family(path, family)
+    size = make_config(size_of, checkpoint.config.get(table, {}), where)
+    require_within(size, where, table)
+    network = make(size)
+    fill(network, trained_tensors(checkpoint, role or table), where)
+    return network.eval(), checkpoint
+
+
+def load_generator(path: Path) -> tuple[Generator, Checkpoint]:
+    """The generator of a checkpoint; otherwise as `load_network`."""
+
+    def make(size: GeneratorConfig) -> Generator:
+        return unfilled(lambda: Generator(size))
+
+    return load_network(path, "patches", "generator", GeneratorConfig, make)
 
 
 def load_whole_face(path: Path) -> tuple[WholeFaceNetwork, Checkpoint]:
-    """The whole-face network of a checkpoint, ready to infer with; errors as `load_generator`."""
-    checkpoint, where = of_family(path, "whole_face")
-    config = make_config(WholeFaceConfig, checkpoint.config.get("network", {}), where)
-    require_within(config, where, "network")
-    network = WholeFaceNetwork(config)
-    fill(network, trained_tensors(checkpoint, "network"), where)
-    return network.eval(), checkpoint
+    """The whole-face network of a checkpoint; otherwise as `load_network`."""
+    return load_network(path, "whole_face", "network", WholeFaceConfig, WholeFaceNetwork)
 
 
 def load_super_resolution(path: Path) -> tuple[Rcan, Checkpoint]:
-    """An RCAN of a checkpoint, in evaluation mode; errors as `load_generator`."""
-    checkpoint, where = of_family(path, "super_resolution")
-    config = make_config(RcanConfig, checkpoint.config.get("network", {}), where)
-    require_within(config, where, "network")
-    network = Rcan(config)
-    fill(network, trained_tensors(checkpoint, "network"), where)
-    return network.eval(), checkpoint
+    """An RCAN of a checkpoint; otherwise as `load_network`."""
+    return load_network(path, "super_resolution", "network", RcanConfig, Rcan)
+
+
+def unfilled(make: Callable[[], NetworkT]) -> NetworkT:
+    """A network without the time to draw its weights, all of which are to be filled."""
+    with torch.device("meta"):
+        network = make()
+    return network.to_empty(device="cpu")
 
 
 def trained_tensors(checkpoint: Checkpoint, role: str) -> dict[str, Tensor]:

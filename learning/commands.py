@@ -24,7 +24,6 @@ from learning.errors import MapsError
 from learning.four.config import FourTrainConfig
 from learning.four.infer import infer_four
 from learning.four.networks import FourNetworks, load_four_networks
-from learning.four.train import train_four
 from learning.infer import infer
 from learning.maps import TexturedHead, load_head
 from learning.presets import preset
@@ -40,17 +39,10 @@ from learning.relight import (
 from learning.render.occlusion_model import OcclusionConfig, bake_table
 from learning.render.shading import ShadeOptions
 from learning.resample import resampled_texture
-from learning.run import TrainResult
-from learning.score import Score
 from learning.train import train
-from learning.upscale.config import UpscaleTrainConfig
 from learning.upscale.infer import upscale
 from learning.upscale.score import UpscaleScore
-from learning.upscale.train import train_upscaling
-from learning.whole.config import WholeTrainConfig
 from learning.whole.infer import infer_whole_face
-from learning.whole.score import FaceScore
-from learning.whole.train import train_faces
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
@@ -249,16 +241,8 @@ def train_command(
         overrides["seed"] = seed
     resolved = preset(preset_name, overrides, str(config) if config else f"preset {preset_name}")
     store = open_store(data)
-    result: TrainResult[Score] | TrainResult[FaceScore] | TrainResult[UpscaleScore]
     with joined(processes, device), memory_of(device, out, _smaller_batch(resolved.batch)):
-        if isinstance(resolved, WholeTrainConfig):
-            result = train_faces(store, out, resolved, resume, progress, device, processes)
-        elif isinstance(resolved, UpscaleTrainConfig):
-            result = train_upscaling(store, out, resolved, resume, progress, device, processes)
-        elif isinstance(resolved, FourTrainConfig):
-            result = train_four(store, out, resolved, resume, progress, device, processes)
-        else:
-            result = train(store, out, resolved, resume, progress, device, processes)
+        result = train(store, out, resolved, resume, progress, device, processes)
     return {
         "steps": result.steps,
         "examples": result.examples,

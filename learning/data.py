@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from learning import augment
-from learning.clock import DATA, RENDERING, Clock
+from learning.clock import RENDERING, Clock
 from learning.encoding import (
     Reference,
     SpecularFrame,
@@ -236,8 +236,7 @@ class PatchData:
     def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> Batch:
         """A batch of random patches, or a share of it: what is drawn is the whole batch's."""
         chosen = rng.integers(0, len(self.places), count)[share]
-        with self._clock.part(DATA):
-            return self._batch([self.places[int(i)] for i in chosen], rng.spawn(count)[share])
+        return self._batch([self.places[int(i)] for i in chosen], rng.spawn(count)[share])
 
     def _batch(self, places: list[tuple[int, int, int]], rngs: list[np.random.Generator]) -> Batch:
         return join([self._example(*of) for of in zip(places, rngs, strict=True)])

@@ -46,7 +46,7 @@ MOST_TOLD = 4
 class Learner(Protocol):
     """A network in training."""
 
-    watched: ClassVar[str]
+    watched: str
     """The loss that the guard watches."""
 
     def step(self, number: int, done: float) -> dict[str, float]:

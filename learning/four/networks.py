@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 
-from learning.checkpoint import Checkpoint, fill, of_family, trained_tensors
+from learning.checkpoint import Checkpoint, load_network, unfilled
 from learning.data import Batch
 from learning.devices import device_of
 from learning.encoding import Reflectance
 from learning.four.channels import PARTS, one_after_the_other, seen_of
 from learning.four.config import FourTrainConfig
-from learning.limits import require_within
 from learning.networks.generator import Generator, GeneratorConfig
-from lightstage.formats.config import make_config
 
 
 class FourNetworks(nn.ModuleDict):
@@ -48,12 +45,10 @@ def fresh_networks(config: GeneratorConfig) -> FourNetworks:
 
 
 def load_four_networks(path: Path) -> tuple[FourNetworks, Checkpoint]:
-    """The networks of a checkpoint, ready to infer with; otherwise as `load_generator`."""
-    checkpoint, where = of_family(path, FourTrainConfig.family)
-    config = make_config(GeneratorConfig, checkpoint.config.get("generator", {}), where)
-    require_within(config, where, "generator")
-    with torch.device("meta"):
-        networks = fresh_networks(config)
-    networks.to_empty(device="cpu")
-    fill(networks, trained_tensors(checkpoint, "generators"), where)
-    return networks.eval(), checkpoint
+    """The networks of a checkpoint; otherwise as `load_network`."""
+
+    def make(size: GeneratorConfig) -> FourNetworks:
+        return unfilled(lambda: fresh_networks(size))
+
+    family = FourTrainConfig.family
+    return load_network(path, family, "generator", GeneratorConfig, make, "generators")

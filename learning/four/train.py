@@ -9,22 +9,17 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from learning.checkpoint import AVERAGE, INDEX, Checkpoint, load_tensors, part_of
-from learning.clock import Clock
+from learning.checkpoint import AVERAGE, part_of
 from learning.data import Batch
 from learning.devices import CPU
 from learning.encoding import Reflectance
 from learning.four.channels import PARTS, pairs
 from learning.four.config import FourTrainConfig
 from learning.four.networks import FourNetworks
-from learning.patch_run import train_patches
-from learning.presets import TrainConfig
+from learning.patch_config import TrainConfig
+from learning.patch_train import PatchTrainer
 from learning.processes import ALONE, Processes
-from learning.run import TrainResult
-from learning.score import Score
-from learning.train import Trainer
-from lightstage.commands import ProgressCallback, quiet
-from processing.dataset import Store
+from learning.training import Trainer
 
 GENERATORS, TRAINING = "generators", "training"
 """Roles of a checkpoint's files, beside that of the average."""
@@ -41,8 +36,10 @@ def config_of_part(config: FourTrainConfig, index: int) -> TrainConfig:
     return TrainConfig(**shared, seed=4 * config.seed + index, render_weight=0.0)
 
 
-class FourTrainer:
+class FourTrainer(Trainer[FourTrainConfig, Batch]):
     """Four networks with their discriminators and optimisers."""
+
+    watched = "error"
 
     def __init__(
         self,
@@ -50,11 +47,10 @@ class FourTrainer:
         device: torch.device = CPU,
         processes: Processes = ALONE,
     ) -> None:
-        """Networks on a device, with random weights of the configuration's seed."""
-        self.config, self.device, self.processes = config, device, processes
-        self.clock = Clock()
+        """Networks on a device, each with random weights of its own."""
+        super().__init__(config, device, processes)
         self.trainers = {
-            part: Trainer(
+            part: PatchTrainer(
                 config_of_part(config, index),
                 device,
                 processes,
@@ -70,11 +66,11 @@ class FourTrainer:
         return FourNetworks({part: trainer.trained for part, trainer in self.trainers.items()})
 
     def answers(self) -> Callable[[Batch], Reflectance]:
-        """See `PatchTrainer`. Each network is given what those before it found."""
+        """What the networks find on patches, each given what those before it found."""
         return self.trained.said
 
-    def set_rate(self, done: float) -> float:
-        """Set the learning rate for a training that is `done` (0..1); returns it."""
+    def set_rate(self, done: float, _: int = 0) -> float:
+        """See `Trainer`."""
         return max(trainer.set_rate(done) for trainer in self.trainers.values())
 
     def step(self, batch: Batch, number: int = 0) -> dict[str, float]:
@@ -89,17 +85,17 @@ class FourTrainer:
         return {**losses, "error": sum(losses[f"{part}.error"] for part in PARTS)}
 
     def kept(self, batch: Batch) -> dict[str, Tensor]:
-        """See `PatchTrainer`."""
+        """See `Trainer`."""
         drawn = pairs(batch)
         kept = {f"{part}.inputs": pair.inputs for part, pair in drawn.items()}
         return kept | {f"{part}.target": pair.target for part, pair in drawn.items()}
 
     def networks(self) -> list[nn.Module]:
-        """See `PatchTrainer`."""
+        """See `Trainer`."""
         return [network for trainer in self.trainers.values() for network in trainer.networks()]
 
     def tensors(self) -> dict[str, dict[str, Tensor]]:
-        """All state, by the checkpoint's roles."""
+        """See `Trainer`."""
         each = {part: trainer.tensors() for part, trainer in self.trainers.items()}
         roles = {"generator": GENERATORS, TRAINING: TRAINING}
         if self.config.ema:
@@ -113,30 +109,9 @@ class FourTrainer:
             for own, role in roles.items()
         }
 
-    def load(self, checkpoint: Checkpoint) -> None:
-        """Take over a checkpoint's state."""
-        saved = {role: load_tensors(checkpoint, role) for role in self.tensors()}
-        saved["generator"] = saved.pop(GENERATORS)
+    def take_over(self, saved: dict[str, dict[str, Tensor]], where: Path) -> None:
+        """See `Trainer`."""
+        roles = {**saved, "generator": saved[GENERATORS]}
         for part, trainer in self.trainers.items():
-            own = {role: part_of(tensors, part) for role, tensors in saved.items()}
-            trainer.take_over(own, checkpoint.folder / INDEX)
-
-
-def train_four(
-    store: Store,
-    out: Path,
-    config: FourTrainConfig,
-    resume: bool = False,
-    progress: ProgressCallback = quiet,
-    device: torch.device = CPU,
-    processes: Processes = ALONE,
-) -> TrainResult[Score]:
-    """Train four networks; arguments, errors and what is left in `out` as `learning.train.train`.
-
-    They are scored as they are used: each on what those before it found.
-    """
-
-    def make() -> FourTrainer:
-        return FourTrainer(config, device, processes)
-
-    return train_patches(store, out, config, make, 0, resume, progress, processes)
+            own = {role: part_of(tensors, part) for role, tensors in roles.items()}
+            trainer.take_over(own, where)

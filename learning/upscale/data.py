@@ -106,10 +106,11 @@ class Pictures:
         colours = torch.cat([p.low[:, p.low.amax(dim=0) > 0] for p in self.pictures], dim=1)
         return colours.mean(dim=1)
 
-    def draw(self, count: int, rng: np.random.Generator) -> PatchPairs:
-        """Random patches of random pictures."""
+    def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> PatchPairs:
+        """Random patches of random pictures, or a share of them: all are drawn."""
         usable = [picture for picture in self.pictures if len(picture.origins)]
         pairs = [self._patch(usable[int(rng.integers(len(usable)))], rng) for _ in range(count)]
+        pairs = pairs[share]
         return PatchPairs(
             torch.stack([low for low, _ in pairs]), torch.stack([high for _, high in pairs])
         )

@@ -10,7 +10,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from learning import augment
-from learning.clock import DATA, RENDERING, Clock
+from learning.clock import RENDERING, Clock
 from learning.encoding import shrink
 from learning.maps import from_batch, to_batch, typical_texel_mm
 from learning.networks.whole_face import KnownPeople, WholeFaceConfig, face_input
@@ -185,8 +185,7 @@ class Faces:
     def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> FaceBatch:
         """A batch of random scans, or a share of it: what is drawn is the whole batch's."""
         faces = [self.faces[int(index)] for index in rng.integers(0, len(self.faces), count)]
-        with self._clock.part(DATA):
-            return self._batch(faces[share], rng.spawn(count)[share], _mean_texel_mm(faces))
+        return self._batch(faces[share], rng.spawn(count)[share], _mean_texel_mm(faces))
 
     def batch(self, chosen: list[int], rng: np.random.Generator) -> FaceBatch:
         """Light some scans at random; the same scan gives another pair each time."""

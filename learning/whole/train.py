@@ -2,44 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import ClassVar
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from learning.augment import AugmentConfig
-from learning.average import follow, moving_average
-from learning.checkpoint import (
-    AVERAGE,
-    INDEX,
-    Checkpoint,
-    adam_tensors,
-    fill,
-    fill_adam,
-    load_tensors,
-)
-from learning.clock import IDLE, Clock
 from learning.devices import CPU, device_of, moved
 from learning.encoding import srgb_from_linear
-from learning.forward import Forward
-from learning.limits import require_within
-from learning.loader import Ahead
 from learning.losses import masked_mean
+from learning.network_trainer import NetworkTrainer
 from learning.networks.whole_face import WholeFace, WholeFaceNetwork
-from learning.processes import ALONE, Processes
-from learning.run import TrainResult, begin, split
+from learning.run import Run
 from learning.samples import MOST, Sample
+from learning.training import Task
 from learning.whole.config import WholeTrainConfig
 from learning.whole.detail import Shares, bands, enlarged
 from learning.whole.faces import LEAST_ALBEDO, FaceBatch, Faces, FacesConfig
 from learning.whole.score import FaceScore, score_faces
-from lightstage.commands import ProgressCallback, quiet
 from processing.dataset import Store
 
 LEAST_DOUBT = 1e-3
@@ -48,118 +31,37 @@ WARM_UP_STEPS = 50
 """Steps in which the rate rises, as Adam's means of gradients settle."""
 
 
-class WholeFaceTrainer:
-    """The network and its optimiser, one step at a time."""
+class WholeFaceTrainer(NetworkTrainer[WholeTrainConfig, FaceBatch, WholeFaceNetwork]):
+    """The whole-face network and its optimiser."""
 
-    def __init__(
-        self,
-        config: WholeTrainConfig,
-        device: torch.device = CPU,
-        processes: Processes = ALONE,
-    ) -> None:
-        """Random weights of the configuration's seed, on a device."""
-        torch.manual_seed(config.seed)
-        self.config, self.processes = config, processes
-        # Drawn on the processor, so that every device begins with the same weights. A step takes
-        # 87 ms of one core with channels last and 105 without; the generator of patches gains
-        # nothing, its discriminators a quarter.
-        self.network = WholeFaceNetwork(config.network).to(device)
-        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.average = moving_average(self.network) if config.ema else None
-        self._forward: Forward[WholeFace] = Forward(self.network, device, config)
-        self._adam = torch.optim.AdamW(
-            self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-        )
+    watched = "diffuse"
 
-    def step(self, batch: FaceBatch, number: int, done: float) -> dict[str, float]:
-        """One step of a training of which the share `done` is past; returns the losses."""
+    def fresh(self) -> WholeFaceNetwork:
+        """See `NetworkTrainer`."""
+        return WholeFaceNetwork(self.config.network)
+
+    def optimiser(self) -> torch.optim.Adam:
+        """See `NetworkTrainer`."""
+        rate, decay = self.config.learning_rate, self.config.weight_decay
+        return torch.optim.AdamW(self.network.parameters(), rate, weight_decay=decay)
+
+    def rate(self, done: float, number: int) -> float:
+        """It rises in the first steps and falls as a cosine."""
         rate = self.config.learning_rate * min(1.0, (number + 1) / WARM_UP_STEPS)
-        rate *= 0.5 + 0.5 * math.cos(math.pi * min(1.0, done))
-        for group in self._adam.param_groups:
-            group["lr"] = rate
-        losses = face_losses(self._forward, batch)
+        return rate * (0.5 + 0.5 * math.cos(math.pi * min(1.0, done)))
+
+    def losses(self, batch: FaceBatch) -> dict[str, Tensor]:
+        """See `face_losses`."""
+        losses = face_losses(self.forward, batch)
         if self.processes.count > 1:
             own = self.processes.weight(batch.weight.sum())
             losses = {name: own * value for name, value in losses.items()}
-        weights = {
-            "diffuse": 1.0,
-            "specular": self.config.specular_weight,
-            "deviation": self.config.deviation_weight,
-        }
-        total = torch.stack([weights[name] * value for name, value in losses.items()]).sum()
-        self._adam.zero_grad(set_to_none=True)
-        total.backward()
-        self.processes.average_gradients(self.network.parameters())
-        self._adam.step()
-        if self.average is not None:
-            follow(self.average, self.network, self.config.ema, number)
-        return {"learning_rate": rate, **{name: float(v.detach()) for name, v in losses.items()}}
+        return losses
 
-    @property
-    def trained(self) -> WholeFaceNetwork:
-        """The network to score and to infer with: the average where there is one."""
-        return (self.network if self.average is None else self.average).eval()
-
-    def tensors(self) -> dict[str, dict[str, Tensor]]:
-        """All state, by the checkpoint's roles."""
-        state = {
-            "network": dict(self.network.state_dict()),
-            "training": adam_tensors(self._adam, "adam"),
-        }
-        if self.average is not None:
-            state[AVERAGE] = dict(self.average.state_dict())
-        return state
-
-    def load(self, checkpoint: Checkpoint) -> None:
-        """Take over a checkpoint's state."""
-        where = checkpoint.folder / INDEX
-        fill(self.network, load_tensors(checkpoint, "network"), where)
-        if self.average is not None:
-            fill(self.average, load_tensors(checkpoint, AVERAGE), where)
-        fill_adam(self._adam, load_tensors(checkpoint, "training"), "adam")
-
-
-class FaceLearner:
-    """The network, fed with random faces, made in a thread of their own once it is `ahead`."""
-
-    watched: ClassVar[str] = "diffuse"
-
-    def __init__(self, trainer: WholeFaceTrainer, faces: Faces, clock: Clock | None = None) -> None:
-        """Train `trainer` on `faces`; what a step waits for its batch counts on `clock`."""
-        self._trainer, self._faces, self._clock = trainer, faces, clock or Clock()
-        self._batches: Ahead[FaceBatch] | None = None
-
-    @contextlib.contextmanager
-    def ahead(self) -> Iterator[None]:
-        """Within the block each step's batch is made while the network takes the one before."""
-        with Ahead(self._own_share) as self._batches:
-            yield
-        self._batches = None
-
-    def step(self, number: int, done: float) -> dict[str, float]:
-        """See `Learner`."""
-        with self._clock.part(IDLE):
-            made = self._own_share(number) if self._batches is None else self._batches.get(number)
-        batch = moved(made, device_of(self._trainer.network))
-        return self._trainer.step(batch, number, done)
-
-    def batch(self, number: int) -> dict[str, Tensor]:
-        """See `Learner`."""
-        aside = None if self._batches is None else self._batches.aside
-        drawn = self._drawn(number) if aside is None else aside(self._drawn, number)
-        return {f.name: getattr(drawn, f.name) for f in dataclasses.fields(drawn)}
-
-    def _own_share(self, number: int) -> FaceBatch:
-        return self._drawn(number, self._trainer.processes.share(self._trainer.config.batch))
-
-    def _drawn(self, number: int, share: slice = slice(None)) -> FaceBatch:
-        config = self._trainer.config
-        rng = np.random.default_rng([config.seed, 2, number])
-        return self._faces.draw(config.batch, rng, share)
-
-    def tensors(self) -> dict[str, dict[str, Tensor]]:
-        """See `Learner`."""
-        return self._trainer.tensors()
+    def weights(self) -> dict[str, float]:
+        """See `NetworkTrainer`."""
+        config = self.config
+        return {"specular": config.specular_weight, "deviation": config.deviation_weight}
 
 
 def face_losses(network: Callable[[Tensor], WholeFace], batch: FaceBatch) -> dict[str, Tensor]:
@@ -184,54 +86,39 @@ def face_losses(network: Callable[[Tensor], WholeFace], batch: FaceBatch) -> dic
     }
 
 
-def train_faces(
-    store: Store,
-    out: Path,
-    config: WholeTrainConfig,
-    resume: bool = False,
-    progress: ProgressCallback = quiet,
-    device: torch.device = CPU,
-    processes: Processes = ALONE,
-) -> TrainResult[FaceScore]:
-    """Train on whole faces; arguments, errors and what is left in `out` as `learning.train.train`.
+def face_task(
+    trainer: WholeFaceTrainer, store: Store, trained_on: set[str], held_out: set[str], run: Run
+) -> Task[FaceBatch, FaceScore]:
+    """Random faces (see `learning.train.TRAINERS`).
 
-    At the end the shares of the texture's detail are fitted, on people trained on.
+    At the end the shares of the texture's detail and the network's doubt are measured, on people
+    trained on, and the people held out are scored.
     """
-    require_within(config, "training")
-    held_out, trained_on = split(store, config.faces.held_out_subjects)
-    processes.share(config.batch)
-    trainer = WholeFaceTrainer(config, device, processes)
-    run = begin(out, config, store, held_out, resume, trainer.load, processes)
-    rng = np.random.default_rng([config.seed, 1])
+    config = trainer.config
+    rng, seed = np.random.default_rng([config.seed, 1]), config.seed
 
-    def faces_of(
-        people: set[str], how: FacesConfig, skins: AugmentConfig, clock: Clock | None = None
-    ) -> Faces:
+    def faces_of(people: set[str], how: FacesConfig, skins: AugmentConfig) -> Faces:
         size, lights, mode = config.network, config.lights, config.shading
-        return Faces(store, people, size, how, lights, skins, rng, mode, clock=clock)
+        return Faces(store, people, size, how, lights, skins, rng, mode, clock=run.clock)
 
-    faces = faces_of(trained_on, config.faces, config.augment, run.clock)
+    faces = faces_of(trained_on, config.faces, config.augment)
     # Scored are people as they are, and all of their faces.
     whole = dataclasses.replace(config.faces, partial_share=0.0)
-    own = dataclasses.replace(config.augment, melanin=0.0, haemoglobin=0.0)
-    scored = faces_of(held_out, whole, own)
-    network = trainer.network
+    scored = faces_of(held_out, whole, config.augment.as_they_are())
     if not run.first:
-        network.keep(faces.in_common(config.network.modes))
-    processes.same_tensors(network.state_dict().values())
-    learner = FaceLearner(trainer, faces, run.clock)
-    with learner.ahead():
-        steps = run.steps(learner, config.steps, progress)
-    with run.scoring(learner, steps):
+        trainer.network.keep(faces.in_common(config.network.modes))
+
+    def finish() -> tuple[FaceScore, list[Sample]]:
         trained = trainer.trained
         shares = torch.tensor(fit_shares(trained, faces, config))
         doubt = measured_doubt(trained, faces, config)
-        for one in {network, trained}:
+        for one in {trainer.network, trained}:
             one.detail_shares.copy_(shares)
             one.mode_doubt.copy_(doubt)
-        result = score_faces(trained, scored, config.score_lights, config.seed)
-        samples = _samples(trained, scored, config.seed)
-    return run.end(learner, steps, len(faces.faces), result, samples)
+        found = score_faces(trained, scored, config.score_lights, seed)
+        return found, _samples(trained, scored, seed)
+
+    return Task(faces.draw, config.steps, len(faces.faces), finish)
 
 
 def _samples(network: WholeFaceNetwork, held_out: Faces, seed: int) -> list[Sample]:

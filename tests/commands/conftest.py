@@ -17,7 +17,8 @@ import typer
 
 from learning.checkpoint import save_checkpoint
 from learning.networks.generator import Generator
-from learning.presets import TrainConfig, preset
+from learning.patch_config import TrainConfig
+from learning.presets import preset
 from learning.upscale.config import UpscaleTrainConfig
 from learning.upscale.network import Rcan
 from lightstage.commands import run_app

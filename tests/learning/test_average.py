@@ -15,28 +15,30 @@ from learning.average import follow, moving_average
 from learning.checkpoint import (
     INDEX,
     load_generator,
+    load_super_resolution,
     load_tensors,
     load_whole_face,
     read_checkpoint,
 )
 from learning.errors import CheckpointError
 from learning.four.networks import load_four_networks
-from learning.four.train import train_four
 from learning.train import train
-from learning.whole.train import train_faces
 from processing.dataset import open_store
 from tests.learning.test_four import TINY as FOUR
 from tests.learning.test_training import TINY as PATCHES
+from tests.learning.test_upscale import TINY as UPSCALE
 from tests.learning.test_whole_face import TINY as FACES
 from tests.learning.test_whole_face import stopping_after
 
 SHORT_FACES = dataclasses.replace(FACES, steps=5, detail_pairs=1, score_lights=1, ema=0.9)
 SHORT_PATCHES = dataclasses.replace(PATCHES, score_patches=1, ema=0.9)
+SHORT_UPSCALE = dataclasses.replace(UPSCALE, steps=5, ema=0.9)
 SHORT_FOUR = dataclasses.replace(FOUR, score_patches=1, batch=4, ema=0.9)
-BOTH: dict[str, tuple[Any, Any, Any, str]] = {
-    "faces": (train_faces, SHORT_FACES, load_whole_face, "network"),
-    "patches": (train, SHORT_PATCHES, load_generator, "generator"),
-    "four": (train_four, SHORT_FOUR, load_four_networks, "generators"),
+ALL: dict[str, tuple[Any, Any, str]] = {
+    "faces": (SHORT_FACES, load_whole_face, "network"),
+    "patches": (SHORT_PATCHES, load_generator, "generator"),
+    "super-resolution": (SHORT_UPSCALE, load_super_resolution, "network"),
+    "four": (SHORT_FOUR, load_four_networks, "generators"),
 }
 
 
@@ -60,16 +62,16 @@ def test_an_average_is_that_of_a_plain_twin(decay: float) -> None:
     assert network.weight.requires_grad
 
 
-@pytest.mark.parametrize("family", BOTH)
+@pytest.mark.parametrize("family", ALL)
 def test_a_resumed_training_has_the_same_bits_its_average_too(
     family: str, store_path: Path, tmp_path: Path
 ) -> None:
-    call, config, load, role = BOTH[family]
+    config, load, role = ALL[family]
     store = open_store(store_path)
-    straight = call(store, tmp_path / "a", config)
+    straight = train(store, tmp_path / "a", config)
     with pytest.raises(KeyboardInterrupt):
-        call(store, tmp_path / "b", config, progress=stopping_after(2))
-    assert call(store, tmp_path / "b", config, resume=True).score == straight.score
+        train(store, tmp_path / "b", config, progress=stopping_after(2))
+    assert train(store, tmp_path / "b", config, resume=True).score == straight.score
     first, second = (read_checkpoint(tmp_path / name) for name in "ab")
     assert first.files == second.files
     assert set(first.files) == {role, "average", "training"}
@@ -81,7 +83,7 @@ def test_a_resumed_training_has_the_same_bits_its_average_too(
         apart = max(apart, float((values - raw[name]).abs().max()))
     assert apart > 0
     # What is no weight is the same in both.
-    for name in ("mean_log_albedo", "detail_shares"):
+    for name in ("mean_log_albedo", "detail_shares", "mean_srgb"):
         if name in raw:
             assert torch.equal(raw[name], averaged[name])
 
@@ -92,14 +94,14 @@ def test_a_run_of_before_there_was_an_average_goes_on_without_one(
     store, run = open_store(store_path), tmp_path / "run"
     plain = dataclasses.replace(SHORT_FACES, ema=0.0)
     with pytest.raises(KeyboardInterrupt):
-        train_faces(store, run, plain, progress=stopping_after(2))
+        train(store, run, plain, progress=stopping_after(2))
     value = json.loads((run / INDEX).read_text())
     assert "average" not in value["files"]
     del value["config"]["ema"]
     (run / INDEX).write_text(json.dumps(value))
     with pytest.raises(CheckpointError, match=r"ema: found 0.9 now, expected 0.0, as the run"):
-        train_faces(store, run, SHORT_FACES, resume=True)
-    assert train_faces(store, run, plain, resume=True).steps == 5
+        train(store, run, SHORT_FACES, resume=True)
+    assert train(store, run, plain, resume=True).steps == 5
     raw = load_tensors(read_checkpoint(run), "network")
     for name, values in load_whole_face(run)[0].state_dict().items():
         assert torch.equal(values, raw[name])

@@ -31,13 +31,15 @@ from learning.four.channels import (
 from learning.four.config import FourTrainConfig
 from learning.four.infer import infer_four, seen_texture
 from learning.four.networks import fresh_networks, load_four_networks
-from learning.four.train import FourTrainer, config_of_part, train_four
+from learning.four.train import FourTrainer, config_of_part
 from learning.infer import prepare
 from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import GeneratorConfig
-from learning.presets import FAMILIES, TrainConfig, preset
+from learning.patch_config import PatchConfig
+from learning.presets import FAMILIES, preset
 from learning.render.environments import RandomLightConfig
 from learning.render.shading import unit
+from learning.train import train
 from lightstage.commands import quiet
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
@@ -131,7 +133,7 @@ def test_specular_normals_are_told_in_tangent_space_and_diffuse_ones_in_the_head
     torch.testing.assert_close(head.target[:, 7:10], specular, atol=1e-5, rtol=0)
     for name in ("paper", "avatarme"):
         config = preset(name, {}, "test")
-        assert isinstance(config, TrainConfig | FourTrainConfig)
+        assert isinstance(config, PatchConfig)
         assert config.data.specular_frame == "tangent"
 
 
@@ -184,7 +186,7 @@ def test_networks_of_one_size_begin_with_weights_of_their_own() -> None:
 @pytest.fixture(scope="module")
 def run(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("four") / "run"
-    result = train_four(open_store(store_path), out, TINY)
+    result = train(open_store(store_path), out, TINY)
     assert result.steps == 6
     assert result.held_out == ["person-2"]
     assert min(result.shares.values()) > 0
@@ -236,9 +238,9 @@ def test_resuming_goes_on_as_if_never_interrupted(
 
     store, out = open_store(store_path), tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
-        train_four(store, out, TINY, progress=stop)
+        train(store, out, TINY, progress=stop)
     assert read_checkpoint(out).step == 2
-    assert train_four(store, out, TINY, resume=True).steps == 6
+    assert train(store, out, TINY, resume=True).steps == 6
     straight = load_four_networks(run)[0].state_dict()
     for name, value in load_four_networks(out)[0].state_dict().items():
         torch.testing.assert_close(value, straight[name], rtol=1e-4, atol=1e-6)

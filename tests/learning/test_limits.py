@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from learning.four.config import FourTrainConfig
 from learning.limits import LIMITS, require_within
 from learning.networks.generator import GeneratorConfig
-from learning.presets import PRESETS, TrainConfig, preset
+from learning.patch_config import TrainConfig
+from learning.presets import PRESETS, preset
 from learning.upscale.config import UpscaleTrainConfig
 from learning.whole.config import WholeTrainConfig
 from lightstage.errors import ConfigError

@@ -12,8 +12,9 @@ import torch
 from learning.augment import AugmentConfig
 from learning.data import DataConfig, PatchData
 from learning.losses import rendering_loss
+from learning.patch_config import TrainConfig
 from learning.patch_light import ScanLight, Scene, groups_around, target_environment
-from learning.presets import TrainConfig, preset
+from learning.presets import preset
 from learning.render.environments import Environment, RandomLightConfig, random_lights
 from learning.render.occlusion import PositionGrid
 from learning.render.shading import ShadeOptions, shade

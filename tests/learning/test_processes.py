@@ -21,24 +21,25 @@ import torch
 from learning.checkpoint import (
     INDEX,
     load_generator,
+    load_super_resolution,
     load_tensors,
     load_whole_face,
     read_checkpoint,
 )
 from learning.errors import TrainingError
 from learning.four.networks import load_four_networks
-from learning.four.train import train_four
 from learning.losses import RenderNorm, rendering_loss
 from learning.patch_light import Scene
+from learning.patch_train import PatchTrainer
 from learning.processes import ALONE, Processes, started_by_torchrun
-from learning.train import Trainer, train
-from learning.whole.train import train_faces
+from learning.train import train
 from lightstage import interrupts
 from lightstage.errors import ConfigError
 from processing.dataset import open_store
 from tests.learning.test_four import TINY as FOUR
 from tests.learning.test_training import TINY as PATCHES
 from tests.learning.test_training import patches
+from tests.learning.test_upscale import TINY as UPSCALE
 from tests.learning.test_whole_face import TINY as FACES
 from tests.learning.test_whole_face import faces_of
 
@@ -48,22 +49,24 @@ import time
 from pathlib import Path
 import torch
 from learning.processes import joined, started_by_torchrun
+from learning.train import train
 from processing.dataset import open_store
-from tests.learning.test_processes import BOTH
+from tests.learning.test_processes import ALL
 
 torch.set_num_threads(1)
 store, out = map(Path, sys.argv[1:])
 processes = started_by_torchrun()
 with joined(processes, torch.device("cpu")):
-    for family, (train, config, _) in BOTH.items():
+    for family, (config, _) in ALL.items():
         train(open_store(store), out / family, config, processes=processes)
 """
-BOTH: dict[str, tuple[Any, Any, Any]] = {
-    "faces": (train_faces, dataclasses.replace(FACES, batch=4, steps=3), load_whole_face),
-    "patches": (train, dataclasses.replace(PATCHES, batch=4, epochs=1), load_generator),
-    "four": (train_four, dataclasses.replace(FOUR, batch=4, epochs=1), load_four_networks),
+ALL: dict[str, tuple[Any, Any]] = {
+    "faces": (dataclasses.replace(FACES, batch=4, steps=3), load_whole_face),
+    "patches": (dataclasses.replace(PATCHES, batch=4, epochs=1), load_generator),
+    "super-resolution": (dataclasses.replace(UPSCALE, steps=3), load_super_resolution),
+    "four": (dataclasses.replace(FOUR, batch=4, epochs=1), load_four_networks),
 }
-"""Of each family: its training, a short configuration, and what reads its weights."""
+"""Of each family: a short configuration, and what reads its weights."""
 
 
 def free_port() -> int:
@@ -89,13 +92,13 @@ def test_two_processes_train_as_one_with_the_batch_of_both(
 ) -> None:
     port = free_port()
     two = [started(rank, port, "-c", ONE_OF_TWO, store_path, tmp_path / "two") for rank in (0, 1)]
-    for family, (call, config, _) in BOTH.items():
-        call(open_store(store_path), tmp_path / "one" / family, config)
+    for family, (config, _) in ALL.items():
+        train(open_store(store_path), tmp_path / "one" / family, config)
     for process in two:
         said = process.communicate(timeout=300)
         assert process.returncode == 0, said
         assert said[0] == ""
-    for family, (_, _, load) in BOTH.items():
+    for family, (_, load) in ALL.items():
         runs = [tmp_path / name / family for name in ("one", "two")]
         lines = [
             [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
@@ -166,7 +169,7 @@ def test_a_mean_over_texels_counts_by_the_processs_texels_and_one_over_patches_d
 ) -> None:
     batch = patches(store_path, draws=1).draw(2, np.random.default_rng(7))
     config = dataclasses.replace(PATCHES, render_norm=norm)
-    one, heavy = (Trainer(config, processes=p).step(batch) for p in (ALONE, Heavy()))
+    one, heavy = (PatchTrainer(config, processes=p).step(batch) for p in (ALONE, Heavy()))
     for name, expected in {"rendering": times, "maps": 2.0, "error": 2.0, "features": 1.0}.items():
         assert heavy[name] == pytest.approx(expected * one[name], rel=1e-5), name
 

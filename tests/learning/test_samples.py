@@ -17,7 +17,7 @@ import torch
 from learning.encoding import shrink
 from learning.maps import from_batch, to_batch
 from learning.samples import MOST, SAMPLES, Sample, write_samples
-from learning.whole.train import train_faces
+from learning.train import train
 from processing.colour import srgb_from_linear
 from processing.dataset import open_store
 from tests.learning.test_event_file import records, scalars
@@ -65,7 +65,7 @@ def test_a_training_leaves_a_sheet_of_people_held_out_and_its_scalars(
 ) -> None:
     run = tmp_path / "run"
     config = dataclasses.replace(FACES, steps=2, detail_pairs=1, score_lights=1)
-    result = train_faces(open_store(store_path), run, config)
+    result = train(open_store(store_path), run, config)
     sheet = run / SAMPLES
     assert stat.S_IMODE(sheet.stat().st_mode) == 0o600
     page = sheet.read_text()

@@ -25,8 +25,10 @@ from learning.errors import CheckpointError, TrainingError
 from learning.losses import RenderNorm, maps_loss, rendering_loss
 from learning.networks.discriminator import DiscriminatorConfig
 from learning.networks.generator import Generator, GeneratorConfig
+from learning.patch_config import TrainConfig
 from learning.patch_light import Scene
-from learning.presets import PRESETS, TrainConfig, preset
+from learning.patch_train import PatchTrainer
+from learning.presets import PRESETS, preset
 from learning.render.environments import (
     RandomLightConfig,
     around,
@@ -36,9 +38,8 @@ from learning.render.environments import (
 from learning.render.shading import ShadeOptions, shade, unit
 from learning.run import split
 from learning.score import answers_of, score
-from learning.train import Trainer, train
+from learning.train import train
 from learning.whole.config import WholeTrainConfig
-from learning.whole.train import train_faces
 from lightstage.errors import ConfigError
 from processing.dataset import open_store
 
@@ -347,7 +348,7 @@ class Perfect(torch.nn.Module):
 
 def test_a_perfect_generator_matches_the_features_exactly(store_path: Path) -> None:
     batch = patches(store_path).draw(2, np.random.default_rng(3))
-    trainer = Trainer(TINY)
+    trainer = PatchTrainer(TINY)
     trainer._generate = Perfect(batch.target)  # type: ignore[assignment]
     for _ in range(3):
         assert trainer.step(batch)["features"] == 0.0
@@ -357,7 +358,7 @@ def test_the_generators_step_gives_the_discriminators_no_gradient(
     store_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     batch = patches(store_path).draw(2, np.random.default_rng(3))
-    trainer = Trainer(TINY)
+    trainer = PatchTrainer(TINY)
     weights = list(trainer.discriminators.parameters())
     own: list[torch.Tensor] = []
     step = trainer._discriminator_adam.step
@@ -446,7 +447,7 @@ def test_a_run_is_neither_overwritten_nor_mixed(store_path: Path, tmp_path: Path
     with pytest.raises(CheckpointError, match=r"beta1, beta2, .* and \d more: found"):
         train(store, tmp_path / "run", many, resume=True)
     with pytest.raises(CheckpointError, match="family: found patches, as the run began"):
-        train_faces(store, tmp_path / "run", WholeTrainConfig(), resume=True)
+        train(store, tmp_path / "run", WholeTrainConfig(), resume=True)
     other = dataclasses.replace(store, fingerprint="0" * 64)
     with pytest.raises(CheckpointError, match="data_fingerprint"):
         train(other, tmp_path / "run", TINY, resume=True)
@@ -458,7 +459,7 @@ def test_a_training_that_diverges_says_so(
     def diverged(*given: Any) -> torch.Tensor:
         return maps_loss(*given) * torch.inf
 
-    monkeypatch.setattr("learning.train.maps_loss", diverged)
+    monkeypatch.setattr("learning.patch_train.maps_loss", diverged)
     with pytest.raises(TrainingError, match="Lower learning_rate"):
         train(open_store(store_path), tmp_path / "run", TINY)
     assert not (tmp_path / "run" / INDEX).exists()

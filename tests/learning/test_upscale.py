@@ -25,13 +25,13 @@ from learning.checkpoint import (
 from learning.errors import CheckpointError, MapsError, TrainingError
 from learning.presets import preset
 from learning.render.environments import RandomLightConfig
+from learning.train import train
 from learning.upscale import infer
 from learning.upscale.config import PicturesConfig, UpscaleTrainConfig
 from learning.upscale.data import Pictures, lowered
 from learning.upscale.infer import enlarge_encoded, upscale
 from learning.upscale.network import Rcan, RcanConfig
 from learning.upscale.score import BLOCK_PX, Detail, detail, interpolated, score_upscaling
-from learning.upscale.train import train_upscaling
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.exr import read_exr, write_exr
@@ -243,7 +243,7 @@ def test_an_untrained_network_beside_bicubic_scores_as_bicubic(store_path: Path)
 
 
 def test_training_beats_bicubic_and_scores(store_path: Path, tmp_path: Path) -> None:
-    whole = train_upscaling(open_store(store_path), tmp_path / "whole", TINY)
+    whole = train(open_store(store_path), tmp_path / "whole", TINY)
     assert (whole.steps, whole.held_out) == (60, ["person-2"])
     assert whole.score.psnr_db > whole.score.psnr_bicubic_db + 0.5
     assert "bicubic" in whole.score.sentence()
@@ -268,10 +268,10 @@ def test_a_resumed_training_has_the_same_bits(store_path: Path, tmp_path: Path) 
             raise KeyboardInterrupt
 
     interrupting: ProgressCallback = stop
-    train_upscaling(store, tmp_path / "whole", config)
+    train(store, tmp_path / "whole", config)
     with pytest.raises(KeyboardInterrupt):
-        train_upscaling(store, tmp_path / "parts", config, progress=interrupting)
-    train_upscaling(store, tmp_path / "parts", config, resume=True)
+        train(store, tmp_path / "parts", config, progress=interrupting)
+    train(store, tmp_path / "parts", config, resume=True)
     one, other = (load_super_resolution(tmp_path / name)[0] for name in ("whole", "parts"))
     assert all(
         torch.equal(a, b)

@@ -22,12 +22,13 @@ from learning.maps import to_batch
 from learning.networks.whole_face import WholeFaceConfig, WholeFaceNetwork, face_input
 from learning.presets import preset
 from learning.render.environments import RandomLightConfig
+from learning.train import train
 from learning.whole.config import WholeTrainConfig
 from learning.whole.detail import BANDS, Shares, bands, enlarged, with_detail
 from learning.whole.faces import Faces, FacesConfig
 from learning.whole.infer import infer_whole_face
 from learning.whole.score import score_faces
-from learning.whole.train import WholeFaceTrainer, face_losses, train_faces
+from learning.whole.train import WholeFaceTrainer, face_losses
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.mesh import Mesh
@@ -179,7 +180,7 @@ def test_losses_in_double_precision_are_those_of_a_plain_twin(store_path: Path) 
 
 
 def test_training_learns_scores_and_leaves_whole_files(store_path: Path, tmp_path: Path) -> None:
-    result = train_faces(open_store(store_path), tmp_path / "run", TINY)
+    result = train(open_store(store_path), tmp_path / "run", TINY)
     assert result.steps == 80
     assert result.examples == 2
     assert result.held_out == ["person-2"]
@@ -210,10 +211,10 @@ def test_training_learns_scores_and_leaves_whole_files(store_path: Path, tmp_pat
 
 def test_resuming_goes_on_to_the_same_bits(store_path: Path, tmp_path: Path) -> None:
     config, store = dataclasses.replace(TINY, steps=6), open_store(store_path)
-    train_faces(store, tmp_path / "a", config)
+    train(store, tmp_path / "a", config)
     with pytest.raises(KeyboardInterrupt):
-        train_faces(store, tmp_path / "b", config, progress=stopping_after(3))
-    assert train_faces(store, tmp_path / "b", config, resume=True).steps == 6
+        train(store, tmp_path / "b", config, progress=stopping_after(3))
+    assert train(store, tmp_path / "b", config, resume=True).steps == 6
     first, second = (load_whole_face(tmp_path / name)[0].state_dict() for name in "ab")
     for name, value in first.items():
         assert torch.equal(second[name], value), name
@@ -274,7 +275,7 @@ def test_with_full_shares_the_albedo_is_the_texture_over_its_slow_light() -> Non
 @pytest.fixture(scope="module")
 def trained(store_path: Path, tmp_path_factory: pytest.TempPathFactory) -> WholeFaceNetwork:
     out = tmp_path_factory.mktemp("trained")
-    train_faces(open_store(store_path), out, dataclasses.replace(TINY, steps=10))
+    train(open_store(store_path), out, dataclasses.replace(TINY, steps=10))
     return load_whole_face(out)[0]
 
 

@@ -1,0 +1,53 @@
+"""What every training is configured by, whatever networks it trains."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+from learning.augment import AugmentConfig
+from learning.forward import Compile, Precision
+from learning.render.environments import RandomLightConfig
+from learning.render.shading import Mode
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingConfig:
+    """What all families of networks share; each adds its own and begins from its own values.
+
+    Attributes:
+        lights: which environments.
+        augment: which other skins.
+        batch: examples a step, of all processes together.
+        seconds: time to train in one call, instead of the family's number of steps.
+        learning_rate: Adam's.
+        shading: the renderer's formulas for the training's pictures and losses: `paper` as printed,
+            `physical` or `ggx` (see learning.render.shading).
+        precision: of the network's steps: `bf16` computes in bfloat16 and keeps weights and losses
+            in float32, where a CUDA GPU has it; `auto`: where it is.
+        compile: through torch.compile: `on`, `off`; `auto`: on CUDA alone.
+        ema: decay of the weights' moving average, which is scored and inferred with; 0 for none.
+        seed: of everything random.
+        log_steps: steps between lines of metrics.jsonl.
+        save_seconds: time between checkpoints.
+    """
+
+    family: ClassVar[str]
+    """Of networks, as checkpoints name it."""
+    lights: RandomLightConfig = dataclasses.field(default_factory=RandomLightConfig)
+    augment: AugmentConfig = dataclasses.field(default_factory=AugmentConfig)
+    batch: int = 1
+    seconds: float | None = None
+    learning_rate: float = 2e-4
+    shading: Mode = "physical"
+    precision: Precision = "auto"
+    compile: Compile = "auto"
+    ema: float = 0.0
+    seed: int = 0
+    log_steps: int = 20
+    save_seconds: float = 60.0
+
+    @property
+    def held_out_subjects(self) -> int:
+        """People, the last ones by name, who are scored and never trained on."""
+        raise NotImplementedError

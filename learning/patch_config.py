@@ -1,0 +1,76 @@
+"""Configuration of trainings on patches."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+from learning.config import TrainingConfig
+from learning.data import DataConfig
+from learning.losses import RenderNorm
+from learning.networks.discriminator import DiscriminatorConfig
+from learning.networks.generator import GeneratorConfig
+from learning.render.shading import Mode
+
+
+@dataclasses.dataclass(frozen=True)
+class PatchConfig(TrainingConfig):
+    """What one network of patches and four share; the defaults are pix2pixHD's [Wang2018].
+
+    Attributes:
+        generator: its size.
+        discriminator: its size.
+        data: which patches.
+        epochs: passes over the patches.
+        beta1: Adam's.
+        beta2: Adam's.
+        constant_share: part of the training before the learning rate falls linearly to 0.
+        feature_weight: of feature matching.
+        map_weight: of the maps' own L1; not in the paper, 0 there. It makes a training of minutes
+            converge.
+        score_patches: patches of the people held out that are scored.
+    """
+
+    generator: GeneratorConfig = dataclasses.field(default_factory=GeneratorConfig)
+    discriminator: DiscriminatorConfig = dataclasses.field(default_factory=DiscriminatorConfig)
+    data: DataConfig = dataclasses.field(default_factory=DataConfig)
+    epochs: int = 200
+    beta1: float = 0.5
+    beta2: float = 0.999
+    constant_share: float = 0.5
+    feature_weight: float = 10.0
+    map_weight: float = 0.0
+    shading: Mode = "paper"
+    score_patches: int = 32
+
+    @property
+    def held_out_subjects(self) -> int:
+        """See `TrainingConfig`."""
+        return self.data.held_out_subjects
+
+    @property
+    def draws(self) -> int:
+        """Environments of each pair beside the input's own."""
+        return 0
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig(PatchConfig):
+    """A training of one network; the defaults are the published ones [Lattas2021].
+
+    Attributes:
+        render_weight: of the rendering loss.
+        render_norm: of the rendering loss: over the `patch`, under which the published weight of .3
+            matters, or the mean of `texel`s (see learning.losses).
+        environments: n_L of the rendering loss.
+    """
+
+    family: ClassVar[str] = "patches"
+    render_weight: float = 0.3
+    render_norm: RenderNorm = "patch"
+    environments: int = 3
+
+    @property
+    def draws(self) -> int:
+        """See `PatchConfig`."""
+        return self.environments if self.render_weight > 0 else 0

@@ -1,0 +1,168 @@
+"""What all families of networks share: their configuration, and the one way in which they train."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import torch
+
+from learning.checkpoint import (
+    INDEX,
+    load_super_resolution,
+    load_tensors,
+    load_whole_face,
+    read_checkpoint,
+    shipped_super_resolution,
+    shipped_weights,
+)
+from learning.config import TrainingConfig
+from learning.limits import LIMITS, require_within
+from learning.network_trainer import NetworkTrainer
+from learning.presets import FAMILIES
+from learning.run import Run
+from learning.train import TRAINERS, train
+from learning.training import Task
+from lightstage.formats.config import as_dict, make_config
+from processing.dataset import Store, open_store
+from tests.learning.test_upscale import TINY as UPSCALE
+from tests.learning.test_whole_face import stopping_after
+
+CONFIGS = {config.family: config for config in FAMILIES.values()}
+
+
+def test_every_preset_has_a_trainer_and_shares_one_configuration() -> None:
+    assert set(CONFIGS) == set(TRAINERS)
+    shared = {field.name for field in dataclasses.fields(TrainingConfig)}
+    for config in CONFIGS.values():
+        assert issubclass(config, TrainingConfig)
+        assert shared < {field.name for field in dataclasses.fields(config)}
+        assert config().held_out_subjects == 1
+
+
+@pytest.mark.parametrize(
+    ("folder", "load"),
+    [
+        (shipped_weights(), load_whole_face),
+        (shipped_super_resolution(), load_super_resolution),
+    ],
+)
+def test_shipped_weights_load_and_their_configuration_is_taken_as_it_stands(
+    folder: Path, load: Any
+) -> None:
+    network, checkpoint = load(folder)
+    assert sum(weight.numel() for weight in network.parameters()) > 1e5
+    then = checkpoint.config
+    config = make_config(CONFIGS[checkpoint.family], then, folder)
+    require_within(config, folder)
+    now = json.loads(json.dumps(as_dict(config)))
+
+    def within(old: Any, new: Any) -> bool:
+        if isinstance(old, dict):
+            return old.keys() <= new.keys() and all(within(old[k], new[k]) for k in old)
+        return bool(old == new)
+
+    assert within(then, now)
+
+
+def test_a_super_resolution_of_before_it_had_an_average_goes_on_without_one(
+    store_path: Path, tmp_path: Path
+) -> None:
+    store, run = open_store(store_path), tmp_path / "run"
+    config = dataclasses.replace(UPSCALE, steps=6)
+    with pytest.raises(KeyboardInterrupt):
+        train(store, run, config, progress=stopping_after(2))
+    value = json.loads((run / INDEX).read_text())
+    for name in ("ema", "precision", "compile"):
+        del value["config"][name]
+    (run / INDEX).write_text(json.dumps(value))
+    assert train(store, run, config, resume=True).steps == 6
+    assert set(read_checkpoint(run).files) == {"network", "training"}
+
+
+@dataclasses.dataclass(frozen=True)
+class ToneConfig(TrainingConfig):
+    """A family that exists in this test alone."""
+
+    family: ClassVar[str] = "tone"
+    batch: int = 4
+    learning_rate: float = 0.05
+    ema: float = 0.5
+    target: float = 0.7
+
+    @property
+    def held_out_subjects(self) -> int:
+        return 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Tones:
+    inputs: torch.Tensor
+
+
+class ToneTrainer(NetworkTrainer[ToneConfig, Tones, torch.nn.Conv2d]):
+    watched = "far"
+
+    def fresh(self) -> torch.nn.Conv2d:
+        return torch.nn.Conv2d(3, 1, 1)
+
+    def rate(self, done: float, _: int) -> float:
+        return self.config.learning_rate * (1 - done)
+
+    def losses(self, batch: Tones) -> dict[str, torch.Tensor]:
+        return {"far": (self.forward(batch.inputs) - self.config.target).abs().mean()}
+
+
+@dataclasses.dataclass(frozen=True)
+class ToneScore:
+    far: float
+
+    def sentence(self) -> str:
+        return f"{self.far:.2f} off"
+
+
+def tone_task(
+    trainer: ToneTrainer, store: Store, trained_on: set[str], held_out: set[str], run: Run
+) -> Task[Tones, ToneScore]:
+    assert not trained_on & held_out
+    assert trained_on | held_out == {scan.subject for scan in store.scans}
+
+    def draw(count: int, rng: np.random.Generator, share: slice = slice(None)) -> Tones:
+        return Tones(torch.from_numpy(rng.random((count, 3, 2, 2), np.float32))[share])
+
+    def finish() -> tuple[ToneScore, list[Any]]:
+        with torch.inference_mode():
+            far = trainer.trained(torch.full((1, 3, 1, 1), 0.5)) - trainer.config.target
+        return ToneScore(float(far.abs())), []
+
+    return Task(draw, 40, len(trained_on), finish)
+
+
+def test_a_family_of_its_own_needs_no_more_than_a_configuration_a_trainer_and_a_task(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(TRAINERS, ToneConfig.family, (ToneTrainer, tone_task))
+    store, config = open_store(store_path), ToneConfig(log_steps=1)
+    # Its own number has no bounds; that every family's have is another test's.
+    monkeypatch.setitem(LIMITS, "target", (0, 1))
+    straight = train(store, tmp_path / "a", config)
+    assert straight.steps == 40
+    assert straight.held_out == ["person-2"]
+    assert straight.score.far < 0.2
+    assert straight.shares["idle"] > 0
+    with pytest.raises(KeyboardInterrupt):
+        train(store, tmp_path / "b", config, progress=stopping_after(7))
+    assert train(store, tmp_path / "b", config, resume=True).score == straight.score
+    first, second = (read_checkpoint(tmp_path / name) for name in "ab")
+    assert first.files == second.files
+    assert set(first.files) == {"network", "average", "training"}
+    assert first.family == "tone"
+    assert load_tensors(first, "training")["adam.0.step"] == 40
+    lines = [json.loads(s) for s in (tmp_path / "a" / "metrics.jsonl").read_text().splitlines()]
+    assert lines[0]["learning_rate"] == 0.05
+    assert lines[20]["learning_rate"] == pytest.approx(0.025)
+    assert lines[-1]["far"] == straight.score.far
