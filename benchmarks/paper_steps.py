@@ -65,7 +65,7 @@ def measured(store_path: Path, name: str, full: bool, steps: int) -> dict[str, A
     from learning.presets import preset
     from learning.run import split
     from learning.train import TRAINERS
-    from learning.training import Fed
+    from learning.training import FedTrainer
     from processing.dataset import open_store
 
     config = preset(name, FULL if full else REDUCED, "benchmark")
@@ -78,7 +78,7 @@ def measured(store_path: Path, name: str, full: bool, steps: int) -> dict[str, A
     data = PatchData(store, people, *how, config.shading, draws=config.draws, seed=config.seed)
     trainer: Any = TRAINERS[config.family][0](config)
     parts = trainer.trainers.values() if isinstance(trainer, FourTrainer) else [trainer]
-    learner, networks = Fed(trainer, data.draw), [part.generator for part in parts]
+    learner, networks = FedTrainer(trainer, data.draw), [part.generator for part in parts]
     seconds, lines = [], []
     for number in range(steps):
         # On a machine with other work the clock tells of that.

@@ -102,7 +102,7 @@ class Task(Generic[BatchT, ScoreT]):
     finish: Callable[[], tuple[ScoreT, list[Sample]]]
 
 
-class Fed(Generic[BatchT]):
+class FedTrainer(Generic[BatchT]):
     """A trainer, fed with random batches, made in a thread of their own once it is `ahead`."""
 
     def __init__(self, trainer: Trainer[Any, BatchT], draw: Draw[BatchT]) -> None:

@@ -166,7 +166,7 @@ def test_an_interrupt_before_the_first_step_says_that_nothing_is_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out, words = asked(store_path, tmp_path / "run", TINY["whole_face"])
-    monkeypatch.setattr("learning.whole.train.begin", stop)
+    monkeypatch.setattr("learning.train.begin", stop)
     code, _, told = train(*words)
     assert code == 130
     assert f"no step is kept in {out}. Begin again with: lightstage-learning train" in last(told)
