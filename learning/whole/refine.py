@@ -16,9 +16,10 @@ import numpy as np
 
 from learning.encoding import shrink
 from learning.maps import SHININESS, from_batch, to_batch
-from learning.networks.whole_face import BANDS, DARKEST, WholeFaceNetwork
+from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
-from learning.whole.detail import enlarged, with_detail
+from learning.whole.detail import enlarged
+from learning.whole.gaps import sides_mirror, without_gaps
 from learning.whole.light import Light, LightFit, LitSurface
 from learning.whole.together import Explained, KnownSkin, explain
 from lightstage.formats.environment import LightSet
@@ -29,8 +30,11 @@ CAMERA_MM = np.array([0.0, 0.0, 1100.0])
 ROUNDS = 8
 SETTLED = 0.003
 """A round that changes no texel's albedo by more than this share is the last."""
-MARKS_SHARE = 0.7
-"""Part of a difference from the modes, at the network's size, that is taken for the skin's own."""
+MARKS_SHARE = 0.6
+"""Part of a difference from the modes, at the network's size, that is taken for the skin's own. Our
+people's and ICT's are nearest to the truth at less, the scanned head at more."""
+LEAST_COVERED = 0.3
+"""Share of surface in a texel at the network's size from which it counts."""
 WIDEST_MARK = 1 / 6
 """Standard deviation of what is wider than a mark, of a texture's rows; it is taken for light."""
 SHININESS_STEP = 1.25
@@ -57,8 +61,6 @@ MISPLACED = 1.4
 """Ratio to the skin found so far, near an edge, that is the edge's place in error and no mark."""
 LARGEST_ROWS = 1536
 """Light is followed at so many rows at most, and enlarged for larger textures."""
-SHARES = [1.0] * BANDS
-"""Of each band of the texture's detail, once its light is gone."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,13 +146,8 @@ def refine(
     unlit, known = _without_light(
         texture, photographed, mesh, raster, light, answer, low_albedo, fit, here
     )
-    size = answer.seen.shape
-    weight_low = _shrunk(known.astype(np.float32), size)
-    mean = _shrunk(unlit * known[..., None], size) / np.maximum(weight_low, 1e-3)[..., None]
-    small = np.where((weight_low > 0.5)[..., None], mean, low_albedo)
-    log_albedo = np.log(low_albedo)
-    log_albedo += MARKS_SHARE * _marks(np.log(small) - log_albedo, weight_low > 0.5)
-    albedo = with_detail(log_albedo, unlit, known, small, SHARES)
+    sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
+    albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides)
     return Refined(albedo, _light_set(light))
 
 
@@ -238,6 +235,30 @@ def _without_light(
     skin = np.exp(enlarged(np.log(low_albedo), rows, columns))
     known &= photographed & matt
     return unlit, known & ~_misplaced(unlit / skin, steep, known)
+
+
+def _with_marks(
+    low_albedo: np.ndarray, unlit: np.ndarray, known: np.ndarray, covered: np.ndarray, sides: bool
+) -> np.ndarray:
+    """The albedo at a texture's own size.
+
+    Args:
+        low_albedo: (h, w, 3) among the skins that people have.
+        unlit: (rows, columns, 3) texture over its light.
+        known: (rows, columns) bool, where that says something of the skin.
+        covered: (rows, columns) bool, where a surface is.
+        sides: see `without_gaps`.
+    """
+    base = enlarged(np.log(low_albedo), *known.shape)
+    beside = without_gaps(np.log(unlit) - base, known, covered, sides)
+    size = (low_albedo.shape[0], low_albedo.shape[1])
+    share = _shrunk(covered.astype(np.float32), size)
+    coarse = _shrunk(beside, size) / np.maximum(share, LEAST_COVERED)[..., None]
+    there = share > LEAST_COVERED
+    # Of this size a part is the skin's own, and all that is finer.
+    light = coarse * there[..., None] - MARKS_SHARE * _marks(coarse, there)
+    albedo: np.ndarray = np.exp(np.minimum(base + beside - enlarged(light, *known.shape), 0.0))
+    return albedo
 
 
 def _marks(beside: np.ndarray, known: np.ndarray) -> np.ndarray:
