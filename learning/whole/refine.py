@@ -69,10 +69,13 @@ class Refined:
 
     Attributes:
         diffuse_albedo: (rows, columns, 3) linear.
+        known: (rows, columns) bool, where the texture told of it; elsewhere it was continued from
+            around and from the face's other side.
         light: lamps and light from everywhere, in the head frame.
     """
 
     diffuse_albedo: np.ndarray
+    known: np.ndarray
     light: LightSet
 
 
@@ -148,7 +151,7 @@ def refine(
     )
     sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
     albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides)
-    return Refined(albedo, _light_set(light))
+    return Refined(albedo, known, _light_set(light))
 
 
 def _explained(

@@ -55,12 +55,17 @@ def test_refinement_takes_a_hard_lamps_shadows_out_and_finds_the_lamp(
     gains, raws = [], []
     for person in people:
         mesh, texture, true, skin = photographed(person)
-        plain = infer_whole_face(network, texture, mesh).maps["diffuse_albedo"]
+        alone = infer_whole_face(network, texture, mesh)
+        plain = alone.maps["diffuse_albedo"]
         found = infer_whole_face(network, texture, mesh, refine_seconds=60)
         refined = found.maps["diffuse_albedo"]
         both = (refined, plain)
         gains.append(np.subtract(*(psnr_db(x, true, skin, True) for x in both)))
         raws.append(np.subtract(*(psnr_db(x, true, skin, False) for x in both)))
+        # Edges of shadows are continued from around, and are less sure than the network's answer.
+        trust, sure = found.maps["confidence"][skin], alone.maps["confidence"][skin]
+        assert (trust <= sure).all()
+        assert 0.02 < (trust < 0.999 * sure).mean() < 0.4
         assert found.light is not None
         strongest = found.light.position_mm[found.light.rgb.sum(axis=1).argmax()]
         cosine = strongest @ LAMP.position_mm[0] / np.linalg.norm(strongest)
