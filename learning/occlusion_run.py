@@ -88,12 +88,12 @@ def bake_heads(
     """
     rasters = [rasterise(h.mesh, config.rows, config.rows * 2 // 3) for h in heads]
     for index, raster in enumerate(rasters):
-        alike = likeness(rasters[0].face, raster.face)
-        if alike < LEAST_ALIKE:
+        if not np.array_equal(rasters[0].face, raster.face):
+            alike = likeness(rasters[0].face, raster.face)
             raise MapsError(
                 named[index],
                 field="uv",
-                found=f"another layout: {alike:.0%} of the texels show the same triangle",
+                found=f"another layout: {alike:.1%} of the texels show the same triangle",
                 expected=f"that of {named[0]}",
                 hint="Heads of one table or network are registered to one template.",
             )
@@ -103,9 +103,10 @@ def bake_heads(
 
 
 def table_of(baked: BakedHeads) -> OcclusionTable:
-    """The table of what most of the heads' texels see."""
-    seen = baked.visibility.mean(axis=0) > 0.5
-    return OcclusionTable(np.packbits(seen, axis=1), baked.raster.covered)
+    """The table of what each texel sees on more than half of the heads."""
+    seen = baked.visibility.sum(axis=0, dtype=np.uint16)
+    most = 2 * seen > len(baked.visibility)
+    return OcclusionTable(np.packbits(most, axis=1), baked.raster.covered)
 
 
 def train_occlusion(
