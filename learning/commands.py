@@ -194,8 +194,11 @@ def occlusion_command(
     baked = bake_heads(chosen, OcclusionConfig(rows, count), heads, progress)
     table = table_of(baked)
     facts: dict[str, Any] = {}
-    if network is not None and training is not None:
+    if network is None or training is None:
+        table.save(out)
+    else:
         trained, score = train_occlusion(chosen, baked, table, training, progress)
+        table.save(out)
         save_occlusion(network, trained, training, chosen, not heads, score)
         facts = {
             "network": str(network),
@@ -204,7 +207,6 @@ def occlusion_command(
             **{f"score_{name}": figure for name, figure in score.figures().items()},
             "said": score.sentence(),
         }
-    table.save(out)
     return {
         "directions": count,
         "heads": len(chosen),
