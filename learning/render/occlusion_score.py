@@ -82,6 +82,7 @@ def unseen_lights(
     toward = rng.normal(size=(count, lights, 3))
     toward /= np.linalg.norm(toward, axis=2, keepdims=True)
     share = random_shares(rng, count, lights)
+    bake_dome(heads[0], rows, toward[0])  # compiles what has never run
     began = time.process_time()
     baked = [bake_dome(head, rows, toward.reshape(-1, 3), progress) for head in heads]
     rays_ms = 1e3 * (time.process_time() - began) / (count * len(heads))
