@@ -1,8 +1,10 @@
 """Cast shadows without rays: how wrong each way is under three lights, and what it costs.
 
 On the template's mean shape and on people it was not made from, under light sets whose directions
-were not baked. `--steps` is the published network's training (300 take a minute), 0 for none;
-`--network` a file that its weights are kept in from run to run.
+were not baked, beside the rays that are the truth. `--network RUN`, any number of times, is what
+`lightstage-learning occlusion --network RUN` trained, of one light or of three; without it one is
+trained as that command does (some minutes). The second table is of a render's maps, which are
+larger than what is baked.
 """
 
 from __future__ import annotations
@@ -14,82 +16,63 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
 
 from benchmarks.record import record
-from benchmarks.render_speed import best_ms
+from learning.occlusion_run import load_occlusion_network
 from learning.render.light_dome import even_directions, harmonics
 from learning.render.occlusion_model import OcclusionTable, bake_dome, default_occlusion
-from learning.render.occlusion_network import NetworkConfig, OcclusionNetwork, train_network
+from learning.render.occlusion_network import OcclusionNetwork
+from learning.render.occlusion_score import UnseenLights, least_ms, unseen_lights
+from learning.render.occlusion_training import BakedHeads, OcclusionTrainConfig, OcclusionTrainer
+from learning.render.uv import rasterise
+from lightstage.formats.mesh import Mesh
 from lightstage.formats.template import default_template_path, load_template
 
-PEOPLE, SETS, LIGHTS, REPEATS = 4, 60, 3, 3
-TRAINING_DIRECTIONS = 512
+PEOPLE, SETS, LIGHTS = 4, 60, 3
+FITTED_DIRECTIONS = 512
+"""That harmonics and principal pictures are fitted to; their count is their cost here."""
+LARGE_ROWS, LARGE_LIGHTS = 768, 12
 
 
-@dataclasses.dataclass(frozen=True)
-class Trial:
-    """Light sets and the truth under them.
-
-    Attributes:
-        toward: (d, 3) directions.
-        sets: (n, 3) indices.
-        share: (n, 3) of each light, summing to 1.
-        truth: (1 + people, n, t) occlusion; the first is the mean shape's.
-    """
-
-    toward: np.ndarray
-    sets: np.ndarray
-    share: np.ndarray
-    truth: np.ndarray
-
-
-def make_trial(rows: int) -> Trial:
+def heads_of() -> list[Mesh]:
+    """The mean shape, then people."""
     template = load_template(default_template_path())
     if template.modes is None:
         raise SystemExit("the template has no modes")
     rng = np.random.default_rng(1)
-    toward = rng.normal(size=(3 * SETS, 3))
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    sets = np.arange(3 * SETS).reshape(SETS, LIGHTS)
-    share = rng.uniform(0.2, 1.0, (SETS, LIGHTS))
-    share /= share.sum(axis=1, keepdims=True)
-    weights = [np.zeros(len(template.modes.identity))]
-    weights += [rng.normal(size=len(template.modes.identity)) for _ in range(PEOPLE)]
-    truth = []
-    for weight in weights:
-        moved = template.mesh.vertices + np.tensordot(weight, template.modes.identity, 1)
-        mesh = dataclasses.replace(template.mesh, vertices=moved)
-        seen = bake_dome(mesh, rows, toward)[0]
-        truth.append(np.einsum("nl,nlt->nt", share, seen[sets]))
-    return Trial(toward, sets, share, np.array(truth))
+    modes = template.modes.identity
+    weights = [np.zeros(len(modes)), *rng.normal(size=(PEOPLE, len(modes)))]
+    moved = [template.mesh.vertices + np.tensordot(weight, modes, 1) for weight in weights]
+    return [template.mesh.with_vertices(vertices) for vertices in moved]
 
 
-def mixed(trial: Trial, seen: np.ndarray) -> np.ndarray:
-    """(n, t) of the sets, from (d, t) of single lights."""
-    return np.einsum("nl,nlt->nt", trial.share, seen[trial.sets])
+def full(unseen: UnseenLights, flat: np.ndarray) -> np.ndarray:
+    """(n, rows, columns) of (n, t) covered texels."""
+    pictures = np.ones((len(flat), *unseen.covered.shape), np.float32)
+    pictures[:, unseen.covered] = flat
+    return pictures
 
 
-def from_table(trial: Trial, table: OcclusionTable) -> np.ndarray:
-    rows, columns = table.covered.shape
-    toward = torch.from_numpy(trial.toward).float()
-    seen = table.for_lights(toward, (rows, columns)).numpy()
-    return mixed(trial, seen[:, table.covered])
+def mixed(unseen: UnseenLights, seen: np.ndarray) -> np.ndarray:
+    """(n, rows, columns) of the sets, from (n lights, t) of single lights."""
+    single = seen.reshape(*unseen.share.shape, -1)
+    return full(unseen, np.einsum("nl,nlt->nt", unseen.share, single))
 
 
-def nearest(trial: Trial, table: OcclusionTable) -> np.ndarray:
-    found = np.argmax(trial.toward @ table.directions.T, axis=1)
-    return mixed(trial, table.pictures(found))
+def nearest(unseen: UnseenLights, table: OcclusionTable) -> np.ndarray:
+    found = np.argmax(unseen.toward.reshape(-1, 3) @ table.directions.T, axis=1)
+    return mixed(unseen, table.pictures(found))
 
 
-def by_harmonics(trial: Trial, seen: np.ndarray, order: int) -> Callable[[], np.ndarray]:
+def by_harmonics(unseen: UnseenLights, seen: np.ndarray, order: int) -> Callable[[], np.ndarray]:
     baked = harmonics(torch.from_numpy(even_directions(len(seen))), order).numpy()
     known = np.linalg.lstsq(baked, seen, rcond=None)[0].astype(np.float32)
-    here = harmonics(torch.from_numpy(trial.toward), order).numpy().astype(np.float32)
-    return lambda: mixed(trial, np.clip(here @ known, 0, 1))
+    toward = torch.from_numpy(unseen.toward.reshape(-1, 3))
+    here = harmonics(toward, order).numpy().astype(np.float32)
+    return lambda: mixed(unseen, np.clip(here @ known, 0, 1))
 
 
-def by_pictures(trial: Trial, seen: np.ndarray, rank: int) -> Callable[[], np.ndarray]:
+def by_pictures(unseen: UnseenLights, seen: np.ndarray, rank: int) -> Callable[[], np.ndarray]:
     """Principal pictures, their weights interpolated by a kernel on the sphere."""
     directions = even_directions(len(seen))
     mean = seen.mean(axis=0)
@@ -98,100 +81,81 @@ def by_pictures(trial: Trial, seen: np.ndarray, rank: int) -> Callable[[], np.nd
     pictures = np.linalg.lstsq(scores, seen - mean, rcond=None)[0].astype(np.float32)
     kernel = np.exp(32 * (directions @ directions.T - 1)) + 0.01 * np.eye(len(directions))
     weights = np.linalg.solve(kernel, scores)
-    near = np.exp(32 * (trial.toward @ directions.T - 1)) @ weights
-    return lambda: mixed(trial, np.clip(mean + near.astype(np.float32) @ pictures, 0, 1))
+    near = np.exp(32 * (unseen.toward.reshape(-1, 3) @ directions.T - 1)) @ weights
+    return lambda: mixed(unseen, np.clip(mean + near.astype(np.float32) @ pictures, 0, 1))
 
 
-def trained(
-    seen: np.ndarray, covered: np.ndarray, steps: int, kept: Path | None
-) -> OcclusionNetwork:
-    config = NetworkConfig(lights=LIGHTS, steps=steps, regressed=1000)
-    if kept is not None and kept.exists():
-        network = OcclusionNetwork(covered.shape[0], covered.shape[1], config)
-        network.load_state_dict(load_file(kept))
-        network.eval()
-    else:
-        network = train_network(seen, even_directions(len(seen)), covered, config)
-        if kept is not None:
-            save_file(network.state_dict(), kept)
-    return network
+def trained(mesh: Mesh, table: OcclusionTable) -> tuple[str, OcclusionNetwork]:
+    """A network as the command trains it, on the table's own pictures."""
+    rows, columns = table.covered.shape
+    every = table.pictures(np.arange(len(table.bits))) > 0.5
+    baked = BakedHeads(rasterise(mesh, rows, columns), table.directions, every[None])
+    config = OcclusionTrainConfig()
+    config = dataclasses.replace(config, occlusion=dataclasses.replace(config.occlusion, rows=rows))
+    trainer = OcclusionTrainer(baked, config)
+    trainer.train_autoencoder()
+    trainer.fit_regressor()
+    trainer.train_jointly()
+    return named(trainer.network, config.steps, config.joint_steps), trainer.network
 
 
-def by_network(
-    trial: Trial, network: OcclusionNetwork, covered: np.ndarray
-) -> Callable[[], np.ndarray]:
-    toward = torch.from_numpy(trial.toward[trial.sets]).float()
-    share = torch.from_numpy(trial.share).float()
-
-    def run() -> np.ndarray:
-        with torch.inference_mode():
-            return network.occlusion(toward, share).numpy()[:, covered]
-
-    return run
+def read(run: Path) -> tuple[str, OcclusionNetwork]:
+    network, about = load_occlusion_network(run)
+    return named(network, about.config["steps"], about.config["joint_steps"]), network
 
 
-def through_network(
-    trial: Trial, network: OcclusionNetwork, covered: np.ndarray
-) -> Callable[[], np.ndarray]:
-    """The exact picture through encoder and decoder: what no regressor can be better than."""
-    pictures = torch.ones(SETS, *covered.shape)
-    pictures[:, torch.from_numpy(covered)] = torch.from_numpy(trial.truth[0]).float()
-
-    def run() -> np.ndarray:
-        with torch.inference_mode():
-            return network(pictures).numpy()[:, covered]
-
-    return run
+def named(network: OcclusionNetwork, steps: int, joint_steps: int) -> str:
+    told = network.config
+    what = "coordinates" if told.order == 1 else f"harmonics of order {told.order}"
+    return f"network of {told.lights}, {what}, {steps} + {joint_steps} steps"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=300)
-    parser.add_argument("--network", type=Path)
-    chosen = parser.parse_args()
-    steps = chosen.steps
-    table = default_occlusion()
-    rows = table.covered.shape[0]
-    trial = make_trial(rows)
-    mesh = load_template(default_template_path()).mesh
-    seen, covered = bake_dome(mesh, rows, even_directions(TRAINING_DIRECTIONS))
-    texels, kilobyte = seen.shape[1], 1e-3
+def size_of(network: OcclusionNetwork) -> float:
+    """Bytes of what is needed in use: all but the encoder."""
+    parts = (network.regressor, network.widen, network.decoder)
+    return 4.0 * sum(p.numel() for part in parts for p in part.parameters())
+
+
+def small(
+    heads: list[Mesh], table: OcclusionTable, networks: list[tuple[str, OcclusionNetwork]]
+) -> None:
+    """Every way at the size that is baked."""
+    rows, columns = table.covered.shape
+    unseen = unseen_lights(heads, rows, LIGHTS, SETS, np.random.default_rng(1))
+    seen = bake_dome(heads[0], rows, even_directions(FITTED_DIRECTIONS))[0]
+    texels = seen.shape[1]
+    exact = full(unseen, unseen.truth[0])
+    bits = float(table.bits.nbytes)
     ways: list[tuple[str, float, Callable[[], np.ndarray]]] = [
-        ("mean shape, exact (rays)", 0.0, lambda: trial.truth[0]),
-        ("no shadows at all", 0.0, lambda: np.ones_like(trial.truth[0])),
-        ("table of 2048, mixed (default)", table.bits.nbytes, lambda: from_table(trial, table)),
-        ("table of 2048, nearest", table.bits.nbytes, lambda: nearest(trial, table)),
-        ("harmonics of order 4", 25 * texels * 4, by_harmonics(trial, seen, 4)),
-        (
-            "harmonics of order 7, as large as the table",
-            64 * texels * 4,
-            by_harmonics(trial, seen, 7),
-        ),
-        ("harmonics of order 12", 169 * texels * 4, by_harmonics(trial, seen, 12)),
-        ("64 principal pictures", 64 * texels * 4, by_pictures(trial, seen, 64)),
+        ("no shadows at all", 0.0, lambda: np.ones_like(exact)),
+        ("table of 2048, mixed (default)", bits, lambda: unseen.by_table(table)),
+        ("table of 2048, nearest", bits, lambda: nearest(unseen, table)),
+        ("harmonics of order 4", 25 * texels * 4, by_harmonics(unseen, seen, 4)),
+        ("harmonics of order 7", 64 * texels * 4, by_harmonics(unseen, seen, 7)),
+        ("harmonics of order 12", 169 * texels * 4, by_harmonics(unseen, seen, 12)),
+        ("64 principal pictures", 64 * texels * 4, by_pictures(unseen, seen, 64)),
     ]
-    if steps:
-        network = trained(seen, covered, steps, chosen.network)
-        size = 4.0 * sum(values.numel() for values in network.parameters())
-        ways.append(
-            (f"published network, {steps} steps", size, by_network(trial, network, covered))
-        )
-        way = through_network(trial, network, covered)
-        ways.append(("its autoencoder, given the exact picture", size, way))
-    lines = []
+
+    def way_of(network: OcclusionNetwork) -> Callable[[], np.ndarray]:
+        return lambda: unseen.by_network(network)
+
+    ways += [(name, size_of(network), way_of(network)) for name, network in networks]
+    floor = unseen.errors(exact)[1:].mean()
+    rays_ms = f"{unseen.rays_ms:.2f}"
+    lines = [["rays, on the mean shape", "0.0000", f"{floor:.4f}", "0.0000", "0.000", "0", rays_ms]]
     for name, size, way in ways:
-        found, ms = way(), best_ms(way, REPEATS) / SETS
-        error = np.abs(found[None] - trial.truth).mean(axis=(1, 2))
-        square = float(np.square(found - trial.truth[0]).mean())
+        pictures = way()
+        errors = unseen.errors(pictures)
+        others = errors[1:].mean()
         lines.append(
             [
                 name,
-                f"{error[0]:.4f}",
-                f"{error[1:].mean():.4f}",
-                f"{error[1:].mean() - np.abs(trial.truth[0] - trial.truth[1:]).mean():.4f}",
-                f"{np.sqrt(square):.3f}",
-                f"{size * kilobyte:.0f}",
-                f"{ms:.2f}",
+                f"{errors[0]:.4f}",
+                f"{others:.4f}",
+                f"{others - floor:.4f}",
+                f"{unseen.rms(pictures)[0]:.3f}",
+                f"{size / 1e3:.0f}",
+                f"{least_ms(way) / SETS:.2f}",
             ]
         )
     record(
@@ -206,11 +170,59 @@ def main() -> None:
             "ms a set",
         ],
         lines,
-        f"{rows} x {covered.shape[1]} texels, {SETS} sets of {LIGHTS} lights from anywhere, "
-        f"directions and {PEOPLE} people not seen before; cast shadows alone. The floor is the "
-        "mean shape's exact shadows on the other people. Processor ms over "
-        "2 cores, the best of 3.",
+        f"{rows} x {columns} texels, {SETS} sets of {LIGHTS} lights from anywhere, directions and "
+        f"{PEOPLE} people not seen before; cast shadows alone. The floor is the mean shape's exact "
+        "shadows on the other people. Processor ms of all threads, the least of 3; rays once, "
+        "their tree of triangles included.",
     )
+
+
+def large(mesh: Mesh, table: OcclusionTable, networks: list[tuple[str, OcclusionNetwork]]) -> None:
+    """What a render gets: each light's visibility of the maps' texels."""
+    rng = np.random.default_rng(2)
+    unseen = unseen_lights([mesh], LARGE_ROWS, 1, LARGE_LIGHTS, rng)
+    toward = torch.from_numpy(unseen.toward[:, 0]).float()
+    size = (unseen.covered.shape[0], unseen.covered.shape[1])
+
+    def by_table() -> np.ndarray:
+        return table.for_lights(toward, size).numpy()
+
+    def way_of(network: OcclusionNetwork) -> Callable[[], np.ndarray]:
+        def way() -> np.ndarray:
+            with torch.inference_mode():
+                return network.for_lights(toward, torch.ones(LARGE_LIGHTS, 3), size).numpy()
+
+        return way
+
+    ways = [("no shadows at all", lambda: np.ones((LARGE_LIGHTS, *size))), ("table", by_table)]
+    ways += [(name, way_of(net)) for name, net in networks if net.config.lights == 1]
+    lines = [["rays", "0.0000", "0.000", f"{unseen.rays_ms:.1f}"]]
+    for name, way in ways:
+        seen = way()
+        error, root = unseen.errors(seen)[0], unseen.rms(seen)[0]
+        ms = least_ms(way) / LARGE_LIGHTS
+        lines.append([name, f"{error:.4f}", f"{root:.3f}", f"{ms:.1f}"])
+    record(
+        "Renderer: cast shadows of a render",
+        ["way", "mean error", "rms", "ms a light"],
+        lines,
+        f"Maps of {size[0]} x {size[1]} texels of the mean shape, {LARGE_LIGHTS} lights from "
+        f"anywhere; table and networks are baked at {table.covered.shape[0]} rows and enlarged. "
+        "Processor ms of all threads, the least of 3; rays once, their tree of triangles included.",
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--network", type=Path, action="append", default=[])
+    chosen = parser.parse_args()
+    table, heads = default_occlusion(), heads_of()
+    networks = [read(run) for run in chosen.network] or [trained(heads[0], table)]
+    for name, network in networks:
+        if network.config.lights not in (1, LIGHTS):
+            raise SystemExit(f"{name}: of 1 light or of {LIGHTS}")
+    small(heads, table, networks)
+    large(heads[0], table, networks)
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ ShadowsOption = Annotated[
     str,
     typer.Option(
         help="Cast shadows: `baked` by rays; `table`, of our own template, in a hundredth of the "
-        "time; `none`."
+        "time; `network:FILE`, trained by `occlusion --network`; `none`."
     ),
 ]
 RigOption = Annotated[Path | None, typer.Option(help="rig.json; the default rig without it.")]
@@ -171,21 +171,45 @@ def occlusion(
         Path, output_file("--out", help="Table to write, .npz.", suffixes=[".npz"], shared=True)
     ],
     template: Annotated[Path | None, typer.Option(help="Template; our own without it.")] = None,
+    head: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Mesh of a head with UV instead, for shadows of its own; repeat it for several, "
+            "such as one person's expressions."
+        ),
+    ] = None,
     rows: Annotated[int, typer.Option(help="Rows of the texture shadows are baked in.")] = 96,
     directions: Annotated[int, typer.Option(help="Lights all round that are baked.")] = 2048,
+    network: Path | None = output_folder(
+        "--network",
+        help="Train the published network on the same pictures too, and score both: folder of its "
+        "checkpoint, for --shadows network:FOLDER.",
+        default=None,
+        shared=True,
+    ),
+    config: Annotated[
+        Path | None, typer.Option(help="TOML that overrides the network's training.")
+    ] = None,
     as_json: bool = JsonFlag,
 ) -> None:
-    """Bake a template's cast shadows into a table that needs no rays."""
-    from learning.commands import occlusion_command
-    from lightstage.formats.template import default_template_path
+    """Bake a template's cast shadows into a table that needs no rays, or train a network of them.
 
-    with progress_bar("occlusion") as progress:
-        facts = occlusion_command(
-            template or default_template_path(), out, rows, directions, progress
-        )
+    The last line says how wrong table and network are under lights that were not baked, beside
+    rays, and how long each takes.
+    """
+    from learning.commands import occlusion_command
+
+    heads = head or []
+    # A head's shadows show whose they are; a template's are nobody's.
+    access = (
+        limited_access(group_of(p.parent for p in heads)) if heads else contextlib.nullcontext()
+    )
+    with access, progress_bar("occlusion") as progress:
+        facts = occlusion_command(template, heads, out, rows, directions, network, config, progress)
+    trained = f"; {facts['network']}: {facts['said']}" if "said" in facts else ""
     finish(
         f"{out}: {facts['directions']} directions at {facts['rows']} x {facts['columns']} texels, "
-        f"{facts['bytes'] / 1000:.0f} kB, {facts['seconds']:.1f} s",
+        f"{facts['bytes'] / 1000:.0f} kB{trained}; {facts['seconds']:.1f} s",
         facts,
         as_json,
     )

@@ -48,7 +48,8 @@ class Checkpoint:
 
     Attributes:
         folder: where its files lie.
-        family: of networks: `patches`, `four_networks`, `whole_face` or `super_resolution`.
+        family: of networks: `patches`, `four_networks`, `whole_face`, `super_resolution` or
+            `occlusion`.
         step: training steps done.
         config: the resolved configuration.
         data_fingerprint: of the store.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from torch import Tensor
 
 from learning.checkpoint import (
+    INDEX,
     load_generator,
     load_super_resolution,
     load_whole_face,
@@ -20,12 +22,22 @@ from learning.checkpoint import (
 )
 from learning.data import DataConfig
 from learning.devices import choose_device, memory_of
-from learning.errors import MapsError
+from learning.errors import CheckpointError, MapsError
 from learning.four.config import FourTrainConfig
 from learning.four.infer import infer_four
 from learning.four.networks import FourNetworks, load_four_networks
 from learning.infer import infer
+from learning.limits import require_within
 from learning.maps import TexturedHead, load_head
+from learning.occlusion_run import (
+    Head,
+    bake_heads,
+    fingerprint,
+    read_head,
+    save_occlusion,
+    table_of,
+    train_occlusion,
+)
 from learning.presets import preset
 from learning.processes import ALONE, Processes, joined
 from learning.relight import (
@@ -36,9 +48,11 @@ from learning.relight import (
     turned_camera,
     write_picture,
 )
-from learning.render.occlusion_model import OcclusionConfig, bake_table
+from learning.render.occlusion_model import OcclusionConfig
+from learning.render.occlusion_training import OcclusionTrainConfig
 from learning.render.shading import ShadeOptions
 from learning.resample import resampled_texture
+from learning.run import require_own
 from learning.train import train
 from learning.upscale.infer import upscale
 from learning.upscale.score import UpscaleScore
@@ -50,7 +64,7 @@ from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder, write_map
-from lightstage.formats.template import load_template
+from lightstage.formats.template import default_template_path, load_template
 from lightstage.rig import Camera, default_rig, load_rig
 from processing.dataset import open_store, read_head_pose
 
@@ -78,7 +92,7 @@ class RenderRequest:
         mode: of shading.
         lights: that stand for a picture of light.
         rotate_deg: turns the light about +y.
-        shadows: `baked`, `table` or `none`.
+        shadows: `baked`, `table`, `none` or `network:FILE`.
     """
 
     maps: Path
@@ -152,9 +166,16 @@ def bake_command(request: RenderRequest, progress: ProgressCallback) -> dict[str
 
 
 def occlusion_command(
-    template: Path, out: Path, rows: int, count: int, progress: ProgressCallback
+    template: Path | None,
+    heads: Sequence[Path],
+    out: Path,
+    rows: int,
+    count: int,
+    network: Path | None,
+    config: Path | None,
+    progress: ProgressCallback,
 ) -> dict[str, Any]:
-    """Bake a template's table of cast shadows; returns the facts."""
+    """Bake a table of cast shadows, and train a network if a folder is named for it; the facts."""
     began = time.monotonic()
     if not 8 <= rows <= 4096 or not 4 <= count <= 65536:
         raise ConfigError(
@@ -162,16 +183,79 @@ def occlusion_command(
             found=f"{rows}, {count}",
             expected="8 to 4096 rows, 4 to 65536 directions",
         )
-    mesh = load_template(template).mesh
-    table = bake_table(mesh, OcclusionConfig(rows, count), progress)
-    table.save(out)
+    if template is not None and heads:
+        raise ConfigError("--template, --head", found="both", expected="one of them")
+    training = _occlusion_training(network, config, rows)
+    if heads:
+        chosen = [read_head(path) for path in heads]
+    else:
+        mesh = load_template(template or default_template_path()).mesh
+        chosen = [Head(mesh, fingerprint(mesh))]
+    baked = bake_heads(chosen, OcclusionConfig(rows, count), heads, progress)
+    table = table_of(baked)
+    facts: dict[str, Any] = {}
+    if network is None or training is None:
+        table.save(out)
+    else:
+        trained, score = train_occlusion(chosen, baked, table, training, progress)
+        table.save(out)
+        save_occlusion(network, trained, training, chosen, not heads, score)
+        facts = {
+            "network": str(network),
+            "steps": training.steps,
+            "joint_steps": training.joint_steps,
+            **{f"score_{name}": figure for name, figure in score.figures().items()},
+            "said": score.sentence(),
+        }
     return {
         "directions": count,
+        "heads": len(chosen),
         "rows": rows,
         "columns": table.covered.shape[1],
         "bytes": out.stat().st_size,
+        **facts,
         "seconds": time.monotonic() - began,
     }
+
+
+def _occlusion_training(
+    network: Path | None, config: Path | None, rows: int
+) -> OcclusionTrainConfig | None:
+    """The configuration of a network's training; None where none is asked for."""
+    if network is None:
+        if config is not None:
+            raise ConfigError(
+                "--config",
+                found=f"{config} without --network",
+                expected="both or neither",
+                hint="It is the training's; a table has --rows and --directions.",
+            )
+        return None
+    if (network / INDEX).exists():
+        raise CheckpointError(
+            network / INDEX,
+            field="--network",
+            found="a run that is there already",
+            expected="an empty or a new folder",
+            hint="Choose another, or remove that run first.",
+        )
+    require_own(network)
+    values = read_toml(config) if config else {}
+    where = config or "--rows"
+    sizes = values.get("occlusion", {})
+    if isinstance(sizes, dict):
+        if "rows" in sizes:
+            raise ConfigError(
+                where,
+                field="occlusion.rows",
+                found=str(sizes["rows"]),
+                expected="none",
+                hint="Give --rows: table and network are of the same pictures.",
+            )
+        values = {**values, "occlusion": {**sizes, "rows": rows}}
+    training = make_config(OcclusionTrainConfig, values, where)
+    require_within(training, where)
+    return training
 
 
 def _lit_head(

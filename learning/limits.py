@@ -13,6 +13,7 @@ from typing import Any
 
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
+from learning.render.occlusion_network import ROWS_MULTIPLE, OcclusionNetworkConfig
 from learning.upscale.network import RcanConfig
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
@@ -73,6 +74,13 @@ LIMITS: dict[str, tuple[float, float]] = {
     "faces.ggx_share": (0, 1),
     "faces.partial_share": (0, 1),
     "faces.beside_skin": (0, 1),
+    "occlusion.rows": (ROWS_MULTIPLE, 10 * ROWS_MULTIPLE),
+    "occlusion.lights": (1, 64),
+    "occlusion.order": (1, 20),
+    "occlusion.features": (1, 4096),
+    "occlusion.connected": (1, 4096),
+    "regressed": (1, 1_000_000),
+    "joint_steps": (0, 1_000_000_000),
     "batch": (1, 4096),
     "steps": (1, 1_000_000_000),
     "weight_decay": (0, 1),
@@ -125,6 +133,8 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
         _require_halvings(config, where)
     if isinstance(config, RcanConfig):
         _require_channels(config, where)
+    if isinstance(config, OcclusionNetworkConfig):
+        _require_blocks(config, where)
     if isinstance(config, GeneratorConfig):
         _require_size(config, where)
     if hasattr(config, "generator") and hasattr(config, "data"):
@@ -156,6 +166,17 @@ def _require_halvings(config: WholeFaceConfig, where: str | Path) -> None:
                 expected=f"a multiple of {multiple}",
                 hint=f"The network halves a face {counted(config.halvings, 'time')}.",
             )
+
+
+def _require_blocks(config: OcclusionNetworkConfig, where: str | Path) -> None:
+    """Five blocks must halve the pictures evenly."""
+    if config.rows % ROWS_MULTIPLE:
+        raise ConfigError(
+            where,
+            field="occlusion.rows",
+            found=str(config.rows),
+            expected=f"a multiple of {ROWS_MULTIPLE} for a network",
+        )
 
 
 def _require_channels(config: RcanConfig, where: str | Path) -> None:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from learning.errors import MapsError
 from learning.maps import TexturedHead, from_batch
+from learning.occlusion_run import occlusion_network_for
 from learning.render.environments import from_light_set
 from learning.render.occlusion import bake_environment
 from learning.render.occlusion_model import default_occlusion
@@ -29,9 +30,9 @@ from processing.colour import srgb_from_linear
 FAR_MM = 100_000.0
 """Lights of a picture stand this far away: a head turns them by less than 0.1 degrees."""
 
-
-SHADOWS = ("baked", "table", "none")
-"""Cast shadows: rays to every light; the template's table of them; none."""
+NETWORK = "network:"
+SHADOWS = ("baked", "table", "none", f"{NETWORK}FILE")
+"""Cast shadows: rays to every light; the template's table of them; none; a network's."""
 
 
 def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
@@ -93,11 +94,17 @@ def shadows_of(
     Args:
         head: maps and mesh.
         lights: in the axes of the mesh.
-        how: of `SHADOWS`; the table fits our own template's texture alone.
-        head_from_world: (3, 4), for the table; the mesh is in the head frame where None.
+        how: of `SHADOWS`, FILE being a network's run folder or its checkpoint.json; the table fits
+            our own template's texture alone.
+        head_from_world: (3, 4), for table and network; the mesh is in the head frame where None.
         progress: of the rays.
+
+    Raises:
+        ConfigError: none of `SHADOWS`.
+        CheckpointError, FormatError: a file that holds no network for this head and light.
     """
-    if how not in SHADOWS:
+    named = how.removeprefix(NETWORK) if how.startswith(NETWORK) else ""
+    if not named and how not in SHADOWS[:-1]:
         raise ConfigError("shadows", found=repr(how), expected=", ".join(SHADOWS))
     if how == "none" or not len(lights.rgb):
         return None
@@ -107,10 +114,13 @@ def shadows_of(
             None
         ]
     pose = np.eye(3, 4) if head_from_world is None else head_from_world
-    place = lights.position_mm @ pose[:, :3].T + pose[:, 3]
-    size = head.raster.covered.shape
-    seen = default_occlusion().for_lights(torch.from_numpy(place).float(), (size[0], size[1]))
-    return seen[None]
+    place = torch.from_numpy(lights.position_mm @ pose[:, :3].T + pose[:, 3]).float()
+    size = (head.raster.covered.shape[0], head.raster.covered.shape[1])
+    if not named:
+        return default_occlusion().for_lights(place, size)[None]
+    network = occlusion_network_for(Path(named), head.mesh, len(lights.rgb))
+    with torch.inference_mode():
+        return network.for_lights(place, torch.from_numpy(lights.rgb).float(), size)[None]
 
 
 def lit_texture(

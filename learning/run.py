@@ -301,7 +301,7 @@ def begin(
             hint="Go on with --resume, or choose another --out.",
         )
     elif processes.first:
-        _require_own(out)
+        require_own(out)
     about = {
         "family": config.family,
         "config": as_dict(config),
@@ -313,7 +313,7 @@ def begin(
     return Run(out, config, about, first, began, processes, EventFile(out))
 
 
-def _require_own(out: Path) -> None:
+def require_own(out: Path) -> None:
     """CheckpointError where a new run's folder holds anything but what a run leaves."""
     there = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
     other = [name for name in there if not any(fnmatch.fnmatch(name, own) for own in OWN)]

@@ -1,45 +1,63 @@
-"""The published way to shadows: an autoencoder of occlusion pictures, and lights to its code.
+"""The published way to shadows: pictures of occlusion decoded from a linear code of the lights.
 
 A decoder turns 64 latent features into the occlusion under a whole light set; a linear regressor
 gives the features from the lights' directions and strengths [Lattas2021]. What is published is
 5 blocks of two convolutions with ELU and batch norm and one resampling, 64 features, a fully
-connected layer of 256; the channels are ours.
+connected layer of 256; the channels are ours. Coordinates of a direction tell a linear regressor
+little of what changes fast with it, so that a network may be given the direction's harmonics
+instead. A network of one light gives each light of a set a picture of its own, whatever their
+number; one of more lights gives a set of as many one picture.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import binary_cross_entropy_with_logits
 
-CHANNELS = (8, 16, 32, 32, 64)
+from learning.render.light_dome import harmonics
+
+CHANNELS = (8, 16, 32, 64, 128)
 """Of the 5 blocks, from the picture inward."""
+ROWS_MULTIPLE = 96
+"""Five blocks halve rows and columns, which are two thirds as many."""
+AT_ONCE = 64
+"""Pictures decoded together: the last blocks of as many take 130 MB at 96 x 64 texels."""
+LEAST_ALIKE = 0.98
+"""Share of texels that show the same triangle in one UV, at least; rounding moves some edges."""
 
 
 @dataclasses.dataclass(frozen=True)
-class NetworkConfig:
-    """How the network is trained.
+class OcclusionNetworkConfig:
+    """Sizes.
 
     Attributes:
+        rows: of the pictures, a multiple of 96; two thirds as many columns.
         lights: in a set.
+        order: of the spherical harmonics that tell a direction to the regressor; 1 for its
+            coordinates, as published.
         features: latent.
         connected: width of the fully connected layer.
-        steps: of Adam.
-        batch: sets a step.
-        rate: learning rate, falling to 0.
-        regressed: sets that the linear regressor is fitted on.
     """
 
-    lights: int = 3
+    rows: int = 96
+    lights: int = 1
+    order: int = 10
     features: int = 64
     connected: int = 256
-    steps: int = 600
-    batch: int = 16
-    rate: float = 2e-3
-    regressed: int = 4000
+
+    @property
+    def columns(self) -> int:
+        """Of the pictures."""
+        return self.rows * 2 // 3
+
+    @property
+    def light_features(self) -> int:
+        """Length of L: of each light its direction and its share."""
+        return self.lights * (self.order + 1) ** 2
 
 
 def _block(inputs: int, outputs: int) -> nn.Sequential:
@@ -54,17 +72,15 @@ def _block(inputs: int, outputs: int) -> nn.Sequential:
 
 
 class OcclusionNetwork(nn.Module):
-    """Encoder, decoder and the lights' regressor, for pictures whose sides 32 divides."""
+    """Encoder, decoder and the lights' regressor; and which UV the pictures are in."""
 
-    def __init__(self, rows: int, columns: int, config: NetworkConfig) -> None:
-        """Fresh weights.
+    face: Tensor
+    """(rows, columns) int32, the triangle that each texel shows; -1 where no surface is."""
 
-        Args:
-            rows: of the pictures, a multiple of 32.
-            columns: the same.
-            config: sizes.
-        """
+    def __init__(self, config: OcclusionNetworkConfig) -> None:
+        """Fresh weights, of no UV yet."""
         super().__init__()
+        self.config = config
         inward: list[nn.Module] = []
         outward: list[nn.Module] = []
         before = 1
@@ -75,7 +91,7 @@ class OcclusionNetwork(nn.Module):
         for channels in after:
             outward += [nn.Upsample(scale_factor=2, mode="bilinear"), _block(before, channels)]
             before = channels
-        self.small = (CHANNELS[-1], rows // 32, columns // 32)
+        self.small = (CHANNELS[-1], config.rows // 32, config.columns // 32)
         size = int(np.prod(self.small))
         self.encoder = nn.Sequential(
             *inward,
@@ -91,102 +107,83 @@ class OcclusionNetwork(nn.Module):
             nn.ELU(),
         )
         self.decoder = nn.Sequential(*outward, nn.Conv2d(before, 1, 3, padding=1))
-        self.regressor = nn.Linear(light_features(config.lights), config.features)
+        self.regressor = nn.Linear(config.light_features, config.features)
+        empty = torch.full((config.rows, config.columns), -1, dtype=torch.int32)
+        self.register_buffer("face", empty)
 
     def logits(self, features: Tensor) -> Tensor:
         """(B, 64) to (B, rows, columns), before they are brought to 0..1."""
         return self.decoder(self.widen(features).unflatten(1, self.small))[:, 0]
 
     def decode(self, features: Tensor) -> Tensor:
-        """(B, 64) to (B, rows, columns) in 0..1."""
-        return torch.sigmoid(self.logits(features))
+        """(B, 64) to (B, rows, columns) in 0..1; 1 where no surface is."""
+        return torch.where(self.face >= 0, torch.sigmoid(self.logits(features)), 1.0)
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Pictures through the code and back, (B, rows, columns)."""
         return self.decode(self.encoder(pictures[:, None]))
 
-    def occlusion(self, directions: Tensor, strength: Tensor) -> Tensor:
+    def occlusion(self, directions: Tensor, share: Tensor) -> Tensor:
         """Occlusion of light sets: (B, n, 3) unit directions, (B, n) shares; differentiable."""
-        return self.decode(self.regressor(described(directions, strength)))
+        return self.decode(self.regressor(described(directions, share, self.config.order)))
+
+    def for_lights(self, position_mm: Tensor, rgb: Tensor, size: tuple[int, int]) -> Tensor:
+        """Visibility of lights for maps of a size.
+
+        A lamp nearby counts as far away in its direction from the origin of the head's frame.
+
+        Args:
+            position_mm: (L, 3) lights around the head's origin; differentiable. One at the origin,
+                or not finite, has no direction: its pictures are NaN.
+            rgb: (L, 3) what a white diffuser in the middle that faces each would read.
+            size: (rows, columns) of the maps.
+
+        Returns:
+            (L, rows, columns), 0..1. With a network of several lights, which L must be as many as,
+            all have the set's picture.
+        """
+        count, own = len(position_mm), self.config.lights
+        sets = (count, 1) if own == 1 else (1, own)
+        toward = unit_directions(position_mm).unflatten(0, sets)
+        share = shares(rgb.mean(dim=1).unflatten(0, sets))
+        parts = zip(toward.split(AT_ONCE), share.split(AT_ONCE), strict=True)
+        pictures = torch.cat([self.occlusion(*part) for part in parts])
+        large = nn.functional.interpolate(
+            pictures[None], size=size, mode="bilinear", align_corners=False
+        )[0]
+        return large.expand(count, -1, -1)
 
 
-def light_features(lights: int) -> int:
-    """Count of features of a set: three of direction and one of strength a light."""
-    return 4 * lights
+def likeness(face: np.ndarray, other: np.ndarray) -> float:
+    """Share, 0..1, of texels with surface that show the same in two rasters (`UvRaster.face`)."""
+    covered = (face >= 0) | (other >= 0)
+    return float((face == other)[covered].mean()) if covered.any() else 0.0
 
 
-def described(directions: Tensor, strength: Tensor) -> Tensor:
-    """L = [l_1 .. l_n, c_1 .. c_n], (B, 4 n)."""
-    return torch.cat([directions.flatten(1), strength], dim=1)
+def unit_directions(position_mm: Tensor) -> Tensor:
+    """(..., 3) unit vectors of (..., 3) places of any finite length; NaN of a place at the origin.
 
-
-def random_sets(
-    rng: np.random.Generator, pool: int, count: int, lights: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """(count, lights) indices into a pool of directions, and shares that sum to 1."""
-    index = rng.integers(0, pool, (count, lights))
-    share = rng.uniform(0.2, 1.0, (count, lights))
-    return index, share / share.sum(axis=1, keepdims=True)
-
-
-def train_network(
-    visibility: np.ndarray,
-    directions: np.ndarray,
-    covered: np.ndarray,
-    config: NetworkConfig,
-    seed: int = 0,
-) -> OcclusionNetwork:
-    """Train on light sets drawn from baked directions.
-
-    Half of the steps by cross entropy, then by the mean absolute error that counts: most texels of
-    most sets see all lights, and under that error alone training stays at a white picture (after
-    2000 steps 6 % better than white).
-
-    Args:
-        visibility: (d, t) of the covered texels.
-        directions: (d, 3) unit.
-        covered: (rows, columns) bool.
-        config: how.
-        seed: of weights and sets.
+    Places are brought to a largest coordinate of 1 first, so that no square is infinite or 0.
     """
-    torch.manual_seed(seed)
-    rng = np.random.default_rng(seed)
-    mask = torch.from_numpy(covered)
-    seen, toward = torch.from_numpy(visibility), torch.from_numpy(directions).float()
-    network = OcclusionNetwork(covered.shape[0], covered.shape[1], config)
+    near = position_mm / position_mm.detach().abs().amax(dim=-1, keepdim=True)
+    return near / near.square().sum(dim=-1, keepdim=True).sqrt()
 
-    def draw(count: int) -> tuple[Tensor, Tensor, Tensor]:
-        index, share = random_sets(rng, len(visibility), count, config.lights)
-        weight = torch.from_numpy(share).float()
-        flat = torch.einsum("bl,blt->bt", weight, seen[torch.from_numpy(index)])
-        pictures = flat.new_ones((count, *covered.shape))
-        pictures[:, mask] = flat
-        return pictures, toward[torch.from_numpy(index)], weight
 
-    optimiser = torch.optim.Adam(network.parameters(), lr=config.rate)
-    falling = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.01, config.steps)
-    for step in range(config.steps):
-        pictures, _, _ = draw(config.batch)
-        found = network.logits(network.encoder(pictures[:, None]))[:, mask]
-        expected = pictures[:, mask]
-        if step < config.steps // 2:
-            loss = binary_cross_entropy_with_logits(found, expected)
-        else:
-            loss = (torch.sigmoid(found) - expected).abs().mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        falling.step()
-    network.eval()
-    with torch.no_grad():
-        codes, lights = [], []
-        for _ in range(-(-config.regressed // 64)):
-            pictures, way, weight = draw(64)
-            codes.append(network.encoder(pictures[:, None]))
-            lights.append(described(way, weight))
-        inputs = torch.cat(lights)
-        inputs = torch.cat([inputs, torch.ones(len(inputs), 1)], dim=1)
-        solution = torch.linalg.lstsq(inputs, torch.cat(codes), driver="gelsd").solution
-        network.regressor.weight.copy_(solution[:-1].T)
-        network.regressor.bias.copy_(solution[-1])
-    return network
+def shares(strength: Tensor) -> Tensor:
+    """(B, n) shares that sum to 1 of (B, n) strengths of 0 or more; even ones where all are 0."""
+    largest = strength.detach().amax(dim=-1, keepdim=True)
+    # NaN is not 0, and stays.
+    black = largest == 0
+    scaled = torch.where(black, 1.0, strength) / torch.where(black, 1.0, largest)
+    return scaled / scaled.sum(dim=-1, keepdim=True)
+
+
+def described(directions: Tensor, share: Tensor, order: int) -> Tensor:
+    """L = [l_1 .. l_n, c_1 .. c_n], (B, n (order + 1)^2) of (B, n, 3) and (B, n) [Lattas2021].
+
+    l_j is the direction, with an order above 1 its harmonics of band 1 on, of mean square 1.
+    """
+    told = directions
+    if order > 1:
+        told = math.sqrt(4 * math.pi) * harmonics(directions, order)[..., 1:]
+    return torch.cat([told.flatten(1), share], dim=1)

@@ -58,7 +58,7 @@ class Command:
     def outputs(self) -> dict[str, Any]:
         """Options that name what is written, by name."""
         named = {option: p for p in self.parser.params for option in p.opts}
-        return {name: named[name] for name in ("--out", "--picture") if name in named}
+        return {name: named[name] for name in ("--out", "--picture", "--network") if name in named}
 
     def suffix(self, option: str) -> str:
         """What a file of this output ends in; nothing for a folder."""
@@ -195,6 +195,9 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     weights = dict(Rcan(small.network).state_dict())
     about = {**about, "family": small.family, "config": as_dict(small)}
     save_checkpoint(at["super-resolution"], 1, {"network": weights}, about)
+    quick = "steps = 1\njoint_steps = 1\nregressed = 1\nbatch = 2\n"
+    at["quick training"] = folder / "quick.toml"
+    at["quick training"].write_text(quick)
     at["small rig"] = save_rig(default_rig().scaled(48 / 6016), folder / "small rig.json")
     at["processed"] = make_processed(folder / "processed")
     at["maps"] = at["processed"] / "atlas"
@@ -217,6 +220,10 @@ RUNNABLE = {
     ),
     "occlusion": (
         "learning", "occlusion", "--rows", "24", "--directions", "8", "--out", "{new}.npz",
+    ),
+    "head's occlusion": (
+        "learning", "occlusion", "--head", "{mesh}", "--directions", "8", "--out", "{new}.npz",
+        "--network", "{new} network", "--config", "{quick training}",
     ),
     "infer": (
         "learning", "infer", "--texture", "{texture}", "--mesh", "{mesh}", "--checkpoint", "{run}",

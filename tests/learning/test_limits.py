@@ -13,11 +13,18 @@ from learning.limits import LIMITS, require_within
 from learning.networks.generator import GeneratorConfig
 from learning.patch_config import TrainConfig
 from learning.presets import PRESETS, preset
+from learning.render.occlusion_training import OcclusionTrainConfig
 from learning.upscale.config import UpscaleTrainConfig
 from learning.whole.config import WholeTrainConfig
 from lightstage.errors import ConfigError
 
-CONFIGS = (TrainConfig(), FourTrainConfig(), WholeTrainConfig(), UpscaleTrainConfig())
+CONFIGS = (
+    TrainConfig(),
+    FourTrainConfig(),
+    WholeTrainConfig(),
+    UpscaleTrainConfig(),
+    OcclusionTrainConfig(),
+)
 
 
 def named_numbers(config, table=""):

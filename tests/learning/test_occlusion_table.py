@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from learning.errors import CheckpointError
-from learning.render.light_dome import even_directions
 from learning.render.occlusion_model import (
     OcclusionConfig,
     OcclusionTable,
@@ -16,7 +15,6 @@ from learning.render.occlusion_model import (
     default_occlusion,
     load_occlusion,
 )
-from learning.render.occlusion_network import NetworkConfig, OcclusionNetwork, train_network
 from lightstage.formats.template import default_template_path, load_template
 from tests.learning.scenes import screen
 
@@ -86,26 +84,3 @@ def test_the_shipped_table_is_our_templates() -> None:
     assert np.abs(found[:, table.covered] - truth).mean() < 0.015
     big = table.for_lights(torch.from_numpy(toward).float(), (2 * rows, 2 * columns))
     assert big.shape == (3, 2 * rows, 2 * columns)
-
-
-def test_the_published_network_learns_a_shadow_and_is_differentiable_in_the_lights() -> None:
-    seen, covered = bake_dome(screen(), 96, even_directions(64))
-    config = NetworkConfig(lights=2, steps=20, batch=8, regressed=64)
-    network = train_network(seen[:, : covered.sum()], even_directions(64), covered, config)
-    assert len([m for m in network.encoder.modules() if isinstance(m, torch.nn.Conv2d)]) == 10
-    assert network.regressor.out_features == 64
-    toward = torch.tensor([[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]], requires_grad=True)
-    share = torch.tensor([[0.6, 0.4]], requires_grad=True)
-    found = network.occlusion(toward, share)
-    assert found.shape == (1, 96, 64)
-    assert ((found > 0) & (found < 1)).all()
-    found.mean().backward()
-    assert toward.grad is not None
-    assert share.grad is not None
-    assert torch.isfinite(toward.grad).all()
-    assert float(share.grad.abs().sum()) > 0
-    fresh = OcclusionNetwork(96, 64, config)
-    pictures = torch.ones(8, 96, 64)
-    with torch.no_grad():
-        errors = [float((net(pictures) - 1).abs().mean()) for net in (network, fresh)]
-    assert errors[0] < errors[1]
