@@ -137,7 +137,7 @@ def test_lights_on_a_splitting_plane_are_told_and_lit_by_half(stage, tmp_path):
 
 def test_a_device_that_falls_silent_ends_the_capture(stage, tmp_path):
     stage.device.dead_after = 4  # HELLO?, DARK, SET, one STATE? are answered, nothing after
-    stage.device.url = stage.device.url.replace("timeout_s=5", "timeout_s=1&attempts=2")
+    stage.device.url = stage.device.url.replace("timeout_s=5", "timeout_s=0.3&attempts=2")
     done = run(stage, tmp_path / "S")
     one_clear_message(done, "no answer to 5 HELLO?", "The lights may still be on")
 

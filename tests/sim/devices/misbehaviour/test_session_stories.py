@@ -57,8 +57,10 @@ def test_a_day_on_which_a_camera_dies_says_so_and_leaves_no_finished_session(
     world, tmp_path, capfd
 ):
     story = Story([Fault("battery-empty", camera="cam1", at=2)])
+    config = tmp_path / "config.toml"
+    config.write_text("[deadlines]\nabsent_s = 0.5\n")  # it will not come back
     with pytest.raises(SimError, match="exit code 2"):
-        capture_session(world, tmp_path / "s", 5, "full,x+", story=story)
+        capture_session(world, tmp_path / "s", 5, "full,x+", story=story, config=config)
     said = capfd.readouterr().err
     assert "camera cam1" in said
     assert "its battery is empty" in said
