@@ -38,13 +38,19 @@ def pytest_configure() -> None:
             signal.signal(number, handler)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest test goes before the simulator's.
+LAST = ("tests/test_end_to_end.py", "tests/sim/", "tests/lightstage/test_")
+"""What goes last, in this order."""
 
-    Most of what it runs is compiled by then, and the other worker is left enough to do beside it.
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest test goes before the simulator's, and what is quick goes last.
+
+    Most of what the longest one runs is compiled by then, and the other worker is left enough to do
+    beside it. Workers take what is left from each other by halves: where that happens most often,
+    at the end, no test is long and none shares what takes long to make with those beside it.
     """
-    longest, simulator = "tests/test_end_to_end.py", "tests/sim/"
-    items.sort(key=lambda i: 2 * i.nodeid.startswith(simulator) + i.nodeid.startswith(longest))
+    places = {start: place for place, start in enumerate(LAST, 1)}
+    items.sort(key=lambda i: next((places[s] for s in LAST if i.nodeid.startswith(s)), 0))
 
 
 def head_data_path() -> Path | None:
