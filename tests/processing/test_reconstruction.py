@@ -18,7 +18,7 @@ from processing.reconstruction.fusion import (
 )
 from processing.reconstruction.stage import reconstruct_views
 from processing.reconstruction.stereo import focus_point, match_views, pick_sources
-from processing.reconstruction.views import View
+from processing.reconstruction.views import Level, View
 from tests.processing import textured_ball
 from tests.processing.textured_ball import RADIUS_MM
 
