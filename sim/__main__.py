@@ -212,7 +212,7 @@ def render(
 ) -> None:
     """Render a person under a pattern of the stage or under an environment."""
     from lightstage.rig import default_rig, load_rig
-    from sim.light.portrait import portrait, write_portrait
+    from sim.light.portrait import portrait, require_light, write_portrait
     from sim.light.relight import RelightConfig, require_picture
     from sim.people.subjects import check_subject, load_subject
 
@@ -225,6 +225,7 @@ def render(
     config = RelightConfig(lights=lights, rotate_deg=rotate)
     stage = default_rig() if rig is None else load_rig(rig)
     stage = stage.scaled(width / stage.camera(camera).width_px)
+    require_light(light, stage)  # an unknown one is told before a person is made
     person = load_subject(subject, seed, expression)
     with progress_bar("lights") as progress:
         picture = portrait(

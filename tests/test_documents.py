@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import shlex
 from collections.abc import Callable
@@ -19,6 +20,14 @@ DATASET = (ROOT / "docs" / "dataset.md").read_text()
 PEOPLE = ("person-0000", "person-0001", "person-0002")
 
 
+@functools.cache
+def help_of(*words: str) -> str:
+    """What `WORDS --help` says."""
+    said = run_as_written(shlex.join([*words, "--help"]), ROOT)
+    assert said.returncode == 0, said.stderr
+    return said.stdout
+
+
 def test_every_command_of_the_readmes_steps_begins_with_a_programs_name() -> None:
     table = README.split("## What the demo does")[1].split("\n## ")[0]
     assert {code.split(" ")[0] for code in table_code(table)} <= set(PACKAGES)
@@ -29,11 +38,10 @@ def test_every_option_that_the_readme_names_is_one_of_its_command(command: str) 
     words = shlex.split(command)
     # The words before the first that names a file: a program and its subcommands.
     names = [word for word in words[:3] if word.replace("-", "").islower() and "." not in word]
-    said = run_as_written(shlex.join([*names, "--help"]), ROOT)
-    assert said.returncode == 0, said.stderr
+    said = help_of(*names)
     for written in commands(README):
         if written.startswith(command):
-            assert [o for o in sorted(options(written)) if o not in said.stdout] == []
+            assert [o for o in sorted(options(written)) if o not in said] == []
 
 
 def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
@@ -109,9 +117,8 @@ def test_the_datasets_page_explains_every_field_that_is_written_and_no_other(
 
 @pytest.mark.parametrize("command", commands((ROOT / "docs" / "learning.md").read_text()))
 def test_every_command_of_the_learning_page_has_the_options_that_it_is_given(command: str) -> None:
-    said = run_as_written(" ".join([*shlex.split(command)[:2], "--help"]), ROOT)
-    assert said.returncode == 0, said.stderr
-    assert [option for option in sorted(options(command)) if option not in said.stdout] == []
+    said = help_of(*shlex.split(command)[:2])
+    assert [option for option in sorted(options(command)) if option not in said] == []
 
 
 def test_the_configuration_of_the_learning_page_is_taken_as_written() -> None:

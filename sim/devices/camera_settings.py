@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sim.camera.exposure import exposure_gain
-from sim.camera.optics import Lens
-from sim.camera.sensor import Sensor
 from sim.errors import SimError
+
+if TYPE_CHECKING:
+    # Each camera's own process imports this file, and none needs what they import: numba, SciPy.
+    from sim.camera.optics import Lens
+    from sim.camera.sensor import Sensor
 
 SUFFIXES = {"RAW": (".DNG",), "JPEG": (".JPG",), "RAW+JPEG": (".DNG", ".JPG")}
 """Files of one shot, by image format."""

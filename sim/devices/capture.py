@@ -30,6 +30,7 @@ def capture_session(
     sequence: str,
     flaws: CaptureFlaws | None = None,
     story: Story | None = None,
+    config: Path | None = None,
 ) -> Path:
     """Let `lightstage capture` photograph a simulated person.
 
@@ -45,6 +46,7 @@ def capture_session(
         flaws: as in `Photographer`. What was done is written into the truth's folder.
         story: what goes wrong with the devices; what happened is written beside that. The cameras
             are simulated ones then, which can have every fault.
+        config: of `lightstage capture`; its defaults where absent.
 
     Raises:
         SimError: the capture failed (it has said why on stderr).
@@ -56,6 +58,7 @@ def capture_session(
         standing_stage(world, Path(name), seed, patterns, flaws, story, log) as stage,
     ):
         command = [sys.executable, "-m", "lightstage", *stage.command(out), "--sequence", sequence]
+        command += [] if config is None else ["--config", str(config)]
         with _running(command) as process:
             while process.poll() is None and stage.device.failure is None:
                 time.sleep(POLL_S)

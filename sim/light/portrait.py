@@ -88,6 +88,12 @@ def portrait(
     return ReferenceWorld(subject, alone, lamps).photograph(camera_id, levels)[0]
 
 
+def require_light(light: str, rig: Rig) -> None:
+    """SimError where a light is neither a pattern of this rig nor named as an environment is."""
+    if not is_environment(light):
+        _levels(light, rig)
+
+
 def _levels(light: str, rig: Rig) -> np.ndarray:
     """(m,) levels of a pattern; SimError tells environments beside patterns."""
     try:

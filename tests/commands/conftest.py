@@ -1,12 +1,9 @@
-"""Every command of the four programs, found from their parsers, and a way to run one in here."""
+"""Every command of the four programs, found from their parsers, and right inputs for them."""
 
 from __future__ import annotations
 
 import dataclasses
 import importlib
-import os
-import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +18,6 @@ from learning.patch_config import TrainConfig
 from learning.presets import preset
 from learning.upscale.config import UpscaleTrainConfig
 from learning.upscale.network import Rcan
-from lightstage.commands import run_app
 from lightstage.formats.config import as_dict
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import write_exr
@@ -31,9 +27,6 @@ from lightstage.importing import import_session
 from lightstage.rig import default_rig, save_rig
 from processing.dataset import build_store
 
-LONGEST_S = 120.0
-"""A command that takes longer, compiling included, hangs: it is interrupted, so that its test fails
-and tells which."""
 PROGRAMS = ("lightstage", "processing", "learning", "sim")
 
 
@@ -105,52 +98,6 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         pairs = [(command, option) for command in COMMANDS for option in command.outputs]
         names = [f"{command} {option}" for command, option in pairs]
         metafunc.parametrize("each_output", pairs, ids=names)
-
-
-@dataclasses.dataclass(frozen=True)
-class Ended:
-    """How a command ended."""
-
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def run_command(monkeypatch, capsys):
-    """A function that runs a program in this process: `run_command("sim", "render", ...)`.
-
-    With `interrupt_s` it gets Ctrl-C after so many seconds.
-    """
-    signals: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = [signal.getsignal(number) for number in signals]
-
-    def ctrl_c(*_: object) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-
-    before.append(signal.signal(signal.SIGALRM, ctrl_c))
-    signals += (signal.SIGALRM,)
-
-    def run(program: str, *words: Any, interrupt_s: float = LONGEST_S) -> Ended:
-        monkeypatch.setattr(sys, "argv", [f"lightstage-{program}", *map(str, words)])
-        capsys.readouterr()
-        # A command that was interrupted ignores what comes after, and its process ends; this one
-        # goes on with the next command.
-        for number, handler in zip(signals[:3], before, strict=False):
-            signal.signal(number, handler)
-        signal.setitimer(signal.ITIMER_REAL, interrupt_s)
-        try:
-            with pytest.raises(SystemExit) as ended:
-                run_app(importlib.import_module(f"{program}.__main__").app)
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-        said = capsys.readouterr()
-        code = ended.value.code
-        return Ended(code if isinstance(code, int) else 0, said.out, said.err)
-
-    yield run
-    for number, handler in zip(signals, before, strict=True):
-        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")

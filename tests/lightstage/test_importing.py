@@ -112,23 +112,21 @@ def test_an_existing_folder_is_never_touched(folder, tmp_path, small_rig):
     assert os.listdir(tmp_path / "S") == ["a"]
 
 
-def test_the_command_imports_and_says_how_many(folder, tmp_path, small_rig):
+def test_the_command_imports_and_says_how_many(folder, tmp_path, small_rig, run_command):
     rig = save_rig(small_rig, tmp_path / "rig.json")
 
     def run(source, out):
-        command = [sys.executable, "-m", "lightstage", "import", str(source), "--rig", str(rig)]
-        command += ["--out", str(out), "--json"]
-        return subprocess.run(command, capture_output=True, text=True)
+        return run_command("lightstage", "import", source, "--rig", rig, "--out", out, "--json")
 
     done = run(folder, tmp_path / "S")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["frames"] == 9
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["frames"] == 9
     again = run(folder, tmp_path / "S")
-    assert again.returncode == 2
-    assert "something there already" in again.stderr
+    assert again.code == 2
+    assert "something there already" in again.err
     nothing = run(tmp_path / "none", tmp_path / "T")
-    assert nothing.returncode == 2
-    assert "no such folder" in nothing.stderr
+    assert nothing.code == 2
+    assert "no such folder" in nothing.err
 
 
 def imported(folder, tmp_path, small_rig, *more):

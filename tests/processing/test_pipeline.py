@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import json
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,9 +37,10 @@ def coarse(session: Path, out: Path, config: PipelineConfig | None = None) -> li
     return list(report["ran"])
 
 
-def command(*words: object) -> subprocess.CompletedProcess[str]:
-    asked = [sys.executable, "-m", "processing", *map(str, words)]
-    return subprocess.run(asked, capture_output=True, text=True, check=False)
+@pytest.fixture
+def command(run_command: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that runs a command of `processing` in this process."""
+    return functools.partial(run_command, "processing")
 
 
 def test_frames_come_back_as_they_were_written(tmp_path: Path) -> None:
@@ -143,30 +145,32 @@ def test_a_photograph_in_which_nothing_is_lit_is_named(session: Path, tmp_path: 
 
 
 def test_missing_and_changed_photographs_exit_2_and_write_nothing(
-    session: Path, tmp_path: Path
+    session: Path, tmp_path: Path, command: Callable[..., Any]
 ) -> None:
     out = tmp_path / "out"
     cut = session / "frames" / "z+" / "cam0.exr"
     cut.write_bytes(cut.read_bytes()[:-100])
     done = command("run", session, "--out", out, "--until", "separate")
-    assert (done.returncode, out.exists()) == (2, False)
-    assert "sha256" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert (done.code, out.exists()) == (2, False)
+    assert "sha256" in done.err
+    assert "Traceback" not in done.err
     for pattern in ("z+", "z-"):
         (session / "frames" / pattern / "cam0.exr").unlink()
     done = command("run", session, "--out", out)
-    assert (done.returncode, out.exists()) == (2, False)
-    assert "2 problems" in done.stderr
+    assert (done.code, out.exists()) == (2, False)
+    assert "2 problems" in done.err
 
 
-def test_unknown_keys_and_stages_exit_2(session: Path, tmp_path: Path) -> None:
+def test_unknown_keys_and_stages_exit_2(
+    session: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
     toml = tmp_path / "c.toml"
     toml.write_text("[refine]\nrougness = 0.3\n")
     with pytest.raises(ConfigError, match="rougness"):
         read_config(toml)
     done = command("run", session, "--out", tmp_path / "out", "--until", "polish")
-    assert done.returncode == 2
-    assert "polish" in done.stderr
+    assert done.code == 2
+    assert "polish" in done.err
 
 
 def test_a_stage_without_those_before_it_says_what_to_run(session: Path, tmp_path: Path) -> None:
@@ -174,10 +178,12 @@ def test_a_stage_without_those_before_it_says_what_to_run(session: Path, tmp_pat
         run(session, tmp_path / "out", TEMPLATE, PipelineConfig(), only="refine")
 
 
-def test_separate_alone_decodes_first_and_prints_facts(session: Path, tmp_path: Path) -> None:
+def test_separate_alone_decodes_first_and_prints_facts(
+    session: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
     done = command("separate", session, "--out", tmp_path / "out", "--json")
-    assert done.returncode == 0, done.stderr
-    facts = json.loads(done.stdout.splitlines()[-1])
+    assert done.code == 0, done.err
+    facts = json.loads(done.out.splitlines()[-1])
     assert facts["ran"] == ["decode", "separate"]
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["subject"] == "ball"
@@ -197,11 +203,11 @@ def test_the_report_carries_the_id_of_the_sessions_consent_record(
 
 @pytest.mark.parametrize("rows", [7, 100])
 def test_atlas_rows_are_refused_before_any_stage_runs(
-    session: Path, tmp_path: Path, rows: int
+    session: Path, tmp_path: Path, rows: int, command: Callable[..., Any]
 ) -> None:
     done = command("run", session, "--out", tmp_path / "out", "--atlas-rows", rows)
-    assert done.returncode == 2
-    assert f"rows: found {rows}, expected a multiple of 3" in done.stderr
+    assert done.code == 2
+    assert f"rows: found {rows}, expected a multiple of 3" in done.err
     assert not (tmp_path / "out").exists()
 
 
@@ -213,11 +219,11 @@ def test_missing_landmarks_are_told_before_any_stage_runs(session: Path, tmp_pat
     assert not (tmp_path / "out").exists()
 
 
-def test_a_store_is_replaced_only_when_told(tmp_path: Path) -> None:
+def test_a_store_is_replaced_only_when_told(tmp_path: Path, command: Callable[..., Any]) -> None:
     (tmp_path / "store").mkdir()
     for name, kind in (("build", "store"), ("publish", "published")):
         (tmp_path / "store" / "dataset.json").write_text(f'{{"kind": "{kind}"}}')
         done = command("dataset", name, tmp_path / "scan", "--out", tmp_path / "store")
-        assert done.returncode == 2
-        assert "pass --overwrite" in done.stderr
+        assert done.code == 2
+        assert "pass --overwrite" in done.err
         assert kind in (tmp_path / "store" / "dataset.json").read_text()

@@ -18,7 +18,7 @@ from processing.reconstruction.fusion import (
 )
 from processing.reconstruction.stage import reconstruct_views
 from processing.reconstruction.stereo import focus_point, match_views, pick_sources
-from processing.reconstruction.views import View
+from processing.reconstruction.views import Level, View
 from tests.processing import textured_ball
 from tests.processing.textured_ball import RADIUS_MM
 
@@ -31,6 +31,16 @@ def ball_views(count: int = 5, **kwargs: object) -> list[View]:
     return textured_ball.views_of(textured_ball.cameras(count), rng, **kwargs)[0]  # type: ignore[arg-type]
 
 
+@dataclasses.dataclass(frozen=True)
+class Matched:
+    """What `match_views` finds of the ball."""
+
+    views: list[View]
+    level: Level
+    depths: list[np.ndarray]
+    costs: list[np.ndarray]
+
+
 def surface_error_mm(vertices: np.ndarray) -> np.ndarray:
     return np.abs(np.linalg.norm(vertices, axis=1) - RADIUS_MM)
 
@@ -40,12 +50,19 @@ def ball() -> Mesh:
     return reconstruct_views(ball_views(), CONFIG)[0]
 
 
-def test_depth_of_a_ball_is_exact_to_a_fraction_of_a_pixel() -> None:
+@pytest.fixture(scope="module")
+def matched() -> Matched:
     views = ball_views()
     level, depths, costs = match_views(views, CONFIG)
-    points = consistent_points(level, depths, costs, CONFIG)
+    for array in (*depths, *costs):
+        array.flags.writeable = False
+    return Matched(views, level, depths, costs)
+
+
+def test_depth_of_a_ball_is_exact_to_a_fraction_of_a_pixel(matched: Matched) -> None:
+    points = consistent_points(matched.level, matched.depths, matched.costs, CONFIG)
     error = surface_error_mm(points.positions)
-    assert len(points.positions) > 0.5 * sum(view.mask.sum() for view in views)
+    assert len(points.positions) > 0.5 * sum(view.mask.sum() for view in matched.views)
     assert np.median(error) < 0.1
     assert np.percentile(error, 95) < 0.6
     facing = np.einsum("nk,nk->n", points.normals, points.positions / RADIUS_MM)
@@ -215,15 +232,13 @@ def test_too_few_points_are_refused() -> None:
         fuse(few, CONFIG)
 
 
-def test_depths_at_rest_are_passed_over_and_the_surface_stays() -> None:
+def test_depths_at_rest_are_passed_over_and_the_surface_stays(matched: Matched) -> None:
     """The same ball matched with and without the skip: nearer to each other than to the truth."""
-    views = ball_views()
-    level, depths, costs = match_views(views, CONFIG)
-    every = dataclasses.replace(CONFIG, still_px=0.0)
-    _, all_tried, all_costs = match_views(views, every)
+    depths, every = matched.depths, dataclasses.replace(CONFIG, still_px=0.0)
+    _, all_tried, all_costs = match_views(matched.views, every)
     apart, errors = [], []
-    for config, found, cost in ((CONFIG, depths, costs), (every, all_tried, all_costs)):
-        points = consistent_points(level, found, cost, config)
+    for config, found, cost in ((CONFIG, depths, matched.costs), (every, all_tried, all_costs)):
+        points = consistent_points(matched.level, found, cost, config)
         errors.append(float(np.median(surface_error_mm(points.positions))))
     for one, other in zip(depths, all_tried, strict=True):
         both = (one > 0) & (other > 0)

@@ -30,6 +30,18 @@ def run(stage, out, *more):
     return subprocess.run(arguments(stage, out, *more), capture_output=True, text=True, timeout=120)
 
 
+@pytest.fixture
+def run_here(run_command):
+    """As `run`, in this process: for what is refused before a device is opened."""
+
+    def run(stage, out, *more):
+        words = arguments(stage, out, *more)
+        ended = run_command("lightstage", *words[3:])
+        return subprocess.CompletedProcess(words, ended.code, ended.out, ended.err)
+
+    return run
+
+
 def one_clear_message(done, *parts):
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr
@@ -137,7 +149,7 @@ def test_lights_on_a_splitting_plane_are_told_and_lit_by_half(stage, tmp_path):
 
 def test_a_device_that_falls_silent_ends_the_capture(stage, tmp_path):
     stage.device.dead_after = 4  # HELLO?, DARK, SET, one STATE? are answered, nothing after
-    stage.device.url = stage.device.url.replace("timeout_s=5", "timeout_s=1&attempts=2")
+    stage.device.url = stage.device.url.replace("timeout_s=5", "timeout_s=0.3&attempts=2")
     done = run(stage, tmp_path / "S")
     one_clear_message(done, "no answer to 5 HELLO?", "The lights may still be on")
 
@@ -171,46 +183,46 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_arguments_exit_2_with_one_message_and_leave_nothing(stage, tmp_path, name):
+def test_bad_arguments_exit_2_with_one_message_and_leave_nothing(stage, tmp_path, run_here, name):
     more, parts = BAD[name]
-    done = run(stage, tmp_path / "S", *more)
+    done = run_here(stage, tmp_path / "S", *more)
     one_clear_message(done, *parts)
     assert not (tmp_path / "S").exists()
     assert stage.device.kinds == []
 
 
-def test_a_bad_rig_exits_2_with_every_fault(stage, tmp_path):
+def test_a_bad_rig_exits_2_with_every_fault(stage, tmp_path, run_here):
     value = rig_to_json(stage.rig)
     value["lights"][1]["id"] = 0
     value["lights"][2]["position_mm"] = [0, 0, 0]
     write_json(stage.rig_path, value)
-    done = run(stage, tmp_path / "S")
+    done = run_here(stage, tmp_path / "S")
     one_clear_message(done, "2 problems", "an id that corner0 has too", "from the origin")
     assert not (tmp_path / "S").exists()
 
 
-def test_an_unknown_configuration_key_exits_2(stage, tmp_path):
+def test_an_unknown_configuration_key_exits_2(stage, tmp_path, run_here):
     config = tmp_path / "config.toml"
     config.write_text("[safety]\nmax_flashes = 9\n")
-    done = run(stage, tmp_path / "S", "--config", str(config))
+    done = run_here(stage, tmp_path / "S", "--config", str(config))
     one_clear_message(done, str(config), "max_flashes", "unknown key", "max_flashes_per_s")
     assert not (tmp_path / "S").exists()
 
 
-def test_a_sequence_that_flashes_too_fast_or_burns_too_long_is_refused(stage, tmp_path):
+def test_a_sequence_that_flashes_too_fast_or_burns_too_long_is_refused(stage, tmp_path, run_here):
     config = tmp_path / "config.toml"
     config.write_text("[safety]\nlight_interval_s = 0.1\nmax_light_on_s = 60\n")
-    done = run(stage, tmp_path / "S", "--config", str(config))
+    done = run_here(stage, tmp_path / "S", "--config", str(config))
     one_clear_message(done, "up to 4 flashes per second", "at most 3", "lights over the budget")
     assert stage.device.kinds == []
 
 
 def test_limits_that_are_none_are_refused_with_their_file_before_a_device_is_opened(
-    stage, tmp_path
+    stage, tmp_path, run_here
 ):
     config = tmp_path / "config.toml"
     config.write_text("[safety]\nmax_flashes_per_s = 1e6\nmax_silence_s = 1000\n")
-    done = run(stage, tmp_path / "S", "--config", str(config))
+    done = run_here(stage, tmp_path / "S", "--config", str(config))
     one_clear_message(
         done, str(config), "max_flashes_per_s: found 1e+06, expected a number from 0.5 to 30",
         "max_silence_s: found 1000",
@@ -245,10 +257,10 @@ def test_another_stages_rig_is_refused_before_a_light_goes_on(stage, tmp_path):
     assert not (tmp_path / "S").exists()
 
 
-def test_an_existing_session_is_never_touched(stage, tmp_path):
+def test_an_existing_session_is_never_touched(stage, tmp_path, run_here):
     out = tmp_path / "S"
     out.mkdir()
     (out / "mine.txt").write_text("kept")
-    done = run(stage, out)
+    done = run_here(stage, out)
     one_clear_message(done, "something there already", "a new folder")
     assert os.listdir(out) == ["mine.txt"]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -30,6 +32,14 @@ def dng() -> bytes:
     file = io.BytesIO()
     tifffile.imwrite(file, counts, photometric=32803, extratags=tags, metadata=None)
     return file.getvalue()
+
+
+def test_a_cameras_process_starts_without_what_only_pictures_need():
+    """Each camera of each capture starts one."""
+    module = DRIVER.partition(":")[0]
+    script = f"import sys, {module}; print(sorted({{'cv2', 'numba', 'scipy'}} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr
 
 
 @pytest.fixture

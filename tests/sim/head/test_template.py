@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -111,10 +109,9 @@ def test_skin_mask_is_the_face_without_the_eyes():
 
 
 @pytest.mark.parametrize("words", [["template"], ["dataset", "--subjects", "1", "--maps-only"]])
-def test_a_folder_of_others_is_left_alone(tmp_path, words):
+def test_a_folder_of_others_is_left_alone(tmp_path, words, run_command):
     (tmp_path / "photo.exr").write_bytes(b"mine")
-    asked = [sys.executable, "-m", "sim", *words, "--out", str(tmp_path)]
-    done = subprocess.run(asked, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "found a folder with photo.exr, expected a new folder" in done.stderr
+    ended = run_command("sim", *words, "--out", tmp_path)
+    assert ended.code == 2
+    assert "found a folder with photo.exr, expected a new folder" in ended.err
     assert [path.name for path in tmp_path.iterdir()] == ["photo.exr"]

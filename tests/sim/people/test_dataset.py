@@ -9,8 +9,6 @@ import multiprocessing
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -155,17 +153,11 @@ def test_more_expressions_than_there_are_is_an_error(tmp_path):
         plan(tmp_path, 1, 8, 1)
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "sim", *arguments], capture_output=True, text=True, check=False
-    )
-
-
-def test_the_dataset_command_ends_with_its_facts(tmp_path):
+def test_the_dataset_command_ends_with_its_facts(tmp_path, run_command):
     size = ("--subjects", "1", "--expressions", "1", "--rows", "96")
-    done = run("dataset", *size, "--out", str(tmp_path), "--maps-only", "--json")
-    assert done.returncode == 0, done.stderr
-    facts = json.loads(done.stdout.splitlines()[-1])
+    ended = run_command("sim", "dataset", *size, "--out", tmp_path, "--maps-only", "--json")
+    assert ended.code == 0, ended.err
+    facts = json.loads(ended.out.splitlines()[-1])
     assert (facts["scans"], facts["made"], facts["rows"]) == (1, 1, 96)
 
 
@@ -177,10 +169,10 @@ def test_the_dataset_command_ends_with_its_facts(tmp_path):
         (("--subject", "lps", "--expression", "smile"), "lps"),
     ],
 )
-def test_bad_input_is_one_message_and_exit_2(tmp_path, arguments, said):
+def test_bad_input_is_one_message_and_exit_2(tmp_path, arguments, said, run_command):
     given = arguments if "--subject" in arguments else ("--subject", "parametric", *arguments)
-    done = run("session", *given, "--out", str(tmp_path / "s"), "--direct")
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert "Traceback" not in done.stderr
+    ended = run_command("sim", "session", *given, "--out", tmp_path / "s", "--direct")
+    assert ended.code == 2
+    assert said in ended.err
+    assert "Traceback" not in ended.err
     assert list(tmp_path.iterdir()) == []

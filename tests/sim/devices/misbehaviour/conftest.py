@@ -240,8 +240,8 @@ class Named(SimulatedCamera):
         return super().download(name, path)
 
     def restart(self) -> Summary:
-        """Let go and connect again, for some seconds."""
-        until_s = time.monotonic() + 3.0
+        """Let go and connect again, for twice as long as a story's camera is away."""
+        until_s = time.monotonic() + 1.0
         while True:
             self.close()
             try:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -57,8 +54,10 @@ def test_a_day_on_which_a_camera_dies_says_so_and_leaves_no_finished_session(
     world, tmp_path, capfd
 ):
     story = Story([Fault("battery-empty", camera="cam1", at=2)])
+    config = tmp_path / "config.toml"
+    config.write_text("[deadlines]\nabsent_s = 0.5\n")  # it will not come back
     with pytest.raises(SimError, match="exit code 2"):
-        capture_session(world, tmp_path / "s", 5, "full,x+", story=story)
+        capture_session(world, tmp_path / "s", 5, "full,x+", story=story, config=config)
     said = capfd.readouterr().err
     assert "camera cam1" in said
     assert "its battery is empty" in said
@@ -72,20 +71,14 @@ def test_a_day_on_which_a_camera_dies_says_so_and_leaves_no_finished_session(
     )
 
 
-def test_a_story_that_cannot_be_told_is_refused_before_anything_is_made(tmp_path):
+def test_a_story_that_cannot_be_told_is_refused_before_anything_is_made(tmp_path, run_command):
     path = tmp_path / "faults.toml"
     path.write_text("[[fault]]\nname = 'fail'\ncamera = 'cam99'")
-    done = subprocess.run(
-        [
-            *(sys.executable, "-m", "sim", "session", "--subject", "P1", "--faults", str(path)),
-            *("--out", str(tmp_path / "s")),
-        ],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 2
-    assert "found 'cam99', expected one of cam0" in done.stderr
-    assert "Traceback" not in done.stderr
+    words = ("session", "--subject", "P1", "--faults", path, "--out", tmp_path / "s")
+    ended = run_command("sim", *words)
+    assert ended.code == 2
+    assert "found 'cam99', expected one of cam0" in ended.err
+    assert "Traceback" not in ended.err
     assert [each.name for each in tmp_path.iterdir()] == ["faults.toml"]
 
 
