@@ -26,6 +26,10 @@ BANKS = ("horizontal", "vertical")
 MEASURED_WITH = "measured_with_rig_sha256"
 """In a rig.json whose cameras were measured from photographs: `rig_sha256` of the rig they were
 taken with. It is the same stage."""
+UNMEASURED = "unmeasured_cameras"
+"""Of the same: ids of cameras that keep the lens and pose they had before."""
+UNCHECKED = "unchecked_cameras"
+"""Of the same: ids of cameras that saw too few boards for their place to be checked."""
 MOST_ID = (1 << 31) - 1
 MOST_PX = 1 << 16
 """No sensor has more pixels a side."""

@@ -12,7 +12,7 @@ import typer
 from lightstage.calibrations.assistant import TerminalAssistant, UnattendedAssistant
 from lightstage.calibrations.config import KIND_NAMES, require_kind
 from lightstage.calibrations.kinds import kind_of
-from lightstage.calibrations.listing import list_lab
+from lightstage.calibrations.listing import list_lab, rigs_of
 from lightstage.calibrations.run import Assistant, begin_shots, resume_shots, take_poses
 from lightstage.calibrations.stale import duration
 from lightstage.calibrations.taking import SessionTaker
@@ -123,9 +123,10 @@ def calibrations_command(
     for said in damaged:
         print(f"cannot be read: {said}", file=sys.stderr)
     holding = sum(entry.state == "holds" for entry in entries)
+    rigs = rigs_of(entries)
     finish(
         f"{lab}: {holding} of {len(KIND_NAMES)} kinds hold, "
-        f"{counted(len(damaged), 'file')} damaged",
+        f"{counted(len(damaged), 'file')} damaged" + (f"; {rigs}" if rigs else ""),
         {
             "lab": str(lab),
             "holds": holding,

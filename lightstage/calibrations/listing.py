@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+from collections.abc import Sequence
 from pathlib import Path
 
 from lightstage.calibrations.config import CalibrationConfig
@@ -25,12 +26,14 @@ class Entry:
         state: ``holds``, ``expired``, ``unfinished``, ``replaced`` (by newer ones), ``future``,
             ``missing``.
         says: the same with times, in plain words.
+        rig: SHA-256 of the rig.json that it was taken with; empty where there is none.
     """
 
     kind: str
     folder: str
     state: str
     says: str
+    rig: str = ""
 
 
 def list_lab(
@@ -91,4 +94,19 @@ def _entry(
     accepted = sum(len(pose.accepted) for pose in file.poses)
     if accepted:
         says += f" ({counted(accepted, 'fault')} accepted by the operator)"
-    return Entry(file.kind, shots.root.name, state, says)
+    return Entry(file.kind, shots.root.name, state, says, file.rig_sha256)
+
+
+def rigs_of(entries: Sequence[Entry]) -> str:
+    """Which of the shots that hold were taken with which rig; empty where it is one."""
+    kinds: dict[str, list[str]] = {}
+    for entry in entries:
+        if entry.state == "holds":
+            kinds.setdefault(entry.rig, []).append(entry.kind)
+    if len(kinds) < 2:
+        return ""
+    groups = "; ".join(f"{', '.join(own)} with {rig[:8]}" for rig, own in kinds.items())
+    return (
+        f"taken with {len(kinds)} files rig.json ({groups}): a session takes those of its own rig, "
+        "and of the one that its cameras were measured with"
+    )

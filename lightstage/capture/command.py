@@ -27,7 +27,7 @@ from lightstage.formats.access import group_of, limited_access
 from lightstage.leds.address import parse_url
 from lightstage.operator import open_operator
 from lightstage.patterns import Drive, read_patterns, sequence_patterns
-from lightstage.preflight import consent_findings, require_known
+from lightstage.preflight import consent_findings, measured_rig_findings, require_known
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import check_shots, photosensitivity_findings
 from lightstage.sequence import plan_shots
@@ -177,7 +177,8 @@ def take_session(
         LightstageError: as open_stage and capture_session.
     """
     require_known(order.subject, settings.session)
-    order = dataclasses.replace(order, findings=consent_findings(order.consent, settings.session))
+    findings = [*consent_findings(order.consent, settings.session), *measured_rig_findings(rig)]
+    order = dataclasses.replace(order, findings=findings)
     worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
     check_shots(order.shots, rig, settings.safety, worst_s)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))

@@ -4,6 +4,7 @@ from lightstage.preflight.check import device_findings, preflight, refusals, req
 from lightstage.preflight.config import Plan, PreflightConfig
 from lightstage.preflight.consent import consent_findings
 from lightstage.preflight.drift import drift, set_back
+from lightstage.preflight.measured_rig import measured_rig_findings
 from lightstage.preflight.photograph import photograph_findings
 from lightstage.preflight.privacy import clear_privacy
 from lightstage.preflight.pseudonyms import require_known
@@ -17,6 +18,7 @@ __all__ = [
     "consent_findings",
     "device_findings",
     "drift",
+    "measured_rig_findings",
     "photograph_findings",
     "preflight",
     "refusals",

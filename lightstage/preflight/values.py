@@ -92,7 +92,7 @@ def exposure_s(text: str) -> tuple[float, float] | None:
         Seconds, and the weight of the last of three or more decimal places (else 0).
     """
     plain = re.sub(r'\s*(?:s|sec|seconds?|"|″)$', "", _plain(text))
-    match = re.fullmatch(r"(\d{1,6}(?:\.\d{1,9})?)(?:\s?/\s?(\d{1,6}(?:\.\d{1,9})?))?", plain)
+    match = re.fullmatch(r"(\d{1,6}(?:\.\d{1,15})?)(?:\s?/\s?(\d{1,6}(?:\.\d{1,9})?))?", plain)
     if not match or float(match[1]) <= 0 or float(match[2] or 1) <= 0:
         return None
     places = len(match[1].partition(".")[2])

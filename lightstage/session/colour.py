@@ -15,11 +15,13 @@ from lightstage.formats.lights import read_measured_lights
 from lightstage.formats.paths import check_name, path_inside
 from lightstage.formats.scale import chart_levels
 from lightstage.formats.values import FILE, parse_json, read_regular
-from lightstage.rig import Rig
+from lightstage.rig import Camera, Rig
 
 COLOUR_SCHEMA = "lightstage.colour/1"
 COLOUR_PATH = "calibration/colour.json"
 FLATS_SCHEMA = "lightstage.flats/1"
+BORDER_SHARE = 0.02
+"""By so much a sensor's sides may differ from the rig's."""
 GAINS_BYTES = 1 << 31
 """Of a file of gains of single pixels."""
 COLOUR_NAME, FLATS_NAME, LIGHTS_NAME = "colour.json", "flats.json", "lights.json"
@@ -54,7 +56,7 @@ def read_calibration(path: Path, rig: Rig) -> Carried:
     colour, flats, lights = (path / name for name in (COLOUR_NAME, FLATS_NAME, LIGHTS_NAME))
     beside: dict[str, bytes] = {}
     if flats.is_file():
-        beside |= _flats(flats)
+        beside |= _flats(flats, rig)
     if lights.is_file():
         read_measured_lights(lights, rig)
         beside[LIGHTS_NAME] = read_regular(lights, FILE.size_bytes)
@@ -78,8 +80,12 @@ def carried_paths(colour: Mapping[str, Any] | None, beside: Mapping[str, bytes])
     return kinds
 
 
-def _flats(path: Path) -> dict[str, bytes]:
-    """flats.json and the gains of single pixels that it names, by name."""
+def _flats(path: Path, rig: Rig) -> dict[str, bytes]:
+    """flats.json and the gains of single pixels that it names, by name.
+
+    Raises:
+        FormatError: not usable, or of pictures of another size than the rig's.
+    """
     data = read_regular(path, FILE.size_bytes)
     value = parse_json(data, path)
     check_schema(path, value, FLATS_SCHEMA)
@@ -89,6 +95,8 @@ def _flats(path: Path) -> dict[str, bytes]:
         raise FormatError(
             path, found=f"no usable {error}", expected="flats of cameras, an object each"
         ) from None
+    for camera in rig.cameras:
+        _require_size(path, camera, value["cameras"].get(camera.id, {}))
     files = {}
     for name in named:
         if name is not None:
@@ -100,6 +108,26 @@ def _flats(path: Path) -> dict[str, bytes]:
                 )
             files[name] = read_regular(beside, GAINS_BYTES, "gains of single pixels")
     return {path.name: data, **files}
+
+
+def _require_size(path: Path, camera: Camera, field: Mapping[str, Any]) -> None:
+    """FormatError where a camera's flats are of another size than its pictures, upright or not."""
+    told = field.get("width_px"), field.get("height_px")
+    size = camera.width_px, camera.height_px
+    sides = [side for side in told if isinstance(side, int)]
+    if len(sides) < 2:
+        return  # its reader says what is wrong
+    # A rig may count a border that a sensor reads and a picture does not show.
+    pairs = zip(sorted(sides), sorted(size), strict=True)
+    if any(abs(own - wanted) > BORDER_SHARE * wanted for own, wanted in pairs):
+        raise FormatError(
+            path,
+            field=f"cameras.{camera.id}",
+            found=f"flats of {told[0]} x {told[1]} pixels",
+            expected=f"{size[0]} x {size[1]}, as the rig's pictures of this camera",
+            hint="Take flats and darks at the size at which sessions are taken, and run "
+            "`lightstage-processing calibrate` again.",
+        )
 
 
 def read_colour(path: Path, rig: Rig) -> dict[str, Any]:

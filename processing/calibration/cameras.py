@@ -61,11 +61,15 @@ class MeasuredCameras:
     Attributes:
         cameras: of the rig, in its order, those that could not be measured as they were.
         facts: JSON-ready: residuals of each camera, also on boards that were held out.
+        unmeasured: ids of cameras that keep what the rig had.
+        unchecked: ids of measured cameras whose place could not be checked by other boards.
         warnings: what to tell.
     """
 
     cameras: tuple[Camera, ...]
     facts: dict[str, Any]
+    unmeasured: list[str]
+    unchecked: list[str]
     warnings: list[str]
 
 
@@ -133,7 +137,10 @@ def measure_cameras(
     }
     warnings += _moved(measured, rig_cameras, config)
     cameras = tuple(measured.get(camera.id, camera) for camera in rig.cameras)
-    return MeasuredCameras(cameras, facts, warnings)
+    told = facts["cameras"]
+    unmeasured = [name for name in rig_cameras if name not in told]
+    unchecked = [name for name, one in told.items() if one["place_sigma_mm"] is None]
+    return MeasuredCameras(cameras, facts, unmeasured, unchecked, warnings)
 
 
 def _lens_alone(sights: Sequence[Sight], corners_mm: np.ndarray, camera: Camera) -> Camera:
@@ -191,7 +198,11 @@ def _told(
         own = [m for s, m in zip(clean, found.residual_px, strict=True) if s.camera == name]
         if name not in found.cameras or not own:
             count = sum(s.camera == name for s in sights)
-            warnings.append(f"{name} was not measured: of boards that others saw it saw {count}")
+            warnings.append(
+                f"{name} was not measured: of boards that others saw it saw {count}; rig.json "
+                "keeps the lens and pose that it had. Hold the board so that it and a neighbour "
+                "both see it"
+            )
             continue
         miss = np.concatenate(own)
         now = found.cameras[name]
@@ -267,12 +278,21 @@ def _refuse(off: Mapping[str, float], config: CamerasConfig) -> list[str]:
 
 def _unsure(told: Mapping[str, Mapping[str, Any]], config: CamerasConfig) -> list[str]:
     """What to tell of cameras whose place chance may have moved by too much."""
-    return [
-        f"{name} may stand {one['place_sigma_mm']:.2f} mm from where it was measured: hold the "
-        "board toward it more often, a hand's width nearer and farther"
-        for name, one in told.items()
-        if one["place_sigma_mm"] is not None and one["place_sigma_mm"] > config.unsure_mm
-    ]
+    out = []
+    for name, one in told.items():
+        sigma = one["place_sigma_mm"]
+        if sigma is None:
+            out.append(
+                f"{name} was seen on {counted(one['boards'], 'board')} alone, so its place, "
+                f"{one['moved_mm']:.1f} mm from where rig.json had it, could not be checked: hold "
+                "the board toward it more often"
+            )
+        elif sigma > config.unsure_mm:
+            out.append(
+                f"{name} may stand {sigma:.2f} mm from where it was measured: hold the board "
+                "toward it more often, a hand's width nearer and farther"
+            )
+    return out
 
 
 def _moved(

@@ -46,9 +46,17 @@ def calibrate_cameras_command(
     worst = max(each["residual_px"] for each in told)
     held = [each["held_out_px"] for each in told if each["held_out_px"] is not None]
     said = f", {max(held):.2f} px at most on boards held out" if held else ""
+    count = len(told) + len(found.unmeasured)
+    unchecked = f" ({len(found.unchecked)} unchecked)" if found.unchecked else ""
     finish(
-        f"{out}: {counted(len(told), 'camera')}, boards within {worst:.2f} px (median of the "
-        f"worst){said}",
-        {"out": str(out), **found.facts, "warnings": found.warnings},
+        f"{out}: {len(told)} of {counted(count, 'camera')} measured{unchecked}, boards within "
+        f"{worst:.2f} px (median of the worst){said}",
+        {
+            "out": str(out),
+            **found.facts,
+            "unmeasured": found.unmeasured,
+            "unchecked": found.unchecked,
+            "warnings": found.warnings,
+        },
         as_json,
     )

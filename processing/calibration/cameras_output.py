@@ -13,7 +13,7 @@ from lightstage.formats.calibration_shots import NAME as SHOTS_NAME
 from lightstage.formats.cameras import NAME, SCHEMA
 from lightstage.formats.config import make_config
 from lightstage.formats.files import atomic_folder, write_json
-from lightstage.rig import MEASURED_WITH, rig_sha256, save_rig
+from lightstage.rig import MEASURED_WITH, UNCHECKED, UNMEASURED, rig_sha256, save_rig
 from processing.calibration.boards import see_boards
 from processing.calibration.cameras import CamerasConfig, MeasuredCameras, measure_cameras
 from processing.calibration.folder import Source
@@ -80,7 +80,12 @@ def make_cameras(
     with atomic_folder(out, NAME) as folder:
         sights = see_boards(poses, config.board, progress)
         found = measure_cameras(sights, rig, config.board, config.cameras)
-        more = {**rig.more, MEASURED_WITH: rig_sha256(rig)}
+        more = {
+            **rig.more,
+            MEASURED_WITH: rig_sha256(rig),
+            UNMEASURED: found.unmeasured,
+            UNCHECKED: found.unchecked,
+        }
         save_rig(dataclasses.replace(rig, cameras=found.cameras, more=more), folder / "rig.json")
         write_json(
             folder / NAME,

@@ -289,5 +289,16 @@ def open_photograph(
         return LinearPhotograph(rgb)
     raw = open_raw(path)
     known = calibrated or Calibrated(None, None)
+    field = known.field
+    if field is not None and field.size_px != raw.size[::-1]:
+        raise FormatError(
+            path,
+            field="size",
+            found=f"{raw.size[1]} x {raw.size[0]} pixels",
+            expected=f"{field.size_px[0]} x {field.size_px[1]}, as the flats of {frame.camera} "
+            "that the session carries",
+            hint="Flats hold for photographs of their own size alone. Take flats at this size, or "
+            "import the session again without them.",
+        )
     correction = known.correction or ColourCorrection(np.diag(raw.neutral))
-    return RawPhotograph(raw, Settings(correction, factor, clip_share, known.field))
+    return RawPhotograph(raw, Settings(correction, factor, clip_share, field))

@@ -182,6 +182,21 @@ def test_how_sure_a_cameras_place_is_is_told(
     assert "nearer and farther" in warned[0]
 
 
+def test_a_camera_that_saw_too_few_boards_is_warned_of(true_rig: Rig, written: Rig) -> None:
+    every = sights_of(true_rig, 20, 2)
+    names = [camera.id for camera in true_rig.cameras]
+    seen = {name: [s.shot for s in every if s.camera == name] for name in names}
+    few, never = names[0], names[1]
+    kept = [s for s in every if s.camera != never]
+    kept = [s for s in kept if s.camera != few or s.shot in seen[few][:3]]
+    found = measure_cameras(kept, written, BOARD, CONFIG)
+    assert (found.unmeasured, found.unchecked) == ([never], [few])
+    told = {said.split(" ")[0]: said for said in found.warnings}
+    assert "keeps the lens and pose that it had" in told[never]
+    assert "3 boards alone" in told[few]
+    assert "could not be checked" in told[few]
+
+
 def test_a_few_corners_far_off_push_no_camera(true_rig: Rig, written: Rig) -> None:
     sights = []
     for number, sight in enumerate(sights_of(true_rig, 20, 2, 0.01)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -161,6 +162,9 @@ def test_other_colours_flats_or_settings_decode_all_again(root: Path, tmp_path: 
     gain = field.gain(SHAPE)[..., None]
     np.testing.assert_allclose(flat.images, 2 * first * gain, rtol=0.02, atol=5e-3)
     assert decoded(root, out, DecodeConfig(clip_share=0.9))[1]["frames_kept_from_the_last_run"] == 0
+    write_flats({"cam0": dataclasses.replace(field, size_px=SHAPE)}, root / "flats.json", {})
+    with pytest.raises(FormatError, match=f"expected {SHAPE[0]} x {SHAPE[1]}, as the flats of"):
+        decoded(root, out)
 
 
 def test_damaged_remains_of_the_last_run_are_not_trusted(root: Path, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import time
 import pytest
 
 from lightstage.calibrations.folder import latest
+from lightstage.calibrations.listing import Entry, rigs_of
 from lightstage.formats.calibration_shots import read_shots
 from lightstage.formats.session import load_session
 from lightstage.rig import Rig, default_rig
@@ -191,3 +192,14 @@ def test_a_lab_is_listed_by_its_command(taken, tmp_path):
     done = subprocess.run([*command, str(tmp_path / "none")], capture_output=True, text=True)
     assert done.returncode == 2
     assert "found no such folder, expected a lab's folder of calibration shots" in done.stderr
+
+
+def test_shots_of_two_rigs_are_told_apart():
+    held = [
+        Entry(kind, kind, "holds", "", rig) for kind, rig in (("dark", "a" * 64), ("flat", "b"))
+    ]
+    old = Entry("mirror", "mirror", "expired", "", "c")
+    assert rigs_of([held[0], old]) == ""
+    assert rigs_of([*held, old]).startswith(
+        "taken with 2 files rig.json (dark with aaaaaaaa; flat with b)"
+    )

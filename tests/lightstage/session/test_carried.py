@@ -76,6 +76,20 @@ def test_flats_that_name_a_file_that_is_not_beside_them_are_refused(small_rig, f
         read_calibration(folder, small_rig)
 
 
+def test_flats_of_another_picture_size_are_refused_before_anything_is_made(small_rig, folder):
+    value = json.loads((folder / "flats.json").read_text())
+    camera = small_rig.cameras[0]
+    # A sensor may lie where its pictures stand upright.
+    sizes = {"height_px": camera.width_px, "width_px": camera.height_px}
+    value["cameras"]["cam0"] |= sizes
+    write_json(folder / "flats.json", value)
+    read_calibration(folder, small_rig)
+    value["cameras"]["cam0"] |= {"height_px": 2 * camera.width_px}
+    write_json(folder / "flats.json", value)
+    with pytest.raises(FormatError, match=r"cameras\.cam0: found flats of .* pixels, expected"):
+        read_calibration(folder, small_rig)
+
+
 def test_an_empty_folder_is_no_calibration(tmp_path, small_rig):
     (tmp_path / "nothing").mkdir()
     with pytest.raises(FormatError, match=r"no colour\.json"):
