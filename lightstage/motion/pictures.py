@@ -10,14 +10,13 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
+from lightstage.formats.orientation import of_libraw
 from lightstage.photograph import identify_file
 
 LARGEST_PX = 2000
 """Longer side of the pictures that features are looked for in, at most."""
 LIT_SHARE = 0.05
 """Of the brightest twentieth: what is brighter, slightly blurred, shows something that was lit."""
-_TURNS = {3: 2, 5: 1, 6: 3}
-"""LibRaw's flip to quarter turns against the clock that bring the sensor's rows upright."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,26 +82,22 @@ def _read_mosaic(path: Path) -> tuple[np.ndarray, tuple[int, int], int]:
     """Mean counts above black of a mosaic's cells, upright; size and cell's side in pixels."""
     import rawpy
 
+    from lightstage.raw_errors import unreadable_raw
+
     try:
         with rawpy.imread(str(path)) as raw:
             counts = raw.raw_image_visible.astype(np.float32)
             black = float(np.mean(raw.black_level_per_channel))
             pattern, flip = raw.raw_pattern, int(raw.sizes.flip)
     except (rawpy.LibRawError, ValueError, OSError) as error:
-        said = error.args[0] if error.args else error
-        raise FormatError(
-            path,
-            found=said.decode() if isinstance(said, bytes) else str(said),
-            expected="a whole RAW or DNG file",
-            hint="Is it truncated? Copy it again.",
-        ) from None
+        raise unreadable_raw(path, error) from None
     # A cell holds the mosaic's whole period, so that its mean does not depend on its place.
     times = 1
     if counts.ndim == 3:
         counts = counts[..., :3].mean(axis=2)
     elif pattern is not None:
         times = pattern.shape[0]
-    turned = np.rot90(counts - black, _TURNS.get(flip, 0))
+    turned = of_libraw(flip).upright(counts - black)
     size = turned.shape[1], turned.shape[0]
     return _cells(np.ascontiguousarray(turned), times), size, times
 
