@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from lightstage.developed import developed_kind, read_developed
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
 from lightstage.formats.orientation import of_libraw
@@ -38,17 +39,18 @@ class GreyPicture:
 
 
 def read_grey(path: Path) -> GreyPicture:
-    """Read a RAW, DNG or OpenEXR photograph for the feature detector.
+    """Read a photograph of any kind that `import` takes for the feature detector.
 
     Raises:
         FormatError: unreadable, or of less than 64 pixels a side.
     """
     try:
-        kind = identify_file(path)
+        developed = read_developed(path) if developed_kind(path) is not None else None
+        linear = developed is None and identify_file(path).encoding == "linear"
     except OSError as error:
         raise FormatError(path, found=error.strerror or str(error), expected="a file") from None
-    if kind.encoding == "linear":
-        image = read_exr(path)
+    if developed is not None or linear:
+        image = read_exr(path) if developed is None else developed.rgb
         light = image if image.ndim == 2 else image.mean(axis=2)
         size, times = (image.shape[1], image.shape[0]), 1
     else:
