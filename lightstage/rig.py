@@ -27,6 +27,8 @@ MEASURED_WITH = "measured_with_rig_sha256"
 """In a rig.json whose cameras were measured from photographs: `rig_sha256` of the rig they were
 taken with. It is the same stage."""
 MOST_ID = (1 << 31) - 1
+LEAST_MM = 20.0
+"""No head fits into a stage of a smaller radius: its positions are in another unit."""
 MOST_PX = 1 << 16
 """No sensor has more pixels a side."""
 
@@ -39,7 +41,7 @@ class Light:
         id: label, unique in the rig.
         name: such as ``arc00/light03``.
         position_mm: world position.
-        bank: polarisation, ``horizontal`` or ``vertical``.
+        bank: polarisation, ``horizontal`` or ``vertical``; None where the light is not polarised.
         rgb_gain: measured radiant intensity relative to nominal, per channel.
         more: fields that others added in rig.json; they are kept.
     """
@@ -47,7 +49,7 @@ class Light:
     id: int
     name: str
     position_mm: tuple[float, float, float]
-    bank: str
+    bank: str | None = None
     rgb_gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
     more: Mapping[str, Any] = dataclasses.field(default_factory=dict, compare=False)
 
@@ -235,7 +237,14 @@ def rig_to_json(rig: Rig) -> dict[str, Any]:
     """
     return {
         "schema": SCHEMA,
-        "lights": [{name: getattr(light, name) for name in LIGHT_FIELDS} for light in rig.lights],
+        "lights": [
+            {
+                name: getattr(light, name)
+                for name in LIGHT_FIELDS
+                if name != "bank" or light.bank is not None
+            }
+            for light in rig.lights
+        ],
         "cameras": [
             {name: getattr(camera, name) for name in CAMERA_FIELDS}
             | {"cam_from_world": camera.cam_from_world.tolist()}
@@ -272,8 +281,36 @@ def rig_from_json(value: Any, where: str | Path) -> Rig:
     rig = Rig(tuple(lights), tuple(cameras), more)
     problems += _faults(rig, where)
     if problems:
-        raise one_error(problems)
+        raise one_error(_folded(problems))
     return rig
+
+
+def _folded(problems: list[LightstageError]) -> list[LightstageError]:
+    """One error for a mistake that many lights or cameras share; it names the first of them."""
+    alike: dict[tuple[str, ...], list[LightstageError]] = {}
+    for problem in problems:
+        kind, _, rest = problem.field.partition("[" if "[" in problem.field else " ")
+        item, dot, part = rest.rpartition(".")
+        # A light's name may hold dots: only what follows its bracket is the field.
+        key = (
+            kind,
+            part if dot and item.endswith(("]", ")")) else "",
+            problem.expected,
+            problem.hint,
+        )
+        alike.setdefault(key, []).append(problem)
+    return [
+        each[0]
+        if len(each) == 1
+        else RigError(
+            each[0].where,
+            field=f"{each[0].field} and {len(each) - 1} more",
+            found=each[0].found,
+            expected=each[0].expected,
+            hint=each[0].hint,
+        )
+        for each in alike.values()
+    ]
 
 
 def _entries(value: Any, key: str, where: str | Path) -> list[Any]:
@@ -291,7 +328,7 @@ def _light(entry: Any, where: str | Path, place: str) -> Light:
         id=fields.whole("id", 0, MOST_ID),
         name=fields.text("name"),
         position_mm=(x, y, z),
-        bank=fields.text("bank"),
+        bank=fields.text("bank") if fields.has("bank") else None,
         rgb_gain=(r, g, b),
         more=fields.rest(),
     )
@@ -324,6 +361,15 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
         problems.append(RigError(where, field=field, found=found, expected=expected, hint=hint))
 
     seen: dict[int, str] = {}
+    radius = float(np.median(np.linalg.norm(rig.positions_mm, axis=1))) if rig.lights else LEAST_MM
+    if radius < LEAST_MM:
+        fault(
+            "lights",
+            f"a stage of {radius:.3g} mm radius",
+            f"one of at least {LEAST_MM:g} mm: positions are in mm",
+            "Are they metres? Then multiply them, and the cameras' translations, by 1000.",
+        )
+        return problems
     for light in rig.lights:
         field = f"light {light.id} ({light.name})"
         if light.id in seen:
@@ -337,8 +383,13 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
                 "a light on the sphere",
                 "Positions are in mm, the origin is the sphere's centre; is it metres?",
             )
-        if light.bank not in BANKS:
-            fault(f"{field}.bank", repr(light.bank), " or ".join(BANKS))
+        if light.bank is not None and light.bank not in BANKS:
+            fault(
+                f"{field}.bank",
+                repr(light.bank),
+                " or ".join(BANKS),
+                "Leave it out where the light has no polariser.",
+            )
         if min(light.rgb_gain) < 0:
             fault(f"{field}.rgb_gain", str(light.rgb_gain), "three numbers of at least 0")
     names: set[str] = set()
