@@ -231,7 +231,7 @@ def save_rig(rig: Rig, path: Path) -> Path:
 
 
 def rig_to_json(rig: Rig) -> dict[str, Any]:
-    """The rig as FORMATS' rig.json value, without the fields that others added.
+    """The rig as rig.json holds it (docs/formats.md), without the fields that others added.
 
     Hashes of a rig are taken of this: a note in the file makes it no other rig.
     """
