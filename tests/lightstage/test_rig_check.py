@@ -43,7 +43,7 @@ def test_a_rig_without_banks_is_read_written_and_refuses_polarised_patterns_alon
     assert "bank" not in json.loads((tmp_path / "rig.json").read_text())["lights"][0]
     assert rig_sha256(again) == rig_sha256(rig) != rig_sha256(default_rig())
     assert pattern_levels("x+", rig).any()
-    with pytest.raises(PatternError, match="a rig without a light of the horizontal bank"):
+    with pytest.raises(PatternError, match="a rig whose lights have no bank"):
         pattern_levels("x+@cross", rig)
     assert pattern_sheet(rig, [("full", pattern_levels("full", rig))], "all").any()
     assert rig_oddities(rig) == []
