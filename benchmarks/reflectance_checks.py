@@ -72,7 +72,7 @@ def errors(
 ) -> tuple[str, list[dict[str, float]]]:
     """What was found, and errors of the coarse and the refined maps."""
     facts = decode(session, out, DecodeConfig(prepare=config))["sums"]
-    separate(session, out, SeparateConfig())
+    separate(session, out, SeparateConfig(forced=True))
     coarse = stage.errors(out)
     shutil.copy(stage.base_mesh, ProcessedFolder(out).base_mesh)
     refine(session, out, REFINE)

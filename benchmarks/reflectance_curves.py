@@ -172,9 +172,9 @@ def measured(stage: Stage, setting: Setting) -> Iterator[tuple[str, dict[str, fl
     with tempfile.TemporaryDirectory() as name:
         session, out = photographed(stage, setting, Path(name)), Path(name) / "out"
         decode(session, out, DecodeConfig())
-        separate(session, out, make_config(SeparateConfig, PUBLISHED, "benchmark"))
+        separate(session, out, make_config(SeparateConfig, {**PUBLISHED, "forced": True}, "benchmark"))
         yield "kampouris", stage.errors(out)
-        separate(session, out, SeparateConfig())
+        separate(session, out, SeparateConfig(forced=True))
         yield "coarse", stage.errors(out)
         shutil.copy(stage.base_mesh, ProcessedFolder(out).base_mesh)
         refine(session, out, REFINE)
