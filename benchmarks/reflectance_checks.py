@@ -26,8 +26,8 @@ from processing.refinement.stage import refine
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 
-OFF = PrepareConfig(still_px=1e9, least_flicker=1e9, least_ambient=1e9)
-ON = PrepareConfig()
+OFF = PrepareConfig(forced=True, still_px=1e9, least_flicker=1e9, least_ambient=1e9)
+ON = PrepareConfig(forced=True)
 HEADER = (
     "what was done",
     "found: displacement px, room light %, flicker",
@@ -72,7 +72,7 @@ def errors(
 ) -> tuple[str, list[dict[str, float]]]:
     """What was found, and errors of the coarse and the refined maps."""
     facts = decode(session, out, DecodeConfig(prepare=config))["sums"]
-    separate(session, out, SeparateConfig())
+    separate(session, out, SeparateConfig(forced=True))
     coarse = stage.errors(out)
     shutil.copy(stage.base_mesh, ProcessedFolder(out).base_mesh)
     refine(session, out, REFINE)

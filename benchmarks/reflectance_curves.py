@@ -36,6 +36,7 @@ from lightstage.formats.config import make_config
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session, load_session
+from processing.decode.preparation import PrepareConfig
 from processing.decode.stage import DecodeConfig, decode
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
@@ -171,10 +172,11 @@ def measured(stage: Stage, setting: Setting) -> Iterator[tuple[str, dict[str, fl
     """Method and errors under a setting."""
     with tempfile.TemporaryDirectory() as name:
         session, out = photographed(stage, setting, Path(name)), Path(name) / "out"
-        decode(session, out, DecodeConfig())
-        separate(session, out, make_config(SeparateConfig, PUBLISHED, "benchmark"))
+        decode(session, out, DecodeConfig(prepare=PrepareConfig(forced=True)))
+        published = {**PUBLISHED, "forced": True}
+        separate(session, out, make_config(SeparateConfig, published, "benchmark"))
         yield "kampouris", stage.errors(out)
-        separate(session, out, SeparateConfig())
+        separate(session, out, SeparateConfig(forced=True))
         yield "coarse", stage.errors(out)
         shutil.copy(stage.base_mesh, ProcessedFolder(out).base_mesh)
         refine(session, out, REFINE)

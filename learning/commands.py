@@ -28,6 +28,7 @@ from learning.four.infer import infer_four
 from learning.four.networks import FourNetworks, load_four_networks
 from learning.infer import infer
 from learning.limits import require_within
+from learning.map_folders import require_texture_maps
 from learning.maps import TexturedHead, load_head
 from learning.occlusion_run import (
     Head,
@@ -265,13 +266,7 @@ def _lit_head(
     if not 1 <= request.lights <= 4096:
         raise ConfigError("--lights", found=str(request.lights), expected="1 to 4096")
     # An atlas lies in a processed folder, beside the mesh that it belongs to.
-    if not request.maps.is_dir():
-        raise MapsError(
-            request.maps,
-            field="--maps",
-            found="a file" if request.maps.exists() else "no such folder",
-            expected="a folder of maps, such as OUT/atlas of a processed folder",
-        )
+    require_texture_maps(request.maps)
     folder = ProcessedFolder(request.maps.parent)
     mesh = folder.registered_mesh if request.mesh is None else request.mesh
     lights = read_light(request.environment, request.lights, request.rotate_deg)

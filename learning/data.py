@@ -100,7 +100,8 @@ class Region:
     """Part of a scan's maps as tensors (1, c, h, w); `area` is relative to texel_mm squared.
 
     Attributes:
-        maps: by FORMATS' names, and shape_normal, area; of a whole scan smooth_normal too.
+        maps: by their names in docs/formats.md, and shape_normal, area; of a whole scan
+            smooth_normal too.
         texel_mm: edge of a texel of area 1.
     """
 

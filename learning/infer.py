@@ -44,7 +44,7 @@ DISAGREEMENT = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class Inferred:
-    """Maps by FORMATS' names, (rows, columns[, 3]) float32, normals in the mesh's axes.
+    """Maps by their names, (rows, columns[, 3]) float32, normals in the mesh's axes.
 
     Attributes:
         maps: diffuse_albedo, specular_albedo, diffuse_normal, specular_normal, confidence.

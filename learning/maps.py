@@ -114,7 +114,7 @@ def skin_maps_from(
     shininess: np.ndarray,
     translucency: np.ndarray,
 ) -> SkinMaps:
-    """Arrays of (rows, columns[, 3]) by FORMATS' names to the renderer's batch of one."""
+    """Arrays of (rows, columns[, 3]), by their maps' names, to the renderer's batch of one."""
     surface = texel_surface(maps["position"], covered)
     texel_mm = typical_texel_mm(surface.area_mm2)
     # A texel without neighbours has no area of its own, yet it shows skin.

@@ -38,6 +38,10 @@ COMMANDS = {
         "lightstage.patterns.command",
         "List what each pattern lights, and draw it; with nothing given, list the sequences.",
     ),
+    "rig": (
+        "lightstage.rig_command",
+        "What describes the stage: where its lights and cameras stand.",
+    ),
     "import": (
         "lightstage.motion.command",
         "Make a session of photographs taken elsewhere.",

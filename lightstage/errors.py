@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lightstage.printable import printable_lines
+from lightstage.printable import printable, printable_lines
 
 LONGEST_MESSAGE = 1 << 17
 """Characters of a whole message; it may hold those of very many devices."""
@@ -26,7 +26,11 @@ class LightstageError(Exception):
         expected: str = "",
         hint: str = "",
     ) -> None:
-        self.where = printable_lines(where, LONGEST_MESSAGE)
+        # A file's name is one line, whatever stands in it.
+        named = (
+            printable(where, LONGEST_MESSAGE, squeeze=False) if isinstance(where, Path) else where
+        )
+        self.where = printable_lines(named, LONGEST_MESSAGE)
         self.field = printable_lines(field)
         self.found = printable_lines(found)
         self.expected = printable_lines(expected)

@@ -9,7 +9,7 @@ Read from the headers alone, and never written: a RAW is not rewritten. Looked a
 * of makers' notes the serial number and owner's name of Nikon and Canon.
 
 A TIFF-like file (DNG, NEF, CR2, ARW, PEF) has them in its directories [TIFF1992], a CR3 in boxes of
-its header, a RAF in the EXIF part of its preview.
+its header, a RAF in the EXIF part of its preview, a JPEG or PNG in a part of its own.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
+from lightstage.containers import PNG_HEAD, boxes, chunks, segments
 from lightstage.tiff import MAX_VALUE_BYTES, Directory, Reader, directories, directory_at
 
 EXPOSURE, F_NUMBER, ISO, ISO_SPEED = 33434, 33437, 34855, 34867
@@ -29,7 +30,7 @@ MAKER_NOTE, USER_COMMENT, OWNER, BODY_SERIAL, DNG_SERIAL = 37500, 37510, 42032, 
 FOCAL, FOCAL_35MM, PLANE_X, PLANE_UNIT = 37386, 41989, 41486, 41488
 PLANE_UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0}
 """FocalPlaneResolutionUnit: inch, centimetre, millimetre."""
-MAKE, MODEL, XMP, IPTC = 271, 272, 700, 33723
+MAKE, MODEL, ORIENTATION, XMP, IPTC = 271, 272, 274, 700, 33723
 NAMES = {
     315: "Artist",
     33432: "Copyright",
@@ -55,7 +56,6 @@ IPTC_NAMES = {25: "IPTC keywords", 80: "IPTC by-line", 90: "IPTC city", 105: "IP
 IPTC_NAMES |= {110: "IPTC credit", 116: "IPTC copyright", 120: "IPTC caption"}
 _CR3_UUID = bytes.fromhex("85c0b687820f11e08111f4ce462b6a48")
 _CR3_PARTS = {b"CMT1": "picture", b"CMT2": "exif", b"CMT3": "canon", b"CMT4": "gps"}
-_MAX_BOXES = 64
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +74,7 @@ class Exif:
         focal_mm: the lens's focal length.
         focal_35mm_mm: the same for film 36 mm wide.
         focal_plane_px_per_mm: pixels on a millimetre of the sensor.
+        orientation: tag of the picture's first directory, 1 to 8.
     """
 
     make: str | None = None
@@ -87,13 +88,14 @@ class Exif:
     focal_mm: float | None = None
     focal_35mm_mm: float | None = None
     focal_plane_px_per_mm: float | None = None
+    orientation: int | None = None
 
 
 def read_exif(path: Path) -> Exif:
     """Read a photograph's headers.
 
     Args:
-        path: of a RAW or DNG; another file (OpenEXR) tells nothing.
+        path: of a RAW, DNG, JPEG, PNG or TIFF; another file (OpenEXR) tells nothing.
 
     Raises:
         OSError: the file cannot be read. Damaged headers tell less; they are no error.
@@ -109,6 +111,10 @@ def _parts(reader: Reader) -> Iterator[Directory]:
         yield from _cr3_parts(reader)
     elif head[:15] == b"FUJIFILMCCD-RAW":
         yield from _raf_parts(reader)
+    elif head[:3] == b"\xff\xd8\xff":
+        yield from _jpeg_parts(reader, 0)
+    elif head[:8] == PNG_HEAD:
+        yield from _png_parts(reader)
     else:
         yield from _tiff_parts(reader)
 
@@ -135,48 +141,37 @@ def _tiff_parts(reader: Reader) -> Iterator[Directory]:
 
 def _cr3_parts(reader: Reader) -> Iterator[Directory]:
     """The four TIFF parts in a CR3's header box (ISO base media file format)."""
-    for kind, place, size in _boxes(reader, 0, None):
+    for kind, place, size in boxes(reader, 0, None):
         if kind != b"moov":
             continue
-        for inner, start, length in _boxes(reader, place, place + size):
+        for inner, start, length in boxes(reader, place, place + size):
             if inner != b"uuid" or reader.bytes_at(start, 16) != _CR3_UUID:
                 continue
-            for name, at, _ in _boxes(reader, start + 16, start + length):
+            for name, at, _ in boxes(reader, start + 16, start + length):
                 if name in _CR3_PARTS:
                     for directory in directories(reader.at(at)):
                         yield dataclasses.replace(directory, kind=_CR3_PARTS[name])
 
 
-def _boxes(reader: Reader, place: int, end: int | None) -> Iterator[tuple[bytes, int, int]]:
-    """Boxes in a part of a file: kind, where the content begins, its size."""
-    for _ in range(_MAX_BOXES):
-        head = reader.bytes_at(place, 16) if end is None or place < end else b""
-        if len(head) < 8:
-            return
-        size, kind = struct.unpack(">I4s", head[:8])
-        start = 8
-        if size == 1 and len(head) == 16:
-            (size,) = struct.unpack(">Q", head[8:])
-            start = 16
-        if size < start:
-            return
-        yield kind, place + start, size - start
-        place += size
-
-
 def _raf_parts(reader: Reader) -> Iterator[Directory]:
     """The EXIF part of the JPEG to which a RAF's header points."""
     place = reader.bytes_at(84, 4)
-    if len(place) < 4:
-        return
-    at = struct.unpack(">I", place)[0] + 2
-    for _ in range(_MAX_BOXES):
-        head = reader.bytes_at(at, 10)
-        if len(head) < 10 or head[0] != 0xFF or head[1] in (0xD9, 0xDA):
-            return
-        if head[1] == 0xE1 and head[4:] == b"Exif\0\0":
-            yield from _tiff_parts(reader.at(at + 10))
-        at += 2 + struct.unpack(">H", head[2:4])[0]
+    if len(place) == 4:
+        yield from _jpeg_parts(reader, struct.unpack(">I", place)[0])
+
+
+def _jpeg_parts(reader: Reader, place: int) -> Iterator[Directory]:
+    """The EXIF part of a JPEG that begins at a byte."""
+    for marker, at, _ in segments(reader, place + 2):
+        if marker == 0xE1 and reader.bytes_at(at, 6) == b"Exif\0\0":
+            yield from _tiff_parts(reader.at(at + 6))
+
+
+def _png_parts(reader: Reader) -> Iterator[Directory]:
+    """The EXIF part of a PNG."""
+    for kind, at, _ in chunks(reader):
+        if kind == b"eXIf":
+            yield from _tiff_parts(reader.at(at))
 
 
 def _collect(parts: list[Directory]) -> Exif:
@@ -193,6 +188,7 @@ def _collect(parts: list[Directory]) -> Exif:
     iso = number(ISO)
     if iso == 65535:  # what does not fit in 16 bits stands in another field
         iso = number(ISO_SPEED) or iso
+    turned = next((d.number(ORIENTATION) for d in parts if d.kind == "picture"), None)
     plane, unit = number(PLANE_X), number(PLANE_UNIT)
     return Exif(
         make=text(MAKE, kind="picture"),
@@ -206,6 +202,7 @@ def _collect(parts: list[Directory]) -> Exif:
         focal_plane_px_per_mm=None
         if plane is None
         else plane / PLANE_UNITS_MM.get(round(unit or 2), 25.4),
+        orientation=None if turned is None or not 1 <= turned <= 8 else int(turned),
         taken=_moment(text(TAKEN), text(SUBSECONDS), text(OFFSET)),
         private=tuple(dict.fromkeys(_private(parts))),
     )

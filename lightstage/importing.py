@@ -1,11 +1,13 @@
-"""A session from photographs taken elsewhere: FOLDER/PATTERN/CAMERA.EXT."""
+"""A session from photographs taken elsewhere: FOLDER/PATTERN/CAMERA.EXT, or FOLDER/CAMERA.EXT."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import secrets
 import shutil
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,11 +15,12 @@ from lightstage.cameras.camera import CardFile
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, PatternError, one_error
 from lightstage.findings import Finding
-from lightstage.formats.exr import read_exr
+from lightstage.formats.exr import write_exr
 from lightstage.formats.files import fsync_path, sha256_file
 from lightstage.formats.landmarks import read_points_px, write_points_px
+from lightstage.imported_light import Exposures, developed_findings
+from lightstage.opening import Opened, open_photograph
 from lightstage.patterns import SEQUENCES, pattern_levels
-from lightstage.photograph import identify_file
 from lightstage.rig import Rig
 from lightstage.session import (
     Carried,
@@ -27,17 +30,31 @@ from lightstage.session import (
     check_pseudonym,
     require_new,
 )
+from lightstage.session.plan import FILE_NAME
+
+ONE_LIGHT = "full"
+"""Pattern of photographs that lie in no pattern's folder."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Imported:
+    """What became a session: how many photographs, and what the operator should know of them."""
+
+    frames: int
+    findings: tuple[Finding, ...]
 
 
 def find_photographs(
-    folder: Path, rig: Rig, cameras: Sequence[str] | None = None
+    folder: Path, rig: Rig, cameras: Sequence[str] | None = None, one_light: str | None = None
 ) -> dict[str, dict[str, Path]]:
     """Photographs of a folder: pattern to camera to file, patterns in a sequence's usual order.
 
     Args:
-        folder: holds PATTERN/CAMERA.EXT, or frames/PATTERN/CAMERA.EXT.
+        folder: holds PATTERN/CAMERA.EXT, or frames/PATTERN/CAMERA.EXT, or CAMERA.EXT alone.
         rig: whose cameras and lights the names mean.
         cameras: ids, where the rig's cameras are not known yet.
+        one_light: pattern of photographs that lie in the folder itself; None where they lie in
+            patterns' folders, or under `ONE_LIGHT` where there is none of these.
 
     Raises:
         FormatError: a session's folder.
@@ -48,24 +65,25 @@ def find_photographs(
     top = _top(folder)
     ids = [camera.id for camera in rig.cameras] if cameras is None else list(cameras)
     found: dict[str, dict[str, Path]] = {}
-    for place in sorted(path for path in top.iterdir() if path.is_dir()):
+    for pattern, place in _places(top, one_light).items():
         try:
-            pattern_levels(place.name, rig)
+            pattern_levels(pattern, rig)
         except PatternError as error:
             problems.append(error)
             continue
-        here = found.setdefault(place.name, {})
-        for file in sorted(path for path in place.iterdir() if not path.name.startswith(".")):
-            if file.stem not in ids:
+        here = found.setdefault(pattern, {})
+        for file in _files(place):
+            name = _camera_name(file)
+            if name not in ids:
                 problems.append(
                     FormatError(file, found="no camera of the rig", expected=", ".join(ids))
                 )
-            elif file.stem in here:
+            elif name in here:
                 problems.append(
                     FormatError(file, found="a second photograph", expected="one a camera")
                 )
             else:
-                here[file.stem] = file
+                here[name] = file
         problems += [
             FormatError(place / camera, found="no photograph", expected="one of each camera")
             for camera in ids
@@ -73,7 +91,9 @@ def find_photographs(
         ]
     if not found and not problems:
         problems.append(
-            FormatError(folder, found="no pattern's folder", expected="such as full/cam0.dng")
+            FormatError(
+                folder, found="no photographs", expected="such as full/cam0.dng, or cam0.dng"
+            )
         )
     if problems:
         raise one_error(problems)
@@ -84,25 +104,54 @@ def find_photographs(
     return {name: found[name] for name in order}
 
 
-def named_cameras(folder: Path) -> list[str]:
+def named_cameras(folder: Path, one_light: str | None = None) -> list[str]:
     """Cameras that a folder's photographs are named after, in the order of their numbers.
 
     Raises:
-        FormatError: no such folder, or a session's.
+        FormatError: no such folder, or a session's; names that no camera of a session can have.
     """
-    names = {
-        file.stem
-        for place in _top(folder).iterdir()
-        if place.is_dir()
-        for file in place.iterdir()
-        if not file.name.startswith(".")
-    }
+    places = _places(_top(folder), one_light)
+    files = {_camera_name(file): file for place in places.values() for file in _files(place)}
+    problems: list[LightstageError] = [
+        FormatError(
+            file,
+            found=f"a camera called {name!r}",
+            expected="letters, digits and _ @ + . -",
+            hint="Rename its files.",
+        )
+        for name, file in files.items()
+        if not FILE_NAME.fullmatch(name)
+    ]
+    if problems:
+        raise one_error(problems)
+    names = set(files)
     return sorted(names, key=lambda name: (re.sub(r"\d+", _padded, name), name))
 
 
 def brightest_pattern(patterns: Sequence[str], rig: Rig) -> str:
     """The pattern that lights most: that in which cameras are looked for."""
     return max(patterns, key=lambda name: float(pattern_levels(name, rig).sum()))
+
+
+def _places(top: Path, one_light: str | None) -> dict[str, Path]:
+    """Pattern to the folder that holds its photographs."""
+    folders = sorted(p for p in top.iterdir() if p.is_dir() and not p.name.startswith("."))
+    if one_light is not None or not folders:
+        return {one_light or ONE_LIGHT: top} if _files(top) else {}
+    return {_composed(place.name): place for place in folders}
+
+
+def _files(place: Path) -> list[Path]:
+    return sorted(p for p in place.iterdir() if p.is_file() and not p.name.startswith("."))
+
+
+def _camera_name(file: Path) -> str:
+    return _composed(file.stem)
+
+
+def _composed(name: str) -> str:
+    """A name with its accents as one character each: disks and programs write both forms."""
+    return unicodedata.normalize("NFC", name)
 
 
 def _padded(digits: re.Match[str]) -> str:
@@ -138,7 +187,8 @@ def import_session(
     progress: ProgressCallback = quiet,
     consent: str | None = None,
     findings: Sequence[Finding] = (),
-) -> int:
+    one_light: str | None = None,
+) -> Imported:
     """Make a session of photographs taken elsewhere; all of it appears at once, or nothing.
 
     Args:
@@ -152,12 +202,14 @@ def import_session(
         progress: called with photographs kept and wanted.
         consent: id of the record of the person's consent.
         findings: of whoever looked before, for the journal.
+        one_light: see find_photographs.
 
     Returns:
-        How many photographs.
+        How many photographs, and what should be known of them.
 
     Raises:
-        FormatError: every photograph that is none, is truncated or has NaN, in one message.
+        FormatError: every photograph that cannot be opened (`opening`) or has not its camera's
+            size, in one message.
         CaptureError: `out` holds something.
     """
     check_pseudonym(subject, "subject")
@@ -166,7 +218,7 @@ def import_session(
         check_consent(consent)
     require_new(out)
     marks = None if landmarks is None else read_points_px(landmarks)
-    found = find_photographs(folder, rig)
+    found = find_photographs(folder, rig, one_light=one_light)
     total = sum(len(files) for files in found.values())
     beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
     try:
@@ -178,7 +230,9 @@ def import_session(
         try:
             for finding in findings:
                 writer.finding(finding)
-            _keep_all(found, writer, total, progress)
+            more = _keep_all(found, rig, writer, total, progress)
+            for finding in more:
+                writer.finding(finding)
             writer.finish()
             writer.end()
         finally:
@@ -189,23 +243,42 @@ def import_session(
         fsync_path(out.parent)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
-    return total
+    return Imported(total, tuple(more))
 
 
 def _keep_all(
-    found: dict[str, dict[str, Path]], writer: SessionWriter, total: int, progress: ProgressCallback
-) -> None:
+    found: dict[str, dict[str, Path]],
+    rig: Rig,
+    writer: SessionWriter,
+    total: int,
+    progress: ProgressCallback,
+) -> list[Finding]:
     problems: list[LightstageError] = []
     done = 0
+    exposures = Exposures()
+    encodings: dict[str, tuple[str, Path]] = {}
     for pattern, files in found.items():
         for camera, path in files.items():
             try:
-                if identify_file(path).encoding == "linear":
-                    read_exr(path, finite=True)
+                opened = open_photograph(path)
+                _require_size(path, opened, rig, camera)
+                first = encodings.setdefault(camera, (opened.encoding, path))
+                if first[0] != opened.encoding:
+                    raise FormatError(
+                        path,
+                        found=f"a {opened.encoding} photograph",
+                        expected=f"one that is {first[0]}, as {first[1]} is: their light is on "
+                        "scales of their own",
+                    )
                 incoming = writer.incoming(pattern, camera, 1)
-                shutil.copyfile(path, incoming)
-                file = CardFile(path.name, path.stat().st_size)
-                writer.keep(pattern, camera, 1, incoming, file, sha256_file(path))
+                if opened.developed is None:
+                    shutil.copyfile(path, incoming)
+                else:
+                    factor = exposures.factor(pattern, camera, path, opened.developed)
+                    rgb = opened.developed.rgb * factor
+                    write_exr(incoming, rgb, half=opened.developed.bits == 8)
+                file = CardFile(path.name, incoming.stat().st_size)
+                writer.keep(pattern, camera, 1, incoming, file, sha256_file(incoming))
             except FormatError as error:
                 problems.append(error)
             done += 1
@@ -214,3 +287,21 @@ def _keep_all(
             writer.shot(pattern)
     if problems:
         raise one_error(problems)
+    return developed_findings(exposures)
+
+
+def _require_size(path: Path, opened: Opened, rig: Rig, camera_id: str) -> None:
+    """Refuse a photograph of another size than rig.json tells of its camera."""
+    camera = rig.camera(camera_id)
+    width, height = opened.size_px
+    if (width, height) == (camera.width_px, camera.height_px):
+        return
+    turned = (height, width) == (camera.width_px, camera.height_px)
+    raise FormatError(
+        path,
+        found=f"{width} x {height} pixels",
+        expected=f"{camera.width_px} x {camera.height_px}, as all of {camera_id}'s in the rig",
+        hint="It lies on its side: keep the camera's own mark of orientation."
+        if turned
+        else "Neither crop nor scale photographs: the rig's lens and pose hold for whole ones.",
+    )

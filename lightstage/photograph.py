@@ -7,18 +7,39 @@ import os
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from lightstage.counting import counted
 from lightstage.errors import FormatError
 
 _EXR = b"\x76\x2f\x31\x01"
 _DNG_VERSION, _MAKE, _SUB_IFDS = 50706, 271, 330
+_REDUCED, _PHOTOMETRIC = 254, 262
+_DEVELOPED = {2, 5, 6, 8}
+"""PhotometricInterpretation of RGB, CMYK, YCbCr and L*a*b* [TIFF1992]: no sensor's counts."""
+_CFA = 32803
 _PLACES = {273: 279, 324: 325}
 """Tags of strip and tile offsets, and those of their byte counts."""
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
 _MAKERS = {b"NIKON": ".nef", b"Canon": ".cr2", b"SONY": ".arw", b"PENTAX": ".pef"}
+_MAKERS |= {b"EASTMAN KODAK": ".kdc", b"Eastman Kodak": ".kdc", b"Kodak": ".kdc", b"KODAK": ".kdc"}
+_MAKERS |= {b"Hasselblad": ".3fr", b"Phase One": ".iiq", b"Leaf": ".mos", b"Mamiya": ".mef"}
+_MAKERS |= {b"SAMSUNG": ".srw", b"SEIKO EPSON": ".erf", b"RICOH": ".pef"}
+_HEADS = {
+    (0, b"IIRO"): ".orf",
+    (0, b"IIRS"): ".orf",
+    (0, b"MMOR"): ".orf",
+    (0, b"IIU\0"): ".rw2",
+    (0, b"\0MRM"): ".mrw",
+    (0, b"FOVb"): ".x3f",
+    (6, b"HEAPCCDR"): ".crw",
+}
+"""Containers that LibRaw reads beside TIFF, CR3 and RAF: where their first bytes say which."""
+_RAF_PARTS = (84, 92, 100)
+"""Where a RAF's header has offset and length of its preview, its header and its counts."""
+_MAX_BOXES = 64
 _MAX_IFDS = 32
+_READ = (_DNG_VERSION, _MAKE, _SUB_IFDS, _REDUCED, _PHOTOMETRIC)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +62,7 @@ class _Source:
     size: int
     take: Callable[[int, int], bytes]
 
-    def unpack(self, form: str, offset: int) -> tuple[int, ...]:
+    def unpack(self, form: str, offset: int) -> tuple[Any, ...]:
         """struct.unpack at an offset; struct.error beyond the end."""
         length = struct.calcsize(form)
         if not 0 <= offset <= self.size - length:
@@ -52,7 +73,7 @@ class _Source:
 def identify(data: bytes, where: str | Path) -> Kind:
     """Tell a RAW, DNG or OpenEXR photograph by its bytes; the name counts for nothing.
 
-    The header must parse, and a TIFF-like file must be as long as its directories say.
+    The header must parse, and a file must be as long as its directories, boxes or header say.
 
     Args:
         data: the whole file.
@@ -88,23 +109,72 @@ def _identify(source: _Source, where: str | Path) -> Kind:
     if head[:4] in (b"II*\0", b"MM\0*"):
         return Kind(_tiff_suffix(source, "<" if head[:2] == b"II" else ">", where), "raw")
     if head[4:11] == b"ftypcrx":
+        _require_length(source, where, _cr3_length)
         return Kind(".cr3", "raw")
     if head[:15] == b"FUJIFILMCCD-RAW":
+        _require_length(source, where, _raf_length)
         return Kind(".raf", "raw")
+    for (at, begins), suffix in _HEADS.items():
+        if head[at:].startswith(begins):
+            return Kind(suffix, "raw")
     jpeg = head[:3] == b"\xff\xd8\xff"
     begun = f"{counted(source.size, 'byte')}, beginning with {head[:8].hex() or 'none'}"
     raise FormatError(
         where,
         found="a JPEG" if jpeg else begun,
         expected="a camera RAW, a DNG or an OpenEXR picture",
-        hint="Set the camera's picture format to RAW." if jpeg else "Is the file damaged?",
+        hint="Set the camera's picture format to RAW."
+        if jpeg
+        else "This is no photograph, or the file's beginning is damaged.",
     )
+
+
+def _require_length(
+    source: _Source, where: str | Path, wanted: Callable[[_Source], int | None]
+) -> None:
+    """Refuse a file that is shorter than its own header says, or whose header is cut."""
+    try:
+        length = wanted(source)
+    except struct.error:
+        raise _truncated(where, source.size, "a whole header") from None
+    if length is not None and length > source.size:
+        raise _truncated(where, source.size, f"picture data up to byte {length}")
+
+
+def _cr3_length(source: _Source) -> int | None:
+    """Where the last box of a CR3 ends; struct.error where a box's head is cut."""
+    place, kinds = 0, []
+    for _ in range(_MAX_BOXES):
+        if place >= source.size:
+            break
+        size, kind = source.unpack(">I4s", place)
+        kinds.append(kind)
+        if size == 1:
+            (size,) = source.unpack(">Q", place + 8)
+        if size == 0:  # to the file's end
+            return None
+        if size < 8:
+            raise struct.error("a box without content")
+        place += size
+    if place <= source.size and b"mdat" not in kinds:
+        raise struct.error("no picture data")
+    return place
+
+
+def _raf_length(source: _Source) -> int:
+    """Where the last part of a RAF ends; struct.error where the header is cut."""
+    ends = [sum(source.unpack(">II", place)) for place in _RAF_PARTS]
+    return max(ends)
 
 
 def _tiff_suffix(source: _Source, order: str, where: str | Path) -> str:
     suffix = ""
+    photometric: set[int] = set()
     try:
         for tags in _directories(source, order):
+            if not tags.get(_REDUCED, [0])[0] & 1:
+                told = tags.get(_PHOTOMETRIC, [])
+                photometric |= set(told or ([-1] if _PLACES.keys() & tags.keys() else []))
             if _DNG_VERSION in tags:
                 suffix = ".dng"
             elif _MAKE in tags and not suffix:
@@ -113,6 +183,17 @@ def _tiff_suffix(source: _Source, order: str, where: str | Path) -> str:
             _require_whole(tags, source.size, where)
     except struct.error:
         raise _truncated(where, source.size, "a directory beyond the end") from None
+    # A camera's RAW has a small developed preview; a developed picture is that alone.
+    canon = source.take(8, 2) == b"CR"
+    if suffix != ".dng" and not canon and photometric and photometric <= _DEVELOPED:
+        raise FormatError(
+            where,
+            found="a TIFF of developed colours",
+            expected="a camera RAW, a DNG or an OpenEXR picture",
+            hint="`lightstage import` takes it; a capture needs the camera's RAW.",
+        )
+    if not suffix and _CFA in photometric:
+        return ".tif"
     if not suffix:
         raise FormatError(
             where,
@@ -137,7 +218,7 @@ def _directories(source: _Source, order: str) -> Iterator[dict[int, list[int]]]:
         # struct.error where the entries are cut: they are no whole number of twelve bytes then.
         for index, entry in enumerate(struct.iter_unpack(order + "HHI4x", entries)):
             tag, kind, length = entry
-            if tag in (_DNG_VERSION, _MAKE, _SUB_IFDS, *_PLACES, *_PLACES.values()):
+            if tag in (*_READ, *_PLACES, *_PLACES.values()):
                 tags[tag] = _values(source, order, offset + 10 + 12 * index, kind, length)
         pending += tags.get(_SUB_IFDS, [])
         pending += source.unpack(order + "I", offset + 2 + 12 * count)

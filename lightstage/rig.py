@@ -31,6 +31,8 @@ UNMEASURED = "unmeasured_cameras"
 UNCHECKED = "unchecked_cameras"
 """Of the same: ids of cameras that saw too few boards for their place to be checked."""
 MOST_ID = (1 << 31) - 1
+LEAST_MM = 20.0
+"""No head fits into a stage of a smaller radius: its positions are in another unit."""
 MOST_PX = 1 << 16
 """No sensor has more pixels a side."""
 
@@ -43,7 +45,7 @@ class Light:
         id: label, unique in the rig.
         name: such as ``arc00/light03``.
         position_mm: world position.
-        bank: polarisation, ``horizontal`` or ``vertical``.
+        bank: polarisation, ``horizontal`` or ``vertical``; None where the light is not polarised.
         rgb_gain: measured radiant intensity relative to nominal, per channel.
         more: fields that others added in rig.json; they are kept.
     """
@@ -51,7 +53,7 @@ class Light:
     id: int
     name: str
     position_mm: tuple[float, float, float]
-    bank: str
+    bank: str | None = None
     rgb_gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
     more: Mapping[str, Any] = dataclasses.field(default_factory=dict, compare=False)
 
@@ -233,13 +235,20 @@ def save_rig(rig: Rig, path: Path) -> Path:
 
 
 def rig_to_json(rig: Rig) -> dict[str, Any]:
-    """The rig as FORMATS' rig.json value, without the fields that others added.
+    """The rig as rig.json holds it (docs/formats.md), without the fields that others added.
 
     Hashes of a rig are taken of this: a note in the file makes it no other rig.
     """
     return {
         "schema": SCHEMA,
-        "lights": [{name: getattr(light, name) for name in LIGHT_FIELDS} for light in rig.lights],
+        "lights": [
+            {
+                name: getattr(light, name)
+                for name in LIGHT_FIELDS
+                if name != "bank" or light.bank is not None
+            }
+            for light in rig.lights
+        ],
         "cameras": [
             {name: getattr(camera, name) for name in CAMERA_FIELDS}
             | {"cam_from_world": camera.cam_from_world.tolist()}
@@ -276,8 +285,36 @@ def rig_from_json(value: Any, where: str | Path) -> Rig:
     rig = Rig(tuple(lights), tuple(cameras), more)
     problems += _faults(rig, where)
     if problems:
-        raise one_error(problems)
+        raise one_error(_folded(problems))
     return rig
+
+
+def _folded(problems: list[LightstageError]) -> list[LightstageError]:
+    """One error for a mistake that many lights or cameras share; it names the first of them."""
+    alike: dict[tuple[str, ...], list[LightstageError]] = {}
+    for problem in problems:
+        kind, _, rest = problem.field.partition("[" if "[" in problem.field else " ")
+        item, dot, part = rest.rpartition(".")
+        # A light's name may hold dots: only what follows its bracket is the field.
+        key = (
+            kind,
+            part if dot and item.endswith(("]", ")")) else "",
+            problem.expected,
+            problem.hint,
+        )
+        alike.setdefault(key, []).append(problem)
+    return [
+        each[0]
+        if len(each) == 1
+        else RigError(
+            each[0].where,
+            field=f"{each[0].field} and {len(each) - 1} more",
+            found=each[0].found,
+            expected=each[0].expected,
+            hint=each[0].hint,
+        )
+        for each in alike.values()
+    ]
 
 
 def _entries(value: Any, key: str, where: str | Path) -> list[Any]:
@@ -295,7 +332,7 @@ def _light(entry: Any, where: str | Path, place: str) -> Light:
         id=fields.whole("id", 0, MOST_ID),
         name=fields.text("name"),
         position_mm=(x, y, z),
-        bank=fields.text("bank"),
+        bank=fields.text("bank") if fields.has("bank") else None,
         rgb_gain=(r, g, b),
         more=fields.rest(),
     )
@@ -328,6 +365,15 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
         problems.append(RigError(where, field=field, found=found, expected=expected, hint=hint))
 
     seen: dict[int, str] = {}
+    radius = float(np.median(np.linalg.norm(rig.positions_mm, axis=1))) if rig.lights else LEAST_MM
+    if radius < LEAST_MM:
+        fault(
+            "lights",
+            f"a stage of {radius:.3g} mm radius",
+            f"one of at least {LEAST_MM:g} mm: positions are in mm",
+            "Are they metres? Then multiply them, and the cameras' translations, by 1000.",
+        )
+        return problems
     for light in rig.lights:
         field = f"light {light.id} ({light.name})"
         if light.id in seen:
@@ -341,8 +387,13 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
                 "a light on the sphere",
                 "Positions are in mm, the origin is the sphere's centre; is it metres?",
             )
-        if light.bank not in BANKS:
-            fault(f"{field}.bank", repr(light.bank), " or ".join(BANKS))
+        if light.bank is not None and light.bank not in BANKS:
+            fault(
+                f"{field}.bank",
+                repr(light.bank),
+                " or ".join(BANKS),
+                "Leave it out where the light has no polariser.",
+            )
         if min(light.rgb_gain) < 0:
             fault(f"{field}.rgb_gain", str(light.rgb_gain), "three numbers of at least 0")
     names: set[str] = set()

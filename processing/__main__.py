@@ -44,6 +44,9 @@ TemplatePath = typer.Option(
     show_default="the project's own",
 )
 Overwrite = typer.Option(False, "--overwrite", help="Replace what is there.")
+Force = typer.Option(
+    False, "--force", help="Go on where photographs contradict each other or their patterns."
+)
 ConfigPath = typer.Option(None, "--config", help="TOML file with one table for each stage.")
 AtlasRows = typer.Option(None, "--atlas-rows", min=6, help="Atlas height in texels [6144].")
 
@@ -56,10 +59,24 @@ def run(
     config: Path | None = ConfigPath,
     until: str = typer.Option("atlas", "--until", help="The last stage to run."),
     atlas_rows: int | None = AtlasRows,
+    force: bool = Force,
     as_json: bool = JsonFlag,
 ) -> None:
     """Everything from photographs to the atlas; what is up to date is skipped."""
-    _process(session, out, template, config, atlas_rows, as_json, until=until)
+    _process(session, out, template, config, atlas_rows, as_json, until=until, force=force)
+
+
+@app.command()
+def separate(
+    session: Path = SessionPath,
+    out: Path = OutPath,
+    template: Path = TemplatePath,
+    config: Path | None = ConfigPath,
+    force: bool = Force,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Coarse far-field maps of every view (decodes first where needed)."""
+    _process(session, out, template, config, None, as_json, only="separate", force=force)
 
 
 def _add_stage(stage: str, said: str) -> None:
@@ -76,7 +93,6 @@ def _add_stage(stage: str, said: str) -> None:
         _process(session, out, template, config, None, as_json, only=stage)
 
 
-_add_stage("separate", "Coarse far-field maps of every view (decodes first where needed).")
 _add_stage("reconstruct", "The base mesh from the decoded views.")
 _add_stage("refine", "Exact maps of every view, with the mesh's positions and shadows.")
 _add_stage("register", "The template brought onto the base mesh.")
@@ -105,10 +121,13 @@ def _process(
     *,
     until: str = "atlas",
     only: str | None = None,
+    force: bool = False,
 ) -> None:
     from processing import pipeline
 
     settings = pipeline.read_config(config, atlas_rows)
+    if force:
+        settings = settings.as_forced()
     with limited_access(group_of([session])):
         report = pipeline.run(
             session, out, template, settings, until=until, only=only, bar=progress_bar

@@ -134,13 +134,3 @@ def srgb_from_linear(rgb_linear: np.ndarray) -> np.ndarray:
     value = np.clip(rgb_linear, 0.0, 1.0)
     curve = 1.055 * np.power(np.maximum(value, 0.0031308), 1 / 2.4) - 0.055
     return np.where(value <= 0.0031308, 12.92 * value, curve)
-
-
-def linear_from_srgb(image_srgb: np.ndarray) -> np.ndarray:
-    """Decode sRGB in 0..1 to linear, the inverse of `srgb_from_linear`. Any shape.
-
-    Source: [IEC61966].
-    """
-    value = np.asarray(image_srgb)
-    curve = np.power((np.maximum(value, 0.04045) + 0.055) / 1.055, 2.4)
-    return np.where(value <= 0.04045, value / 12.92, curve)

@@ -62,6 +62,15 @@ class PipelineConfig:
     register: RegisterConfig = dataclasses.field(default_factory=RegisterConfig)
     atlas: AtlasConfig = dataclasses.field(default_factory=AtlasConfig)
 
+    def as_forced(self) -> PipelineConfig:
+        """The same, going on where photographs contradict each other or their patterns."""
+        prepare = dataclasses.replace(self.decode.prepare, forced=True)
+        return dataclasses.replace(
+            self,
+            decode=dataclasses.replace(self.decode, prepare=prepare),
+            separate=dataclasses.replace(self.separate, forced=True),
+        )
+
 
 @dataclasses.dataclass(frozen=True)
 class Job:

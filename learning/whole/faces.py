@@ -65,7 +65,8 @@ class Face:
     """One scan at `FINER` times the network's size.
 
     Attributes:
-        maps: by FORMATS' names and shape_normal, ambient_occlusion, area, edges; (1, c, h, w).
+        maps: by their names in docs/formats.md, and shape_normal, ambient_occlusion, area, edges;
+            (1, c, h, w).
         skin: (1, 1, h, w) share of skin that was captured.
         texel_mm: edge of a texel of area 1.
         light_position_mm: (n, 3) of each set of lights.

@@ -10,6 +10,7 @@ import numpy as np
 import rawpy
 
 from lightstage.errors import FormatError
+from lightstage.raw_errors import unreadable_raw
 
 _GREEN_KERNEL = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4
 """Keeps a green pixel, and gives the others the mean of their four green neighbours."""
@@ -51,9 +52,7 @@ def read_picture(path: Path) -> Picture:
             black, white = np.array(raw.black_level_per_channel, float), float(raw.white_level)
             letters = raw.color_desc.decode("ascii", "replace")
     except (rawpy.LibRawError, OSError, AttributeError) as error:
-        raise FormatError(
-            path, found=f"no readable RAW ({error})", expected="a photograph of the camera"
-        ) from None
+        raise unreadable_raw(path, error) from None
     kinds = ["RGB".find(letters[int(index)]) for index in colours.ravel()]
     if counts.ndim != 2 or min(counts.shape) < 4 or sorted(kinds) != [0, 1, 1, 2]:
         raise FormatError(
@@ -67,10 +66,12 @@ def read_picture(path: Path) -> Picture:
     rgb = np.zeros((height // 2, width // 2, 3), np.float32)
     clipped = np.zeros((height // 2, width // 2), bool)
     green = np.zeros_like(counts)
+    # A count is as much light in each place: one scale for all.
+    span = max(white - black[colours.ravel()].max(), 1.0)
     for place, kind in enumerate(kinds):
         part = (slice(place // 2, None, 2), slice(place % 2, None, 2))
         own = black[int(colours.ravel()[place])]
-        level[part] = (counts[part] - own) / max(white - own, 1.0)
+        level[part] = (counts[part] - own) / span
         rgb[..., kind] += level[part] / (2 if kind == 1 else 1)
         clipped |= counts[part] >= white
         if kind == 1:

@@ -13,6 +13,7 @@ import numpy as np
 from lightstage.checks.noise import DIFFERENCE_GAIN, fit_noise
 from lightstage.errors import FormatError
 from lightstage.formats.exr import MAGIC, read_exr
+from lightstage.formats.orientation import of_libraw
 
 BAYER = np.array([[0, 1], [1, 2]])
 PILE_FROM, PILE_SHARE = 0.85, 1e-4
@@ -117,6 +118,8 @@ def measure_image(image: np.ndarray, where: Path, thumbnail_px: int = 192) -> Ph
 def _measure_raw(path: Path, thumbnail_px: int) -> Photo:
     import rawpy
 
+    from lightstage.raw_errors import unreadable_raw
+
     try:
         with rawpy.imread(str(path)) as raw:
             counts = raw.raw_image_visible
@@ -125,9 +128,8 @@ def _measure_raw(path: Path, thumbnail_px: int) -> Photo:
             pattern, letters = raw.raw_pattern, raw.color_desc
             sizes = raw.sizes
             # A portrait camera stores landscape rows and a tag; the rig's rows are upright.
-            size = sizes.width, sizes.height
-            if sizes.flip in (5, 6):
-                size = sizes.height, sizes.width
+            rows, columns = of_libraw(sizes.flip).shape((sizes.height, sizes.width))
+            size = columns, rows
             bayer = pattern is not None and pattern.shape == (2, 2) and counts.ndim == 2
             if bayer:
                 top, left = sizes.top_margin, sizes.left_margin
@@ -144,13 +146,7 @@ def _measure_raw(path: Path, thumbnail_px: int) -> Photo:
                 counts, colours, black, white, size, "raw", path, thumbnail_px, white - black
             )
     except (rawpy.LibRawError, ValueError, OSError) as error:
-        said = error.args[0] if error.args else error
-        raise FormatError(
-            path,
-            found=said.decode() if isinstance(said, bytes) else str(said),
-            expected="a RAW that LibRaw reads",
-            hint="Is the file truncated, or the camera too new for LibRaw?",
-        ) from None
+        raise unreadable_raw(path, error) from None
 
 
 def measure_counts(

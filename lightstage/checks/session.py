@@ -25,6 +25,7 @@ from lightstage.formats.session import (
     load_session,
     missing_frames,
 )
+from lightstage.formats.sums import UNCHECKED, Balance, axes_alike, has_gradient, sum_fault
 from lightstage.photograph import identify
 from lightstage.resume_line import known_options, resume_line, watch_line
 from lightstage.sequence import Shot
@@ -32,8 +33,6 @@ from lightstage.session import accepted_findings, disagreements, read_journal
 from lightstage.session.manifest import MANIFEST, check_manifest
 from lightstage.session.opening import JOURNAL
 
-SUM_TOLERANCE = 0.1
-"""Light adds up: patterns that sum to a third must, in every camera's mean, up to this share."""
 DARK_LEVEL = 1e-3
 """Mean, as a share of white, below which a photograph is noise and compared as this bright."""
 MAX_CLIPPED = 0.02
@@ -119,6 +118,10 @@ def check_session(
     problems += _overexposed(session, clipped)
     worst, sums, unlike = _compare_sums(session, means)
     problems += unlike
+    if not sums and has_gradient({name: session.levels(name) for name in session.file.sequence}):
+        findings.append(
+            Finding("warn", "unchecked", str(root), UNCHECKED, "full, or the pairs of two axes")
+        )
     if problems:
         raise one_error(problems)
     worst_clipped = max(clipped.values(), default=0.0)
@@ -228,27 +231,25 @@ def _overexposed(session: Session, clipped: dict[tuple[str, str], float]) -> lis
 def _compare_sums(
     session: Session, means: dict[tuple[str, str], float]
 ) -> tuple[float, int, list[LightstageError]]:
-    """Compare photographs whose driven levels add up (x+ and x- to full): light is linear."""
+    """Compare photographs whose driven levels add up to the same: light is linear."""
     levels = {pattern: session.levels(pattern) for pattern in session.file.sequence}
-    sums = find_sums(levels)
+    sums = [Balance((s.first, s.second), (s.whole,)) for s in find_sums(levels)]
+    sums += axes_alike(levels)
     problems: list[LightstageError] = []
     worst, count = 0.0, 0
     for one, camera in itertools.product(sums, session.camera_ids()):
-        first, second, whole = one.patterns
-        keys = [(pattern, camera) for pattern in one.patterns]
-        if not all(key in means for key in keys):
+        if not all((pattern, camera) in means for pattern in one.patterns):
             continue
-        parts, total = means[keys[0]] + means[keys[1]], means[keys[2]]
-        off = abs(parts - total) / max(abs(total), DARK_LEVEL)
-        worst, count = max(worst, off), count + 1
-        if off > SUM_TOLERANCE:
-            problems.append(
-                FormatError(
-                    session.root / "session.json",
-                    field=f"patterns of {camera}",
-                    found=f"{first} + {second} = {parts:.4g} on average, {whole} = {total:.4g}",
-                    expected=f"equal within {100 * SUM_TOLERANCE:g} %",
-                    hint="Was a pattern not lit, or a photograph of another one?",
-                )
-            )
+        # Light that is there without a lamp is in every photograph, and in no lamp's sum.
+        darks = [means[key] for key in means if key[1] == camera and not levels[key[0]].any()]
+        room = sum(darks) / len(darks) if darks else 0.0
+        left, right = (
+            sum(means[pattern, camera] - room for pattern in side) for side in (one.left, one.right)
+        )
+        # What is darker is noise, and compared as if it were this bright.
+        short = max(DARK_LEVEL - abs(right), 0.0)
+        worst, count = max(worst, abs(left - right) / (abs(right) + short)), count + 1
+        fault = sum_fault(session.root, camera, one, left + short, right + short)
+        if fault is not None:
+            problems.append(fault)
     return worst, count, problems

@@ -40,6 +40,10 @@ class Fields:
             raise error(where, field=place, found=_shown(value), expected="an object")
         self._value: dict[str, Any] = value
 
+    def has(self, key: str) -> bool:
+        """Whether the object has a field, and it is not null."""
+        return self._value.get(key) is not None
+
     def text(self, key: str) -> str:
         """A text that can be printed."""
         value = self._get(key)

@@ -214,7 +214,13 @@ def check_schema(path: Path, value: Any, schema: str) -> None:
     found_name, _, found_major = str(found).partition("/")
     digits = found_major.split(".")[0]
     if found_name != name or not re.fullmatch("[0-9]{1,9}", digits):
-        raise FormatError(path, field="schema", found=repr(found), expected=repr(schema))
+        raise FormatError(
+            path,
+            field="schema",
+            found=repr(found),
+            expected=repr(schema),
+            hint="docs/formats.md says what each file holds.",
+        )
     if int(digits) > int(major):
         raise FormatError(
             path,

@@ -36,7 +36,10 @@ def register(app: typer.Typer) -> None:
 
 
 def import_command(
-    folder: Path = typer.Argument(help="Holds PATTERN/CAMERA.EXT (RAW, DNG or linear OpenEXR)."),
+    folder: Path = typer.Argument(
+        help="Holds PATTERN/CAMERA.EXT, or CAMERA.EXT of one light (RAW, DNG, linear OpenEXR; "
+        "JPEG, PNG or TIFF at a cost that is told)."
+    ),
     rig: Path | None = typer.Option(
         None, "--rig", help="rig.json: where lights and cameras stand. Without: see --length."
     ),
@@ -61,6 +64,11 @@ def import_command(
         "or two landmarks (0 to 67), such as cam0:cam3=952.6. May be given several times.",
     ),
     points: Path | None = typer.Option(None, help="Without --rig: points.json, clicked points."),
+    pattern: str | None = typer.Option(
+        None,
+        help="Of photographs that lie in FOLDER itself: what was lit "
+        "[full, where FOLDER has no folders].",
+    ),
     front: str | None = typer.Option(
         None,
         help="Without --rig and landmarks: the camera before the face "
@@ -90,18 +98,20 @@ def import_command(
         the_rig = load_rig(rig)
     else:
         lengths = [parse_length(text) for text in length]
-        found = _found(folder, lengths, landmarks, points, front, lights)
+        found = _found(folder, lengths, landmarks, points, front, lights, pattern)
         the_rig = found.rig
     carried = Carried() if colour is None else read_calibration(colour, the_rig)
     if found is not None:
         data = json.dumps(found.facts, indent=2).encode() + b"\n"
         carried = dataclasses.replace(carried, beside={**carried.beside, NAME: data})
     with limited_access(settings.group), progress_bar("import") as progress:
-        frames = import_session(
+        imported = import_session(
             folder, the_rig, out, subject, expression, carried, landmarks, progress,
-            consent, findings,
+            consent, findings, pattern,
         )  # fmt: skip
-    warnings = [*map(str, findings), *(found.warnings if found is not None else ())]
+    frames = imported.frames
+    warnings = [*map(str, (*findings, *imported.findings))]
+    warnings += found.warnings if found is not None else ()
     # Only now: who reads them beside an error takes them for its cause.
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -125,9 +135,10 @@ def _found(
     points: Path | None,
     front: str | None,
     lights: Path | None,
+    pattern: str | None,
 ) -> FoundCameras:
     stage = default_rig() if lights is None else load_rig(lights)
-    photographs = find_photographs(folder, stage, named_cameras(folder))
+    photographs = find_photographs(folder, stage, named_cameras(folder, pattern), pattern)
     chosen = brightest_pattern(list(photographs), Rig(stage.lights, ()))
     with progress_bar("cameras") as progress:
         return find_cameras(

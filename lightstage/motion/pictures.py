@@ -8,16 +8,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from lightstage.developed import developed_kind, read_developed
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
+from lightstage.formats.orientation import of_libraw
 from lightstage.photograph import identify_file
 
 LARGEST_PX = 2000
 """Longer side of the pictures that features are looked for in, at most."""
 LIT_SHARE = 0.05
 """Of the brightest twentieth: what is brighter, slightly blurred, shows something that was lit."""
-_TURNS = {3: 2, 5: 1, 6: 3}
-"""LibRaw's flip to quarter turns against the clock that bring the sensor's rows upright."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,17 +39,18 @@ class GreyPicture:
 
 
 def read_grey(path: Path) -> GreyPicture:
-    """Read a RAW, DNG or OpenEXR photograph for the feature detector.
+    """Read a photograph of any kind that `import` takes for the feature detector.
 
     Raises:
         FormatError: unreadable, or of less than 64 pixels a side.
     """
     try:
-        kind = identify_file(path)
+        developed = read_developed(path) if developed_kind(path) is not None else None
+        linear = developed is None and identify_file(path).encoding == "linear"
     except OSError as error:
         raise FormatError(path, found=error.strerror or str(error), expected="a file") from None
-    if kind.encoding == "linear":
-        image = read_exr(path)
+    if developed is not None or linear:
+        image = read_exr(path) if developed is None else developed.rgb
         light = image if image.ndim == 2 else image.mean(axis=2)
         size, times = (image.shape[1], image.shape[0]), 1
     else:
@@ -83,26 +84,22 @@ def _read_mosaic(path: Path) -> tuple[np.ndarray, tuple[int, int], int]:
     """Mean counts above black of a mosaic's cells, upright; size and cell's side in pixels."""
     import rawpy
 
+    from lightstage.raw_errors import unreadable_raw
+
     try:
         with rawpy.imread(str(path)) as raw:
             counts = raw.raw_image_visible.astype(np.float32)
             black = float(np.mean(raw.black_level_per_channel))
             pattern, flip = raw.raw_pattern, int(raw.sizes.flip)
     except (rawpy.LibRawError, ValueError, OSError) as error:
-        said = error.args[0] if error.args else error
-        raise FormatError(
-            path,
-            found=said.decode() if isinstance(said, bytes) else str(said),
-            expected="a whole RAW or DNG file",
-            hint="Is it truncated? Copy it again.",
-        ) from None
+        raise unreadable_raw(path, error) from None
     # A cell holds the mosaic's whole period, so that its mean does not depend on its place.
     times = 1
     if counts.ndim == 3:
         counts = counts[..., :3].mean(axis=2)
     elif pattern is not None:
         times = pattern.shape[0]
-    turned = np.rot90(counts - black, _TURNS.get(flip, 0))
+    turned = of_libraw(flip).upright(counts - black)
     size = turned.shape[1], turned.shape[0]
     return _cells(np.ascontiguousarray(turned), times), size, times
 

@@ -83,7 +83,7 @@ def bank_mask(name: str, rig: Rig) -> np.ndarray:
     """(n,) 1.0 for the lights that a pattern's @parallel or @cross leaves, all where it has none.
 
     Raises:
-        PatternError: another word after the @.
+        PatternError: another word after the @, or a rig whose lights have no bank.
     """
     _, at, polarisation = name.partition("@")
     if not at:
@@ -95,6 +95,13 @@ def bank_mask(name: str, rig: Rig) -> np.ndarray:
     # reflection: a lamp at the side whose field follows its meridian is reflected best
     # (across the plane of incidence), one whose field follows its latitude hardly at all.
     bank = "vertical" if polarisation == "parallel" else "horizontal"
+    if all(light.bank is None for light in rig.lights):
+        raise PatternError(
+            f"pattern {name!r}",
+            found="a rig whose lights have no bank",
+            expected=f"lights with `bank: {bank}` in rig.json",
+            hint="Without polarisers take patterns without @, such as the sequence binary.",
+        )
     return np.array([light.bank == bank for light in rig.lights], float)
 
 

@@ -13,7 +13,7 @@ from lightstage.formats.png import write_png
 from lightstage.patterns.weights import solid_angles_sr
 from lightstage.rig import Rig
 
-BANK_RGB = {"horizontal": (255, 176, 84), "vertical": (96, 178, 255)}
+BANK_RGB = {"horizontal": (255, 176, 84), "vertical": (96, 178, 255), None: (200, 200, 204)}
 GROUND, INK, FAINT, EMPTY = (22, 23, 27), (236, 236, 240), (150, 152, 160), (44, 46, 53)
 SHIFT = 4
 """OpenCV draws at sixteenths of a pixel."""
@@ -211,7 +211,12 @@ def _legend(sheet: np.ndarray, rig: Rig, x: int, y: int) -> None:
         if any(light.bank == bank for light in rig.lights):
             _disc(sheet, np.array([x + 6.0, y - 5.0]), 6, colour)
             _disc(sheet, np.array([x + 6.0, y - 5.0]), 4.4, EMPTY)
-            x = _write(sheet, f"{bank} bank", (x + 18, y), FAINT, 13, 400) + 22
+            x = (
+                _write(
+                    sheet, f"{bank} bank" if bank else "not polarised", (x + 18, y), FAINT, 13, 400
+                )
+                + 22
+            )
     for level in (0.0, 0.25, 0.5, 1.0):
         shade = 255 * float(_encoded(np.array(level))) * np.ones(3)
         _disc(sheet, np.array([x + 6.0, y - 5.0]), 6, tuple(np.maximum(shade, 40)))

@@ -11,7 +11,7 @@ from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.rig import Rig
 from lightstage.session.pseudonym import check_consent, check_pseudonym
 
-_NAME = re.compile(r"\w[\w@+.-]{0,99}")
+FILE_NAME = re.compile(r"\w[\w@+.-]{0,99}")
 _TAKE = re.compile(r"\.take\d+$")
 
 
@@ -60,7 +60,7 @@ class SessionPlan:
         for what, names in (("pattern", self.sequence), ("camera", cameras)):
             folded: dict[str, str] = {}
             for name in names:
-                if not _NAME.fullmatch(name) or _TAKE.search(name):
+                if not FILE_NAME.fullmatch(name) or _TAKE.search(name):
                     problems.append(
                         ConfigError(
                             f"{what} {name!r}",

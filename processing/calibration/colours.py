@@ -192,7 +192,7 @@ def flattened(mosaic: Mosaic, field: FlatField | None) -> Mosaic:
             level[place // 2 :: 2, place % 2 :: 2] -= np.float32(offset)
     height, width = level.shape
     level *= field.gain((height, width))
-    return dataclasses.replace(read, level=level).turned(mosaic.turns)
+    return dataclasses.replace(read, level=level).upright(mosaic.orientation)
 
 
 def _look(pose: Pose, camera: Camera, field: FlatField | None, chart: ChartConfig) -> Seen | None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.files import atomic_path, read_json, write_json
+from lightstage.formats.orientation import UNTURNED, Orientation
 from lightstage.formats.paths import check_name, path_inside
 from lightstage.rig import Camera
 
@@ -48,21 +49,16 @@ class FlatField:
     hot_pixels: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 2), int))
 
     @staticmethod
-    def even(camera: Camera, turns: int = 0) -> FlatField:
+    def even(camera: Camera, orientation: Orientation = UNTURNED) -> FlatField:
         """A lens that loses nothing.
 
         Args:
             camera: of upright pictures.
-            turns: quarter turns against the clock that bring what its sensor reads upright.
+            orientation: that brings what its sensor reads upright.
         """
         width, height = camera.width_px, camera.height_px
-        x, y = camera.cx_px, camera.cy_px
-        size, centre = {
-            0: ((width, height), (x, y)),
-            1: ((height, width), (height - y, x)),
-            2: ((width, height), (width - x, height - y)),
-            3: ((height, width), (y, width - x)),
-        }[turns % 4]
+        centre = orientation.place_as_read(camera.cx_px, camera.cy_px, width, height)
+        size = orientation.shape((width, height))
         return FlatField(size, np.array(centre), float(np.hypot(*size) / 2), np.zeros(3))
 
     def share(self, places_px: np.ndarray) -> np.ndarray:

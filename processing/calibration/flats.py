@@ -62,7 +62,7 @@ def fit_flat(
     """
     for flat in flats:
         _require_usable(flat, camera, config, where)
-    field = FlatField.even(camera, flats[0].turns)
+    field = FlatField.even(camera, flats[0].orientation)
     flats = [flat.as_read() for flat in flats]
     side = max(config.grid_px // 2 * 2, 2)
     columns, rows = _square_middles(flats[0].level.shape, side)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,8 @@ import rawpy
 
 from lightstage.errors import FormatError
 from lightstage.exif import read_exif
-
-_TURNS = {3: 2, 5: 1, 6: 3}
-"""LibRaw's flip to quarter turns against the clock that bring the sensor's rows upright."""
+from lightstage.formats.orientation import UNTURNED, Orientation, of_libraw
+from lightstage.raw_errors import unreadable_raw
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,28 +24,31 @@ class Mosaic:
         clipped: (h, w) bool, at the white level.
         channels: (2, 2) which of R G B (0, 1, 2) the top left four pixels see.
         exposure: seconds * ISO / f-number^2 as the file tells; None where it does not.
-        turns: quarter turns against the clock by which what the sensor reads was brought upright.
+        orientation: by which what the sensor reads was brought upright.
     """
 
     level: np.ndarray
     clipped: np.ndarray
     channels: np.ndarray
     exposure: float | None
-    turns: int = 0
+    orientation: Orientation = UNTURNED
 
-    def turned(self, turns: int) -> Mosaic:
-        """The same, turned by quarters against the clock."""
-        return Mosaic(
-            np.ascontiguousarray(np.rot90(self.level, turns)),
-            np.ascontiguousarray(np.rot90(self.clipped, turns)),
-            np.rot90(self.channels, turns),
-            self.exposure,
-            (self.turns + turns) % 4,
-        )
+    def upright(self, orientation: Orientation) -> Mosaic:
+        """What the sensor reads, brought upright."""
+        return self._moved(orientation.upright, orientation)
 
     def as_read(self) -> Mosaic:
         """The same in the rows and columns that the sensor reads."""
-        return self.turned(-self.turns) if self.turns else self
+        return self._moved(self.orientation.as_read, UNTURNED)
+
+    def _moved(self, move: Callable[[np.ndarray], np.ndarray], now: Orientation) -> Mosaic:
+        return Mosaic(
+            np.ascontiguousarray(move(self.level)),
+            np.ascontiguousarray(move(self.clipped)),
+            move(self.channels),
+            self.exposure,
+            now,
+        )
 
     def cells(self) -> np.ndarray:
         """(h/2, w/2, 3) float32: each 2 x 2 cell is one pixel, its greens averaged."""
@@ -87,17 +90,18 @@ def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
                 )
             height, width = (side // 2 * 2 for side in counts.shape)
             level = counts[:height, :width].astype(np.float32)
-            turns = _TURNS.get(int(raw.sizes.flip), 0)
+            orientation = of_libraw(int(raw.sizes.flip))
         exposure = exposure_of(path)
     except (rawpy.LibRawError, OSError, AttributeError) as error:
-        raise FormatError(
-            path, found=f"no readable RAW ({error})", expected="a photograph of the camera"
-        ) from None
+        raise unreadable_raw(path, error) from None
+    clipped = np.zeros(level.shape, bool)
     for place, own in enumerate(black[colours.ravel()]):
         part = (slice(place // 2, None, 2), slice(place % 2, None, 2))
-        level[part] = (level[part] - np.float32(own)) / np.float32(max(white - own, 1.0))
-    mosaic = Mosaic(level, level >= clip_share, channels, exposure)
-    return mosaic.turned(turns) if turns else mosaic
+        level[part] -= np.float32(own)
+        clipped[part] = level[part] >= clip_share * (white - own)
+    # One scale for all places, as decode has it: a count is as much light in each.
+    level /= np.float32(max(white - black[colours.ravel()].max(), 1.0))
+    return Mosaic(level, clipped, channels, exposure).upright(orientation)
 
 
 def exposure_of(path: Path) -> float | None:

@@ -150,7 +150,7 @@ def _flats(
                     if told["residual_rms"] > config.max_residual:
                         warnings.append(f"{where}: uneven by {100 * told['residual_rms']:.1f} %")
                 else:
-                    field = fields.get(name, FlatField.even(camera, mosaics[0].turns))
+                    field = fields.get(name, FlatField.even(camera, mosaics[0].orientation))
                     fields[name], told = read_darks(mosaics, field, config, where)
                     offset = max(abs(value) for value in told["black_offset"])
                     if offset > config.max_black_offset:

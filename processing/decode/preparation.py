@@ -10,7 +10,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from lightstage.errors import LightstageError, one_error
 from lightstage.formats.session import Session
+from lightstage.formats.sums import Balance, axes_alike, sum_fault
 from processing.decode.completing import Pair, Recipe, fill, pairs_of
 from processing.decode.diagnosis import Diagnosis, write_diagnosis
 from processing.decode.motion import Flow, solve_pair, warp
@@ -18,6 +20,7 @@ from processing.decode.shrinking import free_cells, shrunk
 from processing.decode.sums import (
     ambient_ratio,
     fit_sums,
+    lit_cells,
     mean_colour,
     residual,
     wrong_patterns,
@@ -27,6 +30,7 @@ from processing.readings import px_per_mm
 
 ALIKE = 0.5
 """Pairs show ambient light alike when they differ by less than this share of it."""
+FORCE = "--force goes on, with photographs that contradict each other."
 TOLD_AMBIENT, TOLD_APART = 0.01, 0.01
 """Shares of full above which the report warns."""
 
@@ -35,6 +39,8 @@ TOLD_AMBIENT, TOLD_APART = 0.01, 0.01
 class PrepareConfig:
     """What the checks of a view's photographs may be told."""
 
+    forced: bool = False
+    """Go on with photographs that do not add up as their patterns do."""
     cells_per_mm: float = 2.0
     """Of the small pictures that motion and light are looked at in."""
     still_px: float = 0.25
@@ -82,7 +88,10 @@ def prepare_view(
     Returns:
         Facts, JSON-ready: ``changed`` patterns, ``displaced_px`` and ``aligned`` patterns,
         ``flicker``, ``ambient`` share of full by colour, ``pairs_apart``, ``left`` per axis,
-        ``looks_like``, ``rebuilt``.
+        ``looks_like``, ``rebuilt``, ``sums_compared``, ``contradictions`` in words.
+
+    Raises:
+        FormatError: photographs that do not add up as their patterns do, unless forced.
     """
     names = tuple(patterns)
     fill(images, names, dict(recipes))
@@ -104,6 +113,10 @@ def prepare_view(
     }
     told = Diagnosis(view.small[names[0]], 1 - view.free.astype(np.float32))
     groups = _groups(session, names, recipes)
+    compared, faults = compare_sums(view, groups, session, camera_id)
+    if faults and not config.forced:
+        raise one_error(faults)
+    facts |= {"sums_compared": compared, "contradictions": [str(fault) for fault in faults]}
     for place, (whole, pairs) in enumerate(groups.items()):
         if not place:
             told.whole = view.small[whole]
@@ -121,6 +134,41 @@ def prepare_view(
     write_diagnosis(out, camera_id, told)
     facts["changed"] = sorted(view.changed)
     return facts
+
+
+def compare_sums(
+    view: View, groups: Mapping[str, Sequence[Pair]], session: Session, camera_id: str
+) -> tuple[int, list[LightstageError]]:
+    """Whether photographs add up as their levels do, before anything about them is mended.
+
+    Args:
+        view: as decoded.
+        groups: pairs by their whole.
+        session: whose.
+        camera_id: who photographed.
+
+    Returns:
+        How many sums were compared, and an error for each that is off by more than
+        `formats.sums.SUM_TOLERANCE`.
+    """
+    names = [n for n in view.names if n not in view.changed]
+    checked = [Balance((p.first, p.second), (p.whole,)) for ps in groups.values() for p in ps]
+    checked += axes_alike({name: session.levels(name) for name in names})
+    faults: list[LightstageError] = []
+    for balance in checked:
+        # All of both sides is lit somewhere: what is bright in any of them is looked at.
+        brightest = np.maximum.reduce([view.small[name] for name in balance.patterns])
+        lit = lit_cells(brightest, view.free)
+        if not lit.any():
+            continue
+        left, right = (
+            sum(float(mean_colour(view.small[name][lit]).mean()) for name in side)
+            for side in (balance.left, balance.right)
+        )
+        fault = sum_fault(session.root, camera_id, balance, left, right, FORCE)
+        if fault is not None:
+            faults.append(fault)
+    return len(checked), faults
 
 
 def cell_px(shape: tuple[int, int], scale: float, config: PrepareConfig) -> int:
@@ -152,7 +200,12 @@ def prepare_warnings(facts: Mapping[str, Mapping[str, Any]]) -> list[str]:
         told += [f"{name} was {gain:.3g} times as bright" for name, gain in own["flicker"].items()]
         apart, ambient = own["pairs_apart"], own["ambient"]
         if ambient is not None and max(map(abs, ambient)) > TOLD_AMBIENT:
-            told.append(f"about {100 * float(np.mean(ambient)):.1f} % of full is no lamp's light")
+            share = 100 * float(np.mean(ambient))
+            told.append(
+                f"about {share:.1f} % of full is no lamp's light"
+                if share >= 0
+                else f"gradients and their complements together lack {-share:.1f} % of full"
+            )
         if apart is not None and apart > TOLD_APART:
             told.append("pairs do not sum to full alike: see the pictures of light and motion")
         for sentence in told:

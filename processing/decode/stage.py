@@ -15,6 +15,7 @@ from lightstage.formats.mesh import read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.scale import raw_scale
 from lightstage.formats.session import Session
+from lightstage.formats.sums import UNCHECKED, has_gradient
 from processing.decode.completing import Recipe, missing_patterns, said
 from processing.decode.files import (
     CameraJob,
@@ -84,6 +85,7 @@ def decode(
         FormatError: a photograph that cannot be read, has another size than its camera, or an
             exposure that cannot be brought to the others'.
         ProcessingError: a camera in whose photographs nothing is lit.
+        FormatError: a camera's photographs that do not add up as their patterns do.
     """
     cameras = session.camera_ids()
     raw = {frame.camera for frame in session.file.frames if frame.encoding == "raw"}
@@ -110,7 +112,12 @@ def decode(
         job = CameraJob(session, camera, frames, lit, dark, calibrated, factors, *shares)
         done = _Steps(progress, number * (len(lit) + len(dark)), steps)
         decoded[camera] = _decode_camera(job, out, config, missing, done)
+        contradictions = decoded[camera].sums["contradictions"]
+        warnings += [f"forced: {one}" for one in contradictions]
     sums = {camera: one.sums for camera, one in decoded.items()}
+    levels = {name: session.levels(name) for name in session.file.sequence}
+    if has_gradient(levels) and not any(one["sums_compared"] for one in sums.values()):
+        warnings.append(UNCHECKED)
     return {
         "cameras": len(cameras),
         "frames": steps,

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from lightstage.formats.half import LARGEST
+from lightstage.formats.orientation import UNTURNED, Orientation
 from processing.calibration.flat_file import FlatField
 from processing.colour import ColourCorrection
 from processing.frames.drafts import NOT_A_NUMBER
@@ -52,34 +53,35 @@ def develop(
         out: (h, w, 3) float16, overwritten.
         clipped: (h, w) uint8; bits 1, 2, 4 are added where red, green, blue is clipped.
     """
-    if not raw.turns:
+    if raw.orientation == UNTURNED:
         _as_read(raw, window, settings, ambient, out, clipped)
         return
-    inner = lying(window, raw.size, raw.turns)
+    inner = lying(window, raw.size, raw.orientation)
     lit, marks = np.zeros((*inner.shape, 3), np.float16), np.zeros(inner.shape, np.uint8)
-    dark = None if ambient is None else np.ascontiguousarray(np.rot90(ambient, -raw.turns))
+    dark = None if ambient is None else np.ascontiguousarray(raw.orientation.as_read(ambient))
     _as_read(raw, inner, settings, dark, lit, marks)
-    out[:] = np.rot90(lit, raw.turns)
-    clipped |= np.rot90(marks, raw.turns)
+    out[:] = raw.orientation.upright(lit)
+    clipped |= raw.orientation.upright(marks)
 
 
-def lying(window: Window, size: tuple[int, int], turns: int) -> Window:
+def lying(window: Window, size: tuple[int, int], orientation: Orientation) -> Window:
     """A window of the upright picture in the rows and columns that the sensor reads.
 
     Args:
-        window: of the picture after `turns` quarter turns against the clock.
-        size: rows and columns before them.
-        turns: how many.
+        window: of the upright picture.
+        size: rows and columns that the sensor reads.
+        orientation: that brings them upright.
     """
-    rows, columns = size
-    top, left, height, width = window.top, window.left, window.height, window.width
-    if turns % 4 == 1:
-        return Window(left, columns - top - height, width, height)
-    if turns % 4 == 2:
-        return Window(rows - top - height, columns - left - width, height, width)
-    if turns % 4 == 3:
-        return Window(rows - left - width, top, width, height)
-    return window
+    rows, columns = orientation.shape(size)
+    corners = (
+        orientation.place_as_read(x, y, columns, rows)
+        for x, y in (
+            (window.left, window.top),
+            (window.left + window.width, window.top + window.height),
+        )
+    )
+    (left, right), (top, bottom) = (sorted(map(int, ends)) for ends in zip(*corners, strict=True))
+    return Window(top, left, bottom - top, right - left)
 
 
 def _as_read(
@@ -100,10 +102,10 @@ def _as_read(
     black = raw.black
     if field is not None:
         if field.black_offset is not None:
-            black = black + field.black_offset.reshape(2, 2) * (raw.white - black)
+            black = black + field.black_offset.reshape(2, 2) * raw.span
         _mend(raw, field.hot_pixels, window)
     how = development(
-        raw.colours, black, raw.white, settings.clip_share, coefficients, settings.factor
+        raw.colours, black, raw.white, raw.span, settings.clip_share, coefficients, settings.factor
     )
     develop_mosaic(raw.counts, raw.origin, raw.size, window, how, flat, ambient, out, clipped)
 

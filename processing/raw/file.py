@@ -16,11 +16,11 @@ import rawpy
 
 from lightstage.errors import FormatError
 from lightstage.exif import read_exif
+from lightstage.formats.orientation import Orientation, of_libraw
+from lightstage.raw_errors import unreadable_raw
 from processing.raw.plain_dng import map_plain_dng
 
 LARGEST = 65535
-_TURNS = {0: 0, 3: 2, 5: 1, 6: 3}
-"""LibRaw's flip to quarter turns against the clock that bring the sensor's rows upright."""
 
 
 @dataclasses.dataclass
@@ -38,7 +38,7 @@ class RawFile:
         black: (2, 2) counts without light of these places, or (3,) of R G B.
         white: count at which the sensor is full.
         neutral: (3,) gains that turn the camera's own white (AsShotNeutral) grey, green's 1.
-        turns: quarter turns against the clock that bring the picture upright.
+        orientation: that brings the picture upright.
     """
 
     path: Path
@@ -49,13 +49,22 @@ class RawFile:
     black: np.ndarray
     white: float
     neutral: np.ndarray
-    turns: int
+    orientation: Orientation
     handle: Any = dataclasses.field(default=None, repr=False)
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the upright picture."""
-        return (self.size[1], self.size[0]) if self.turns % 2 else self.size
+        return self.orientation.shape(self.size)
+
+    @property
+    def span(self) -> float:
+        """Counts from black to white: one scale for all places of a mosaic.
+
+        A count is as much light in each, so what their blacks differ by must not scale them apart:
+        white less the highest black [DNG14, "Mapping Raw Values to Linear Reference Values"].
+        """
+        return max(self.white - float(self.black.max()), 1.0)
 
     def close(self) -> None:
         """Give LibRaw's memory back; `counts` is gone then."""
@@ -75,12 +84,12 @@ def open_raw(path: Path) -> RawFile:
     try:
         plain = map_plain_dng(path)
     except OSError as error:
-        raise _unreadable(path, error) from None
+        raise unreadable_raw(path, error) from None
     if plain is None:
         return unpack_raw(path)
     neutral = plain.neutral / plain.neutral[1]
     size = plain.counts.shape[0], plain.counts.shape[1]
-    known = plain.colours, plain.black, plain.white, neutral, plain.turns
+    known = plain.colours, plain.black, plain.white, neutral, plain.orientation
     return RawFile(path, plain.counts, (0, 0), size, *known)
 
 
@@ -95,7 +104,7 @@ def unpack_raw(path: Path) -> RawFile:
     # know: to the caller one more file that cannot be read.
     except (rawpy.LibRawError, OSError, NotImplementedError) as error:
         raw.close()
-        raise _unreadable(path, error) from None
+        raise unreadable_raw(path, error) from None
     except FormatError:
         raw.close()
         raise
@@ -110,7 +119,7 @@ def read_exposure(path: Path) -> float | None:
     try:
         told = read_exif(path)
     except OSError as error:
-        raise _unreadable(path, error) from None
+        raise unreadable_raw(path, error) from None
     time, iso, stop = told.exposure_s, told.iso, told.f_number
     if time is None or iso is None or stop is None or not min(time, iso, stop) > 0:
         return None
@@ -151,8 +160,9 @@ def _opened(path: Path, raw: Any) -> RawFile:
         counts, black, white = _developed(raw), np.zeros(3), float(LARGEST)
     if not white > black.max():
         raise FormatError(path, found=f"white level {white:g}", expected=f"above {black.max():g}")
-    turns = _TURNS.get(int(sizes.flip), 0)
-    return RawFile(path, counts, origin, size, colours, black, white, gains / gains[1], turns, raw)
+    orientation = of_libraw(int(sizes.flip))
+    gains = gains / gains[1]
+    return RawFile(path, counts, origin, size, colours, black, white, gains, orientation, raw)
 
 
 def _developed(raw: Any) -> np.ndarray:
@@ -167,14 +177,4 @@ def _developed(raw: Any) -> np.ndarray:
             user_flip=0,
             adjust_maximum_thr=0,
         )
-    )
-
-
-def _unreadable(path: Path, error: Exception) -> FormatError:
-    said = error.args[0] if error.args else error
-    return FormatError(
-        path,
-        found=said.decode() if isinstance(said, bytes) else str(said),
-        expected="a whole RAW or DNG file",
-        hint="Is it truncated? Copy it from the camera again.",
     )

@@ -46,6 +46,7 @@ def development(
     colours: np.ndarray,
     black: np.ndarray,
     white: float,
+    span: float,
     clip_share: float,
     coefficients: np.ndarray,
     factor: float,
@@ -56,20 +57,20 @@ def development(
         colours: (2, 2), see Development.
         black: (2, 2) counts without light.
         white: count at which the sensor is full.
+        span: counts that are 1 above black, in all places (`RawFile.span`).
         clip_share: counts of at least this share of the white level (above black) are clipped.
         coefficients: (3, 6) from counts above black as a share of white, and their roots, to linear
             rgb (`ColourCorrection.coefficients`).
         factor: on the results, such as 1 / scale of the half floats.
     """
     balance = neutral_gains(coefficients[:, :3])
-    span = np.maximum(white - black, 1.0)
     undo = np.sqrt(balance[[0, 1, 0]] * balance[[1, 2, 2]])
     turned = np.concatenate([coefficients[:, :3] / balance, coefficients[:, 3:] / undo], axis=1)
     return Development(
         np.ascontiguousarray(colours, np.int64),
         np.ascontiguousarray(black, np.float32),
         np.ascontiguousarray(balance[colours] / span, np.float32),
-        np.ascontiguousarray(black + clip_share * span, np.float32),
+        np.ascontiguousarray(black + clip_share * (white - black), np.float32),
         np.ascontiguousarray(turned * factor, np.float32),
     )
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightstage.formats.orientation import OF_TIFF, Orientation
 from lightstage.tiff import Directory, Reader, directories
 
 CFA = 32803
@@ -32,8 +33,6 @@ _DNG = {50706, 50707, 50708, PLANES, LAYOUT, BLACK_REPEATS, BLACK, WHITE, NEUTRA
 _DNG |= {50721, 50722, 50723, 50724, 50727, 50730, 50731, 50732, 50734, 50735, 50778, 50779}
 _DNG |= {50781, 50931, 50932, 50933, 50936, 50964, 50965}
 """Tags of DNG [DNG14] that do not change what a count means, and those that are read here."""
-_TURNS = {1: 0, 3: 2, 6: 3, 8: 1}
-"""Orientation to quarter turns against the clock that bring the sensor's rows upright."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +44,7 @@ class PlainDng:
     black: np.ndarray
     white: float
     neutral: np.ndarray
-    turns: int
+    orientation: Orientation
 
 
 def map_plain_dng(path: Path) -> PlainDng | None:
@@ -76,8 +75,8 @@ def map_plain_dng(path: Path) -> PlainDng | None:
     if black is None or gains is None or not white > black.max():
         return None
     counts = np.memmap(path, "<u2", "c", first, size)
-    turns = _TURNS[_number(tags, ORIENTATION, 1)]
-    return PlainDng(counts, colours.reshape(2, 2), black, white, gains, turns)
+    orientation = OF_TIFF[_number(tags, ORIENTATION, 1)]
+    return PlainDng(counts, colours.reshape(2, 2), black, white, gains, orientation)
 
 
 def _plain(directory: Directory) -> bool:
@@ -86,7 +85,7 @@ def _plain(directory: Directory) -> bool:
     usual = all(tags.get(tag) == value for tag, value in _PLAIN.items())
     usual &= all(tags.get(tag, value) == value for tag, value in _IF_SAID.items())
     known = all(tag in _DNG for tag in tags if tag >= 50706)
-    return usual and known and 50706 in tags and _number(directory, ORIENTATION, 1) in _TURNS
+    return usual and known and 50706 in tags and _number(directory, ORIENTATION, 1) in OF_TIFF
 
 
 def _number(directory: Directory, tag: int, usual: int = 0) -> int:

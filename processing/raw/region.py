@@ -40,10 +40,9 @@ def preview(raw: RawFile) -> tuple[np.ndarray, int]:
             few = raw.counts[top + y : top + rows : side, left + x : left + columns : side].astype(
                 np.float32
             )
-            span = raw.white - raw.black[y, x]
-            gain = raw.neutral[colour] * (0.5 if colour == 1 else 1.0) / span
+            gain = raw.neutral[colour] * (0.5 if colour == 1 else 1.0) / raw.span
             balanced[..., colour] += (few - np.float32(raw.black[y, x])) * np.float32(gain)
-    return np.ascontiguousarray(np.rot90(balanced.max(axis=2), raw.turns)), side
+    return np.ascontiguousarray(raw.orientation.upright(balanced.max(axis=2))), side
 
 
 def cell_px(size: tuple[int, int]) -> int:

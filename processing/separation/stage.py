@@ -8,6 +8,7 @@ from typing import Any
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
+from processing.errors import ProcessingError
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import PatternLights, pattern_lights
 from processing.parallel import over_views, workers
@@ -19,6 +20,8 @@ from processing.separation.view import separate_view
 BYTES_A_PIXEL, BYTES_OF_ARRAYS = 50, 400
 """What a view takes at most for a pixel of its picture: by the one pass of `colour`, and by methods
 that make arrays of all readings."""
+MOST_ILL_POSED = 0.5
+"""Share of all views' pixels above which the maps mean nothing."""
 COLOUR_SPREAD = 0.02
 """Lights whose colours differ by more than this are worth a warning."""
 
@@ -33,12 +36,14 @@ def separate(
         ill-posed (eyes, teeth, grey hair, rims: confidence below .5), warnings.
 
     Raises:
-        ProcessingError: patterns that no method, or not the one asked for, can separate.
+        ProcessingError: patterns that no method, or not the one asked for, can separate; more than
+            `MOST_ILL_POSED` of the face ill-posed.
     """
     folder = ProcessedFolder(out)
     cameras = session.camera_ids()
     confidence: dict[str, float] = {}
     ill_posed: dict[str, float] = {}
+    counted_px: dict[str, int] = {}
     pixels = 0
     warnings: list[str] = []
     lights = pattern_lights(session, read_frames(out, cameras[0]).patterns)
@@ -61,8 +66,25 @@ def separate(
     for camera_id, (mean, unsure, count) in over_views(one, cameras, at_once):
         confidence[camera_id] = round(mean, 4)
         ill_posed[camera_id] = round(unsure, 4)
+        counted_px[camera_id] = count
         pixels += count
         progress(len(confidence), len(cameras))
+    share = sum(each * counted_px[camera] for camera, each in ill_posed.items()) / max(pixels, 1)
+    if share > MOST_ILL_POSED:
+        worst = max(ill_posed, key=lambda camera: ill_posed[camera])
+        fault = ProcessingError(
+            out / "views",
+            field="confidence",
+            found=f"{100 * share:.0f} % of the face ill-posed ({worst}: "
+            f"{100 * ill_posed[worst]:.0f} %)",
+            expected=f"at most {100 * MOST_ILL_POSED:g} %",
+            hint="Do the photographs show the patterns that session.json names, and do the rig's "
+            "lights stand where it says? `lightstage check SESSION` and views/CAMERA/"
+            "confidence.exr show more. --force goes on.",
+        )
+        if not config.forced:
+            raise fault
+        warnings.append(f"forced: {fault}")
     return {
         "method": method,
         "diffuse_normals": normals_of(method, config),

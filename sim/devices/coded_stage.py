@@ -91,7 +91,7 @@ class CodedStage:
         self._asked: list[np.ndarray] = []
         self._device: LedDevice | None = None
         self._show(np.zeros(count))
-        banks = [light.bank for light in rig.lights]
+        banks = [light.bank or "" for light in rig.lights]
         self.device = self._device = LedDevice(
             count, self._show, 1, story, self.log, banks, watchdog_s
         )

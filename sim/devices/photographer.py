@@ -86,7 +86,7 @@ class Photographer:
         return exposed_with(self.sensors, self.shooting.lenses)
 
     def colour_calibration(self) -> dict[str, object]:
-        """FORMATS' colour calibration of all cameras, from simulated chart photographs."""
+        """The value of colour.json of all cameras, from simulated chart photographs."""
         white = white_reading(self.world.rig, self.full)
         cameras = {
             camera_id: {

@@ -96,7 +96,7 @@ def standing_stage(
     save_rig(world.rig, desk / "rig.json")
     write_json(desk / "colour.json", photographer.colour_calibration())
     write_text(desk / "cameras.toml", folders.cameras_file())
-    banks = [light.bank for light in world.rig.lights]
+    banks = [light.bank or "" for light in world.rig.lights]
     subject = (world.subject.name, world.subject.expression)
     with LedDevice(len(banks), show, 1, story, log, banks, WATCHDOG_S) as device:
         url = device.url(timeout_s, attempts)

@@ -34,7 +34,7 @@ def build_template() -> Template:
 
 
 def write_template(out: Path) -> Path:
-    """Write the template folder (FORMATS: template.json, mesh.obj, modes.npz, maps/).
+    """Write the template folder (docs/formats.md: template.json, mesh.obj, modes.npz, maps/).
 
     Args:
         out: folder, made where absent.

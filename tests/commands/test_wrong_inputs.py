@@ -18,6 +18,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "lightstage watch": {"session": "session"},
     "lightstage calibrate": {"kind": "grey", "--rig": "rig", "--out": NEW, "--leds": "serial:///n"},
     "lightstage calibrations": {"lab": "lab"},
+    "lightstage rig check": {"rig": "rig"},
     "lightstage patterns": {"sequence": "binary", "--rig": "rig"},
     "lightstage import": {"folder": "photographs", "--rig": "rig", "--out": NEW},
     "lightstage check": {"session": "session"},

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from learning.__main__ import main
+from learning.errors import MapsError
+from learning.map_folders import require_texture_maps
 from learning.relight import about_y, turned_camera
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
@@ -123,3 +125,35 @@ def test_cameras_go_round_a_point_and_keep_looking_at_it() -> None:
         before, far = camera.project(centre[None])
         np.testing.assert_allclose(pixels, before, atol=1e-6)
         np.testing.assert_allclose(depth, far, atol=1e-6)
+
+
+def test_a_folder_of_several_maps_is_told_with_what_each_is(tmp_path: Path) -> None:
+    def maps(*names: str) -> None:
+        for name in names:
+            write_exr(tmp_path / "OUT" / name / "diffuse_albedo.exr", np.ones((2, 2, 3)))
+
+    maps("views/cam0", "views/cam1")
+    with pytest.raises(MapsError, match=r"2 folders of maps below: .*Run the stage atlas"):
+        require_texture_maps(tmp_path / "OUT")
+    maps("atlas")
+    with pytest.raises(MapsError, match=r"atlas \(the texture of one.*views/cam0 \(one camera's"):
+        require_texture_maps(tmp_path / "OUT")
+    with pytest.raises(MapsError, match="OUT/atlas"):
+        require_texture_maps(tmp_path / "OUT")
+    with pytest.raises(MapsError, match=r"one camera's maps, .*OUT/atlas"):
+        require_texture_maps(tmp_path / "OUT" / "views" / "cam0")
+    require_texture_maps(tmp_path / "OUT" / "atlas")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MapsError, match="no diffuse_albedo"):
+        require_texture_maps(tmp_path / "empty")
+
+
+def test_render_of_a_processed_folder_says_which_maps_it_means(
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ("render", "--maps", people[0].root, "--out", tmp_path / "never.png")
+    assert run(monkeypatch, *words, "--environment", panorama(tmp_path / "room.exr")) == 2
+    assert "the texture of one person" in capsys.readouterr().err

@@ -99,7 +99,9 @@ def test_what_the_simulated_camera_writes_is_read_back(tmp_path):
     counts = np.full((32, 48), 700, np.uint16)
     found = read(tmp_path, dng.dng_bytes(counts, sensor, exif))
     taken = datetime.datetime(2000, 1, 1, 12, tzinfo=datetime.UTC)
-    assert found == Exif("Nikon", "Nikon DSC D750", "6012399", 200, 1 / 40, 11.0, taken, (), 60.0)
+    assert found == Exif(
+        "Nikon", "Nikon DSC D750", "6012399", 200, 1 / 40, 11.0, taken, (), 60.0, orientation=1
+    )
 
 
 @pytest.mark.parametrize(("unit", "px_per_mm"), [(2, 4000 / 25.4), (3, 400.0), (4, 4000.0)])

@@ -33,7 +33,7 @@ def folder(tmp_path, small_rig):
 
 def test_linear_photographs_become_a_session_that_passes_its_check(folder, tmp_path, small_rig):
     out = tmp_path / "S"
-    assert import_session(folder, small_rig, out, "p1", "smile") == 9
+    assert import_session(folder, small_rig, out, "p1", "smile").frames == 9
     session = load_session(out)
     assert session.file.sequence == ["full", "x+", "x-"]
     assert {frame.encoding for frame in session.file.frames} == {"linear"}
@@ -56,13 +56,15 @@ def test_a_session_is_refused_with_what_to_do_and_its_photographs_alone_are_take
     assert not (tmp_path / "T").exists()
     with pytest.raises(FormatError, match="found a session"):
         named_cameras(tmp_path / "S")
-    assert import_session(tmp_path / "S" / "frames", small_rig, tmp_path / "T", "p1", "a") == 9
+    assert (
+        import_session(tmp_path / "S" / "frames", small_rig, tmp_path / "T", "p1", "a").frames == 9
+    )
 
 
 def test_photographs_in_a_folder_frames_import_too(folder, tmp_path, small_rig):
     (tmp_path / "card").mkdir()
     folder.rename(tmp_path / "card" / "frames")
-    assert import_session(tmp_path / "card", small_rig, tmp_path / "S", "p1", "neutral") == 9
+    assert import_session(tmp_path / "card", small_rig, tmp_path / "S", "p1", "neutral").frames == 9
 
 
 def test_raw_photographs_are_named_by_their_bytes(tmp_path, small_rig, dng):

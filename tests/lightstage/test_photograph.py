@@ -38,9 +38,40 @@ def test_makers_raw_files_are_told_by_their_maker(order, make, suffix):
     assert identify(tiff(order, make), "x").suffix == suffix
 
 
+def box(kind, content=b"", size=None):
+    return struct.pack(">I4s", len(content) + 8 if size is None else size, kind) + content
+
+
+CR3 = box(b"ftyp", b"crx \0\0\0\1crx isom") + box(b"moov", bytes(40)) + box(b"mdat", bytes(300))
+RAF = b"FUJIFILMCCD-RAW 0201".ljust(84, b"\0")
+RAF += struct.pack(">6I", 160, 40, 200, 60, 260, 240) + bytes(392)
+
+
 def test_other_containers_are_told_by_their_first_bytes():
-    assert identify(b"\0\0\0\x18ftypcrx \0\0", "x").suffix == ".cr3"
-    assert identify(b"FUJIFILMCCD-RAW 0201", "x").suffix == ".raf"
+    assert identify(CR3, "x").suffix == ".cr3"
+    assert identify(CR3[:-308] + box(b"mdat", bytes(9), 0), "x").suffix == ".cr3"
+    assert identify(CR3[:-308] + struct.pack(">I4sQ", 1, b"mdat", 16), "x").suffix == ".cr3"
+    assert identify(RAF, "x").suffix == ".raf"
+    assert identify(b"II\x1a\0\0\0HEAPCCDR" + bytes(50), "x").suffix == ".crw"
+    assert identify(b"IIU\0" + bytes(50), "x").suffix == ".rw2"
+    assert identify(b"IIRO" + bytes(50), "x").suffix == ".orf"
+    assert identify(tiff("<", "EASTMAN KODAK COMPANY"), "x").suffix == ".kdc"
+
+
+@pytest.mark.parametrize("data", [CR3, RAF], ids=["CR3", "RAF"])
+def test_every_truncation_of_a_cr3_or_raf_is_refused(data):
+    for size in range(16, len(data)):
+        with pytest.raises(FormatError, match="truncated"):
+            identify(data[:size], "x")
+
+
+def test_a_developed_tiff_is_no_raw_whoever_made_the_scanner():
+    file = io.BytesIO()
+    tags = [(271, 2, 0, "NIKON CORPORATION", True)]
+    picture = np.zeros((4, 4, 3), np.uint16)
+    tifffile.imwrite(file, picture, photometric="rgb", metadata=None, extratags=tags)
+    with pytest.raises(FormatError, match=r"developed colours.*`lightstage import` takes it"):
+        identify(file.getvalue(), "x")
 
 
 def test_an_exr_is_linear(tmp_path):
@@ -79,7 +110,8 @@ def test_noise_is_refused_not_crashed_on(noise, head):
         return
     data = head + noise
     starts = (b"II*\0", b"MM\0*", b"\x76\x2f\x31\x01", b"FUJIFILMCCD-RAW")
-    assert data.startswith(starts) or data[4:11] == b"ftypcrx"
+    starts += (b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"\0MRM", b"FOVb")
+    assert data.startswith(starts) or data[4:11] == b"ftypcrx" or data[6:14] == b"HEAPCCDR"
 
 
 def test_directories_in_a_ring_end():

@@ -71,7 +71,9 @@ def developed(
     **more: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     window = window or whole(counts.shape)
-    how = development(colours, np.full((2, 2), float(BLACK)), white, 0.99, coefficients, 1.0)
+    how = development(
+        colours, np.full((2, 2), float(BLACK)), white, white - BLACK, 0.99, coefficients, 1.0
+    )
     out, clipped = np.zeros((*window.shape, 3), np.float16), np.zeros(window.shape, np.uint8)
     flat, ambient = more.get("flat"), more.get("ambient")
     place = (0, 0), counts.shape, window
@@ -120,7 +122,13 @@ def test_the_results_follow_the_scale_of_the_colours(scale: float) -> None:
     counts = random_counts(2)
     one, _ = developed(counts, ORDERS["RGGB"], PLAIN)
     how = development(
-        ORDERS["RGGB"], np.full((2, 2), float(BLACK)), WHITE, 0.99, scale * PLAIN, 1 / scale
+        ORDERS["RGGB"],
+        np.full((2, 2), float(BLACK)),
+        WHITE,
+        WHITE - BLACK,
+        0.99,
+        scale * PLAIN,
+        1 / scale,
     )
     out, clipped = np.zeros((*counts.shape, 3), np.float16), np.zeros(counts.shape, np.uint8)
     develop_mosaic(counts, (0, 0), counts.shape, whole(counts.shape), how, None, None, out, clipped)
@@ -155,7 +163,9 @@ def test_strips_of_columns_meet_without_a_seam() -> None:
 def test_margins_of_the_file_are_no_part_of_the_picture() -> None:
     counts = random_counts(5, 30, 50)
     counts[:4], counts[:, :6] = 65535, 65535
-    how = development(ORDERS["RGGB"], np.full((2, 2), float(BLACK)), WHITE, 0.99, PLAIN, 1.0)
+    how = development(
+        ORDERS["RGGB"], np.full((2, 2), float(BLACK)), WHITE, WHITE - BLACK, 0.99, PLAIN, 1.0
+    )
     size = (24, 40)
     out, clipped = np.zeros((*size, 3), np.float16), np.zeros(size, np.uint8)
     develop_mosaic(counts, (4, 6), size, whole(size), how, None, None, out, clipped)
@@ -217,7 +227,7 @@ def test_noise_below_black_is_kept_so_that_the_dark_does_not_brighten() -> None:
 
 def test_black_levels_differ_by_place_in_the_mosaic() -> None:
     black = np.array([[100.0, 110.0], [120.0, 130.0]])
-    how = development(ORDERS["RGGB"], black, 1000.0, 0.99, PLAIN, 1.0)
+    how = development(ORDERS["RGGB"], black, 1000.0, 870.0, 0.99, PLAIN, 1.0)
     counts = np.tile(black, (6, 8)).astype(np.uint16)
     out, clipped = np.ones((12, 16, 3), np.float16), np.zeros((12, 16), np.uint8)
     develop_mosaic(counts, (0, 0), (12, 16), whole((12, 16)), how, None, None, out, clipped)

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from lightstage.errors import FormatError
 from lightstage.formats.environment import stage_lights
 from lightstage.formats.lights import MeasuredLights
+from lightstage.formats.orientation import OF_TIFF
 from lightstage.formats.session import Calibration, load_session, save_session
 from lightstage.session import read_calibration
 from processing.__main__ import app
@@ -248,7 +249,7 @@ def test_a_photograph_on_its_side_is_read_upright(targets, tmp_path):
     side = tmp_path / "side.dng"
     side.write_bytes(data.replace(entry + b"\x01\x00", entry + b"\x06\x00"))
     read, turned = read_mosaic(path), read_mosaic(side)
-    assert turned.turns == 3
+    assert turned.orientation == OF_TIFF[6]
     np.testing.assert_array_equal(turned.level, np.rot90(read.level, -1))
     np.testing.assert_array_equal(turned.as_read().level, read.level)
     np.testing.assert_array_equal(turned.as_read().channels, read.channels)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lightstage.errors import FormatError
+from lightstage.formats.orientation import OF_TIFF
 from lightstage.rig import default_rig
 from processing.calibration.colours import flattened
 from processing.calibration.flat_file import FlatField, read_flats, write_flats
@@ -151,19 +152,27 @@ def test_an_unusable_flat_is_named(tmp_path, change):
         read_flats(path, ["cam0", "cam1"])
 
 
-@pytest.mark.parametrize("turns", [0, 1, 2, 3])
-def test_a_camera_on_its_side_has_its_flat_where_the_sensor_reads_it(turns):
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_camera_on_its_side_has_its_flat_where_the_sensor_reads_it(orientation):
     """Pictures are upright as in rig.json; what belongs to pixels belongs to the sensor's."""
     read = mosaic(card(noise=0.0))
-    upright = read.turned(turns)
+    upright = read.upright(OF_TIFF[orientation])
     height, width = upright.level.shape
-    centre = {0: (251, 152), 1: (152, WIDTH - 251), 2: (WIDTH - 251, HEIGHT - 152)}
-    x, y = (centre | {3: (HEIGHT - 152, 251)})[turns]
+    x, y = {
+        1: (251, 152),
+        2: (WIDTH - 251, 152),
+        3: (WIDTH - 251, HEIGHT - 152),
+        4: (251, HEIGHT - 152),
+        5: (152, 251),
+        6: (HEIGHT - 152, 251),
+        7: (HEIGHT - 152, WIDTH - 251),
+        8: (152, WIDTH - 251),
+    }[orientation]
     camera = dataclasses.replace(CAMERA, width_px=width, height_px=height, cx_px=x, cy_px=y)
     field, _ = fit_flat([upright], camera, FlatConfig(), "flat")
     np.testing.assert_allclose(field.centre_px, [251, 152])
     np.testing.assert_allclose(field.radial, TRUE.radial, atol=0.005)
-    darks = [dark(0, (1e-3, 0, 0, 0), [(7, 9)]).turned(turns)]
+    darks = [dark(0, (1e-3, 0, 0, 0), [(7, 9)]).upright(OF_TIFF[orientation])]
     field, _ = read_darks(darks, field, FlatConfig(), "dark")
     np.testing.assert_array_equal(field.hot_pixels, [(7, 9)])
     even = flattened(upright, dataclasses.replace(field, black_offset=None)).cells()

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lightstage.errors import FormatError
+from lightstage.formats.srgb import linear_from_srgb
 from processing.colour import (
     ColourCorrection,
-    linear_from_srgb,
     read_colour,
     root_terms,
     srgb_from_linear,

@@ -273,7 +273,7 @@ def test_dark_frames_are_taken_off_and_kept_in_mind(tmp_path: Path) -> None:
     assert facts["ambient_from"] == ["dark"]
     np.testing.assert_allclose(found.image(1), exact.image(1), atol=4e-3)
     assert decoded(root, out)[1]["frames_kept_from_the_last_run"] == len(PATTERNS) + 1
-    replace_photograph(root, "dark", "cam0", 0.5 * room)
+    replace_photograph(root, "dark", "cam0", 0.9 * room)
     other, facts = decoded(root, out)
     assert facts["frames_kept_from_the_last_run"] == 0
     fresh, _ = decoded(root, tmp_path / "fresh")

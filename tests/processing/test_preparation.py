@@ -203,9 +203,9 @@ def test_whatever_is_read_the_checks_end_without_a_word(
     )
     images[2, 5:20, 5:20] = fill
     usable = np.isfinite(images).all(axis=(0, 3))
-    out = tmp_path_factory.mktemp("checks")
+    out, forced = tmp_path_factory.mktemp("checks"), PrepareConfig(forced=True)
     with np.errstate(all="raise", under="ignore"):
-        facts = prepare_view(out, "cam0", PATTERNS, images, usable, session(), PrepareConfig(), {})
+        facts = prepare_view(out, "cam0", PATTERNS, images, usable, session(), forced, {})
     assert all(np.isfinite(x) for x in facts["ambient"] or [])
     assert np.isfinite(read_diagnosis(out, "cam0").whole).all()
 

@@ -10,15 +10,21 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from lightstage.calibrations.picture import read_picture
+from lightstage.checks.photo import measure_photo
 from lightstage.errors import FormatError
+from lightstage.formats.orientation import OF_TIFF
+from lightstage.motion.pictures import _read_mosaic
 from lightstage.tiff import Directory
 from processing.calibration.flat_file import FlatField
+from processing.calibration.picture import read_mosaic
 from processing.colour import ColourCorrection
 from processing.frames.drafts import NOT_A_NUMBER
 from processing.frames.window import Window, whole
 from processing.raw.develop import Settings, develop, lying, store
 from processing.raw.file import RawFile, open_raw, read_exposure, unpack_raw
 from processing.raw.plain_dng import _strips, map_plain_dng
+from processing.raw.region import preview
 from sim.camera.tiff import BYTE, LONG, RATIONAL, SHORT
 from tests.processing.made_raw import (
     BLACK,
@@ -77,33 +83,87 @@ def test_other_sensors_come_on_the_same_scale(tmp_path: Path, mosaic: np.ndarray
     np.testing.assert_array_equal(marks, clipped[window.slices])
 
 
-@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])
+STANDING = {
+    1: lambda p: p,
+    2: lambda p: p[:, ::-1],
+    3: lambda p: p[::-1, ::-1],
+    4: lambda p: p[::-1],
+    5: lambda p: np.swapaxes(p, 0, 1),
+    6: lambda p: np.swapaxes(p, 0, 1)[:, ::-1],
+    7: lambda p: np.swapaxes(p, 0, 1)[::-1, ::-1],
+    8: lambda p: np.swapaxes(p, 0, 1)[::-1],
+}
+"""Where row 0 and column 0 go by the tag Orientation: [TIFF1992]'s table, by another hand."""
+
+
+@pytest.mark.parametrize("orientation", STANDING)
 def test_pictures_stand_upright_however_the_camera_was_held(
-    tmp_path: Path, orientation: int, turns: int
+    tmp_path: Path, orientation: int
 ) -> None:
+    stand = STANDING[orientation]
     rgb = gradient()
     rgb[10, 12] = 1.1
     path = write_dng(tmp_path / "a.dng", counts_of(rgb), more={274: (SHORT, orientation)})
     found, clipped = read(path)
     raw = open_raw(path)
-    assert raw.turns == turns
-    assert raw.shape == np.rot90(rgb, turns).shape[:2]
+    assert raw.shape == stand(rgb).shape[:2]
     raw.close()
     lying_down, marks = read(write_dng(tmp_path / "b.dng", counts_of(rgb)))
-    np.testing.assert_array_equal(found, np.rot90(lying_down, turns))
-    np.testing.assert_array_equal(clipped, np.rot90(marks, turns))
+    np.testing.assert_array_equal(found, stand(lying_down))
+    np.testing.assert_array_equal(clipped, stand(marks))
     window = Window(7, 5, 30, 21)
     part, _ = read(path, PLAIN, window)
     np.testing.assert_array_equal(part, found[window.slices])
+    unpacked = unpack_raw(path)
+    assert unpacked.orientation == raw.orientation
+    unpacked.close()
+    ambient = found.astype(np.float32)[window.slices]
+    out, clipped = np.zeros((*window.shape, 3), np.float16), np.zeros(window.shape, np.uint8)
+    develop(open_raw(path), window, PLAIN, ambient, out, clipped)
+    assert np.abs(out).max() < 2e-3
+    look, _ = preview(open_raw(path))
+    few, _ = preview(open_raw(tmp_path / "b.dng"))
+    np.testing.assert_array_equal(look, stand(few))
+    upright_grey, lying_grey = _read_mosaic(path)[0], _read_mosaic(tmp_path / "b.dng")[0]
+    np.testing.assert_array_equal(upright_grey, stand(lying_grey))
+    assert measure_photo(path).size_px == raw.shape[::-1]
+    mosaic, flat = read_mosaic(path), read_mosaic(tmp_path / "b.dng")
+    np.testing.assert_array_equal(mosaic.level, stand(flat.level))
+    np.testing.assert_array_equal(mosaic.as_read().level, flat.level)
 
 
-@pytest.mark.parametrize("turns", range(4))
-def test_a_lying_window_shows_the_same_pixels(turns: int) -> None:
+@pytest.mark.parametrize("orientation", STANDING)
+def test_a_lying_window_and_place_show_the_same_pixels(orientation: int) -> None:
     picture = np.arange(11 * 17).reshape(11, 17)
-    upright = np.rot90(picture, turns)
+    how = OF_TIFF[orientation]
+    upright = STANDING[orientation](picture)
+    np.testing.assert_array_equal(how.upright(picture), upright)
     window = Window(2, 3, 5, 7)
-    part = picture[lying(window, picture.shape, turns).slices]
-    np.testing.assert_array_equal(np.rot90(part, turns), upright[window.slices])
+    part = picture[lying(window, picture.shape, how).slices]
+    np.testing.assert_array_equal(how.upright(part), upright[window.slices])
+    height, width = upright.shape
+    x, y = how.place_as_read(4.5, 2.5, width, height)
+    assert picture[int(y), int(x)] == upright[2, 4]
+
+
+def test_unequal_blacks_change_no_colour(tmp_path: Path) -> None:
+    """A count above black is as much light in each place, whatever its black is."""
+    rgb = gradient()
+    offsets = np.array([[0, 40], [80, 120]])
+    counts = counts_of(rgb).astype(int) + np.tile(offsets, (24, 32))
+    tags = {50713: (SHORT, (2, 2)), 50714: (SHORT, tuple((BLACK + offsets).ravel()))}
+    found, _ = read(write_dng(tmp_path / "a.dng", counts.astype(np.uint16), more=tags))
+    even, _ = read(write_dng(tmp_path / "b.dng", counts_of(rgb)))
+    ratio = inner(found) / inner(even)
+    scale = (WHITE - BLACK) / (WHITE - BLACK - offsets.max())
+    np.testing.assert_allclose(ratio, scale, rtol=1.5e-3)  # halves
+    np.testing.assert_allclose(ratio.mean(axis=(0, 1)), scale, rtol=5e-4)
+    picture, plain = read_picture(tmp_path / "a.dng"), read_picture(tmp_path / "b.dng")
+    np.testing.assert_allclose(picture.rgb, plain.rgb * scale, rtol=1e-5)
+    level, flat = read_mosaic(tmp_path / "a.dng").level, read_mosaic(tmp_path / "b.dng").level
+    np.testing.assert_allclose(level, flat * scale, rtol=1e-5)
+    look, plain_look = preview(open_raw(tmp_path / "a.dng")), preview(open_raw(tmp_path / "b.dng"))
+    np.testing.assert_allclose(look[0], plain_look[0] * scale, rtol=1e-5)
 
 
 def test_black_levels_of_four_places_and_margins_are_the_files_own(tmp_path: Path) -> None:
@@ -122,7 +182,8 @@ def test_black_levels_of_four_places_and_margins_are_the_files_own(tmp_path: Pat
     raw.close()
     found, _ = read(tmp_path / "a.dng")
     exact = gradient(60, 80)[4:56, 6:78]
-    np.testing.assert_allclose(inner(found), inner(exact), atol=2e-3)
+    share = (WHITE - BLACK) / (WHITE - BLACK - offsets.max())
+    np.testing.assert_allclose(inner(found), inner(exact) * share, atol=3e-4)
 
 
 def test_flats_black_offsets_and_hot_pixels_are_undone(tmp_path: Path) -> None:
@@ -137,7 +198,7 @@ def test_flats_black_offsets_and_hot_pixels_are_undone(tmp_path: Path) -> None:
     rgb = np.full((64, 96, 3), 0.4) / field.gain((64, 96))[..., None]
     counts = counts_of(rgb).astype(float)
     raised = np.tile(field.black_offset.reshape(2, 2), (32, 48))
-    counts = np.rint(counts * (1 - raised) + raised * WHITE).astype(np.uint16)
+    counts = np.rint(counts + raised * (WHITE - BLACK)).astype(np.uint16)
     counts[tuple(field.hot_pixels.T)] = 15000
     path = write_dng(tmp_path / "a.dng", counts)
     for window in (whole((64, 96)), Window(11, 23, 40, 50)):
@@ -164,6 +225,23 @@ def test_a_truncated_dng_is_refused_with_its_name(tmp_path: Path, share: float) 
         open_raw(path)
     with pytest.raises(FormatError, match=r"gone\.dng"):
         open_raw(tmp_path / "gone.dng")
+
+
+@pytest.mark.parametrize("compression", [9, 52546], ids=["GPR's", "JPEG XL"])
+def test_what_libraw_does_not_know_is_not_called_damaged(tmp_path: Path, compression: int) -> None:
+    """GoPro's VC-5 [compression 9] and JPEG XL: a DNG by its header, which LibRaw cannot unpack."""
+    tags = {259: (SHORT, compression)}
+    path = write_dng(tmp_path / "a.gpr", counts_of(gradient()), more=tags)
+    for read_it in (open_raw, measure_photo, _read_mosaic, read_mosaic, read_picture):
+        with pytest.raises(FormatError, match=r"a\.gpr.*does not know.*Convert it to DNG"):
+            read_it(path)
+    (tmp_path / "b.gpr").write_bytes(b"Dear diary, " * 9)
+    (tmp_path / "c.gpr").write_bytes(path.read_bytes()[:-400])
+    for read_it in (open_raw, measure_photo, _read_mosaic, read_mosaic, read_picture):
+        with pytest.raises(FormatError, match=r"b\.gpr.*This is no photograph"):
+            read_it(tmp_path / "b.gpr")
+        with pytest.raises(FormatError, match=r"c\.gpr.*is truncated"):
+            read_it(tmp_path / "c.gpr")
 
 
 def test_sensors_without_red_green_and_blue_are_refused(tmp_path: Path) -> None:
@@ -201,7 +279,7 @@ def test_patterns_of_the_mosaic_follow_the_file(tmp_path: Path) -> None:
 
 def _same(one: RawFile, other: RawFile) -> None:
     np.testing.assert_array_equal(one.counts, other.counts)
-    for name in ("origin", "size", "white", "turns"):
+    for name in ("origin", "size", "white", "orientation"):
         assert getattr(one, name) == getattr(other, name), name
     assert one.colours is not None
     assert other.colours is not None
@@ -215,6 +293,8 @@ PLAIN_TAGS: list[dict[int, tuple[int, object]]] = [
     {274: (SHORT, 6)},
     {274: (SHORT, 8)},
     {274: (SHORT, 3)},
+    {274: (SHORT, 2)},
+    {274: (SHORT, 5)},
     {50713: (SHORT, (2, 2)), 50714: (SHORT, (600, 607, 640, 690))},
     {33422: (BYTE, (1, 0, 2, 1))},
     {33422: (BYTE, (2, 1, 1, 0)), 50717: (LONG, 12345)},

@@ -149,7 +149,7 @@ def both_stages(session: Path, out: Path) -> dict[str, dict[str, np.ndarray]]:
     found = {}
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        separate(loaded, out, SeparateConfig())
+        separate(loaded, out, SeparateConfig(forced=True))
         found["separate"] = maps_of(out)
         write_ply(mesh(), ProcessedFolder(out).base_mesh)
         refine(loaded, out, CONFIG)

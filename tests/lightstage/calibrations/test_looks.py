@@ -127,9 +127,14 @@ def test_pictures_without_any_meaning_are_refused_and_never_crash():
 
 def test_a_file_that_is_no_raw_is_refused_with_its_name(tmp_path):
     path = tmp_path / "cam0.dng"
-    for data in (b"", b"II*\0 and nothing more", b"\xff\xd8\xff\xe0 a JPEG"):
+    cases = {
+        b"": "0 bytes.*no photograph",
+        b"II*\0 and nothing more": "is truncated",
+        b"\xff\xd8\xff\xe0 a JPEG": "a JPEG",
+    }
+    for data, said in cases.items():
         path.write_bytes(data)
-        with pytest.raises(FormatError, match=r"cam0\.dng: found no readable RAW"):
+        with pytest.raises(FormatError, match=rf"cam0\.dng: found .*{said}"):
             read_picture(path)
 
 

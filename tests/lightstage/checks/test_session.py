@@ -115,7 +115,7 @@ def test_an_overexposed_photograph_is_found(session, dng):
 def test_a_raw_that_libraw_does_not_read_is_found(session, dng):
     (session / "frames/full/cam1.dng").write_bytes(dng(1000, width=16, height=16))
     rehash(session, "frames/full/cam1.dng")
-    with pytest.raises(FormatError, match=r"full/cam1.dng: found .*expected a RAW that LibRaw"):
+    with pytest.raises(FormatError, match=r"full/cam1.dng: found .*LibRaw .* does not know"):
         check_session(session)
 
 

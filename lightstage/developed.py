@@ -1,0 +1,246 @@
+"""Developed pictures (JPEG, PNG, TIFF) back to linear light, as far as they tell it.
+
+A camera's tone curve, its sharpening and its denoising stay in them; clipped colours are only
+counted. OpenCV decodes, tifffile tells a TIFF's fields; what display values mean is said by the ICC
+profile, else taken for sRGB.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tifffile
+
+from lightstage.containers import FRAMES, PNG_HEAD, chunks, segments
+from lightstage.errors import FormatError
+from lightstage.exif import read_exif
+from lightstage.formats.icc import Profile, read_profile, srgb
+from lightstage.formats.orientation import OF_TIFF
+from lightstage.photograph import identify_file
+from lightstage.tiff import Reader
+
+JPEG_HEAD = b"\xff\xd8\xff"
+TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+BITS = (8, 16)
+RGB, YCBCR = 2, 6
+"""PhotometricInterpretation of pictures that are taken [TIFF1992]."""
+_PNG_ALPHA, _PNG_COLOUR = 4, 2
+"""Bits of a PNG's colour type."""
+SRGB_GAMMA = 45455
+"""A PNG's gAMA for sRGB, times 100,000."""
+LEAST_PX = 8
+EXPECTED = "red, green and blue of 8 or 16 bits"
+
+
+@dataclasses.dataclass(frozen=True)
+class Developed:
+    """A developed picture's linear light.
+
+    Attributes:
+        rgb: (h, w, 3) float32 linear sRGB, upright, 1 = the picture's white.
+        kind: ``JPEG``, ``PNG`` or ``TIFF``.
+        bits: 8 or 16.
+        profile: name of the ICC profile; ``sRGB`` also where there is none.
+        told: whether there was a profile.
+        clipped: share of pixels with a colour at white.
+        exposure: seconds * ISO / f-number^2; None where the file does not tell.
+    """
+
+    rgb: np.ndarray
+    kind: str
+    bits: int
+    profile: str
+    told: bool
+    clipped: float
+    exposure: float | None
+
+
+def developed_kind(path: Path) -> str | None:
+    """``JPEG``, ``PNG`` or ``TIFF`` by a file's bytes; None for a RAW, OpenEXR or anything else.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(16)
+    if head.startswith(JPEG_HEAD):
+        return "JPEG"
+    if head.startswith(PNG_HEAD):
+        return "PNG"
+    if not head.startswith(TIFF_HEADS):
+        return None
+    try:
+        identify_file(path)
+    except FormatError as error:
+        # A RAW that is cut is a RAW.
+        return None if "truncated" in error.hint else "TIFF"
+    return None
+
+
+def read_developed(path: Path) -> Developed:
+    """Read a JPEG, PNG or TIFF.
+
+    Raises:
+        FormatError: another kind of file, a damaged one, transparent, grey or CMYK, of other than 8
+            or 16 bits, or of a colour profile that cannot be used.
+        OSError: the file cannot be read.
+    """
+    kind = developed_kind(path)
+    data = path.read_bytes()
+    if kind == "JPEG":
+        _check_jpeg(data, path)
+    elif kind == "PNG":
+        _check_png(data, path)
+    elif kind != "TIFF":
+        raise FormatError(path, found="another kind of file", expected="a JPEG, PNG or TIFF")
+    profile, opaque = _check_tiff(data, path) if kind == "TIFF" else (None, False)
+    pixels, embedded = _decoded(data, path)
+    codes = _colours(pixels, path, opaque=opaque)
+    told = read_exif(path)
+    if kind != "TIFF" and told.orientation is not None:  # OpenCV turns TIFFs itself
+        codes = np.ascontiguousarray(OF_TIFF[told.orientation].upright(codes))
+    raw = embedded if profile is None else profile
+    if raw is None and kind == "PNG":
+        _check_gamma(data, path)
+    meaning: Profile = srgb() if raw is None else read_profile(raw, path)
+    most = np.iinfo(codes.dtype).max
+    known = told.exposure_s, told.iso, told.f_number
+    exposure = None
+    if known[0] and known[1] and known[2]:
+        exposure = known[0] * known[1] / known[2] ** 2
+    return Developed(
+        meaning.linear(codes),
+        kind,
+        codes.dtype.itemsize * 8,
+        meaning.name,
+        raw is not None,
+        float((codes == most).any(axis=2).mean()),
+        exposure,
+    )
+
+
+def _refused(path: Path, found: str, hint: str = "") -> FormatError:
+    return FormatError(path, found=found, expected=EXPECTED, hint=hint)
+
+
+_CMYK = "Printing inks do not tell light: export the picture as RGB with 16 bits."
+
+
+def _check_jpeg(data: bytes, path: Path) -> None:
+    reader = Reader(io.BytesIO(data))
+    for marker, place, size in segments(reader, 2):
+        if marker in FRAMES and size >= 6:
+            bits, _, _, components = struct.unpack(">BHHB", reader.bytes_at(place, 6))
+            if components == 4:
+                raise _refused(path, "a JPEG in CMYK", _CMYK)
+            if components != 3:
+                raise _refused(path, "a grey JPEG" if components == 1 else "no colours")
+            if bits != 8:
+                raise _refused(path, f"a JPEG of {bits} bits")
+            return
+    raise _damaged(path)
+
+
+def _check_png(data: bytes, path: Path) -> None:
+    if len(data) < 26:
+        raise _damaged(path)
+    bits, colour_type = data[24], data[25]
+    if not colour_type & _PNG_COLOUR:
+        raise _refused(path, "a grey PNG")
+    if bits not in BITS:
+        raise _refused(path, f"a PNG of {bits} bits")
+
+
+def _check_gamma(data: bytes, path: Path) -> None:
+    """Refuse a PNG without a profile that says of itself that it is no sRGB."""
+    reader = Reader(io.BytesIO(data))
+    told = {kind: reader.bytes_at(place, min(size, 4)) for kind, place, size in chunks(reader)}
+    if b"sRGB" in told or len(told.get(b"gAMA", b"")) < 4:
+        return
+    gamma = int.from_bytes(told[b"gAMA"], "big")
+    if abs(gamma - SRGB_GAMMA) > 0.02 * SRGB_GAMMA:
+        raise _refused(
+            path,
+            f"a PNG of gamma {gamma / 1e5:g} without an ICC profile",
+            "Embed the profile, or export as sRGB; linear light belongs into an OpenEXR.",
+        )
+
+
+def _check_tiff(data: bytes, path: Path) -> tuple[bytes | None, bool]:
+    """A TIFF's ICC profile, and whether what it has beside three colours is no transparency."""
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            page = file.pages[0]
+            tags = {tag.code: tag.value for tag in page.tags}
+            photometric, bits = int(page.photometric), int(page.bitspersample)
+            samples, format_ = int(page.samplesperpixel), int(page.sampleformat)
+            extra = [int(e) for e in page.extrasamples]
+    # Damaged directories end tifffile in errors of many kinds.
+    except Exception:
+        raise _damaged(path) from None
+    if photometric == 5:
+        raise _refused(path, "a TIFF in CMYK", _CMYK)
+    if photometric not in (RGB, YCBCR) or samples - len(extra) != 3:
+        what = "grey" if samples - len(extra) == 1 else f"of colours of kind {photometric}"
+        raise _refused(path, f"a TIFF that is {what}")
+    if bits not in BITS or format_ != 1:
+        found = f"a TIFF of {bits} bit {'floats' if format_ == 3 else 'numbers'}"
+        raise _refused(path, found, "Linear light in floats belongs into an OpenEXR.")
+    profile = tags.get(34675)
+    return (bytes(profile) if isinstance(profile, bytes) else None), extra == [0]
+
+
+def _damaged(path: Path) -> FormatError:
+    return FormatError(
+        path,
+        found="a damaged picture",
+        expected="a whole JPEG, PNG or TIFF",
+        hint="Copy it again; a compression that few programs read must be undone first.",
+    )
+
+
+def _decoded(data: bytes, path: Path) -> tuple[np.ndarray, bytes | None]:
+    """A picture's pixels as OpenCV reads them, and the ICC profile of a JPEG or PNG."""
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        pixels, kinds, values = cv2.imdecodeWithMetadata(
+            np.frombuffer(data, np.uint8), flags=cv2.IMREAD_UNCHANGED
+        )
+    except cv2.error:
+        raise _damaged(path) from None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if pixels is None:
+        raise _damaged(path)
+    embedded = None
+    for kind, value in zip(np.ravel(kinds), values, strict=True):
+        if kind == cv2.IMAGE_METADATA_ICCP:
+            embedded = np.asarray(value, np.uint8).tobytes()
+    return np.asarray(pixels), embedded
+
+
+def _colours(pixels: np.ndarray, path: Path, *, opaque: bool) -> np.ndarray:
+    """(h, w, 3) red, green, blue of what OpenCV read; an opaque fourth channel is left out."""
+    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.dtype.itemsize * 8 not in BITS:
+        raise _refused(path, f"{pixels.dtype} values of shape {pixels.shape}")
+    if min(pixels.shape[:2]) < LEAST_PX:
+        raise FormatError(
+            path,
+            found=f"{pixels.shape[1]} x {pixels.shape[0]} pixels",
+            expected=f"a photograph of {LEAST_PX} x {LEAST_PX} or more",
+        )
+    if pixels.shape[2] == 4 and not opaque:
+        clear = pixels[..., 3] < np.iinfo(pixels.dtype).max
+        if clear.any():
+            raise _refused(
+                path,
+                f"a picture that is transparent in {100 * float(clear.mean()):.2g} % of its pixels",
+                "What lies behind is not told: flatten the picture, or take the one before it "
+                "was cut out.",
+            )
+    return pixels[..., 2::-1]

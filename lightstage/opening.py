@@ -1,0 +1,85 @@
+"""Photographs taken elsewhere, opened: read to their end once, so that no later stage is surprised.
+
+A RAW is unpacked, an OpenEXR read; what a later stage would refuse is refused here, where the file
+has its own name still.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from lightstage.developed import LEAST_PX, Developed, developed_kind, read_developed
+from lightstage.errors import FormatError
+from lightstage.formats.exr import read_exr
+from lightstage.formats.orientation import of_libraw
+from lightstage.photograph import identify_file
+
+
+@dataclasses.dataclass(frozen=True)
+class Opened:
+    """A photograph that could be read.
+
+    Attributes:
+        size_px: width and height, upright.
+        encoding: ``raw``, ``linear``, or ``developed`` for a JPEG, PNG or TIFF.
+        developed: of such a one, its light.
+    """
+
+    size_px: tuple[int, int]
+    encoding: str
+    developed: Developed | None = None
+
+
+def open_photograph(path: Path) -> Opened:
+    """Open a photograph and read all of it.
+
+    Raises:
+        FormatError: damaged; of a format that LibRaw does not know; no photograph; without three
+            colours; with NaN; of fewer than 8 x 8 pixels.
+    """
+    try:
+        if developed_kind(path) is not None:
+            developed = read_developed(path)
+            height, width = developed.rgb.shape[:2]
+            return Opened((width, height), "developed", developed)
+        encoding = identify_file(path).encoding
+    except OSError as error:
+        raise FormatError(path, found=error.strerror or str(error), expected="a file") from None
+    size = _raw_size(path) if encoding == "raw" else _linear_size(path)
+    if min(size) < LEAST_PX:
+        raise FormatError(
+            path,
+            found=f"{size[0]} x {size[1]} pixels",
+            expected=f"a photograph of {LEAST_PX} x {LEAST_PX} or more",
+        )
+    return Opened(size, encoding)
+
+
+def _linear_size(path: Path) -> tuple[int, int]:
+    image = read_exr(path, finite=True)
+    if image.ndim != 3:
+        raise FormatError(path, found="one channel", expected="R G B")
+    return image.shape[1], image.shape[0]
+
+
+def _raw_size(path: Path) -> tuple[int, int]:
+    """Width and height of a RAW, upright, once LibRaw has unpacked it."""
+    import rawpy
+
+    from lightstage.raw_errors import unreadable_raw
+
+    try:
+        with rawpy.imread(str(path)) as raw:
+            counts = raw.raw_image_visible  # unpacks
+            colours, letters = raw.num_colors, raw.color_desc.decode("ascii", "replace")
+            rows, columns = of_libraw(raw.sizes.flip).shape((raw.sizes.height, raw.sizes.width))
+    except (rawpy.LibRawError, ValueError, OSError, NotImplementedError) as error:
+        raise unreadable_raw(path, error) from None
+    if colours != 3 or set(letters) - set("RGB") or counts.size == 0:
+        raise FormatError(
+            path,
+            found=f"a sensor of {colours} colours ({letters})",
+            expected="one of red, green and blue",
+        )
+    return columns, rows

@@ -1,0 +1,47 @@
+"""What LibRaw says of a file that it cannot read, told apart: damaged, unknown, no photograph."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import rawpy
+
+from lightstage.errors import FormatError
+from lightstage.photograph import identify_file
+
+LIBRAW = ".".join(map(str, rawpy.libraw_version))
+
+
+def unreadable_raw(path: Path, error: Exception) -> FormatError:
+    """The error of a RAW that could not be opened or unpacked.
+
+    Args:
+        path: the file.
+        error: of rawpy, or of the system.
+    """
+    if isinstance(error, OSError):
+        return FormatError(path, found=error.strerror or str(error), expected="a file")
+    try:
+        # What its own header tells against it says more than LibRaw does.
+        kind = identify_file(path)
+    except OSError as refused:
+        return FormatError(path, found=refused.strerror or str(refused), expected="a file")
+    except FormatError as refused:
+        return refused
+    text = error.args[0] if error.args else error
+    said = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
+    unknown = (rawpy.LibRawFileUnsupportedError, rawpy.NotSupportedError, NotImplementedError)
+    if isinstance(error, unknown):
+        return FormatError(
+            path,
+            found=f"a {kind.suffix.removeprefix('.').upper()} of a format or compression that "
+            f"LibRaw {LIBRAW} does not know",
+            expected="a RAW that it reads",
+            hint="Convert it to DNG, with a lossless compression that older readers know.",
+        )
+    return FormatError(
+        path,
+        found=f"a damaged RAW (LibRaw: {said})",
+        expected="a whole one",
+        hint="Copy it from the camera again.",
+    )

@@ -1,0 +1,61 @@
+"""`lightstage rig check`: a rig read, drawn, and what is odd about it said."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import typer
+
+from lightstage.commands import JsonFlag, finish, output_file
+from lightstage.counting import counted
+from lightstage.formats.png import write_png
+from lightstage.rig import load_rig
+from lightstage.rig_oddities import rig_oddities
+from lightstage.rig_picture import draw_rig
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group `rig` to an application."""
+    group = typer.Typer(
+        rich_markup_mode=None,
+        help="What describes the stage: where its lights and cameras stand.",
+    )
+    group.callback()(_rig)
+    group.command("check")(check_command)
+    app.add_typer(group, name="rig")
+
+
+def _rig() -> None:
+    """What describes the stage: where its lights and cameras stand."""
+
+
+def check_command(
+    rig: Path = typer.Argument(help="rig.json."),
+    out: Path | None = output_file(
+        "--out", help="Picture of it, .png.", suffixes=[".png"], default=None, shared=True
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Read a rig, refuse what cannot be used, say what is odd, and draw it."""
+    the_rig = load_rig(rig)
+    found = rig_oddities(the_rig)
+    if out is not None:
+        write_png(out, draw_rig(the_rig))
+    for finding in found:
+        print(f"warning: {finding}", file=sys.stderr)
+    drawn = "" if out is None else f", drawn in {out}"
+    odd = counted(len(found), "odd thing") if found else "nothing odd"
+    finish(
+        f"{rig}: {counted(len(the_rig.lights), 'light')}, "
+        f"{counted(len(the_rig.cameras), 'camera')}, {odd}{drawn}",
+        {
+            "rig": str(rig),
+            "lights": len(the_rig.lights),
+            "cameras": len(the_rig.cameras),
+            "odd": [dataclasses.asdict(finding) for finding in found],
+            "picture": None if out is None else str(out),
+        },
+        as_json,
+    )
