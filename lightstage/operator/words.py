@@ -205,7 +205,10 @@ def _shot(line: Line) -> Said:
 def _note(line: Line) -> Said:
     if text_of(line, "socket"):
         return Said("plain", "Anyone here can follow with: {watch}")
-    text = f"{_at(line)}{_told(line, 'said') or 'noted'}"
+    told = _told(line, "said")
+    if not told:  # a line of the journal's own, such as one for each file on a card
+        return Said("quiet", f"{_at(line)}{text_of(line, 'about') or 'noted'}")
+    text = f"{_at(line)}{told}"
     return Said("plain", text[:1].upper() + text[1:] if not _place(line) else text)
 
 
