@@ -5,6 +5,7 @@ No colour carries a meaning alone, and no text is read as markup.
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 from collections.abc import Sequence
 from typing import Literal
@@ -16,7 +17,7 @@ from rich.text import Text
 
 from lightstage.counting import counted
 from lightstage.operator.cells import battery, card, sayable, short
-from lightstage.operator.view import CameraView, View
+from lightstage.operator.view import CameraView, State, View
 from lightstage.operator.window import Scroll, fitting
 from lightstage.operator.words import (
     ANSWERS,
@@ -50,7 +51,7 @@ MARKS: dict[Mark, tuple[str, str, str]] = {
 }
 """For a terminal with Unicode, for one without, and the style."""
 
-NEEDY = ("failed", "in question", "late", "restarting")
+NEEDY: tuple[State, ...] = ("failed", "in question", "late", "restarting")
 """States of cameras that somebody should look at."""
 ROOMY = 100
 """Columns from which serial numbers are shown."""
@@ -137,7 +138,8 @@ class Screen:
             line.append("Lights and cameras are being checked.", "bold")
             return line
         elif view.phase == "running" and view.pattern:
-            line.append(f"TAKING {view.pattern}", "bold")
+            unlit = view.late is not None and not view.late.lit
+            line.append("DARK" if unlit else f"TAKING {view.pattern}", "bold")
             self._countdown(line)
         else:
             line.append("DARK", "bold")
@@ -158,8 +160,10 @@ class Screen:
         left_s = late.left_s()
         soon = "soon" if left_s is None else f"in {left_s:.0f} s"
         who = short(", ".join(late.cameras), 24)
-        does = f"dark {soon}" if late.lit else f"DARK, started again {soon}"
-        line.append(f", {who} late: {does}", "bold yellow")
+        told = (
+            f"{who} late: dark {soon}" if late.lit else f"waiting for {who}: started again {soon}"
+        )
+        line.append(f", {told}", "bold yellow")
 
     def _least_rows(self) -> int:
         """Lines of the table that must be in view: what needs somebody, and how many more."""
@@ -212,10 +216,13 @@ class Screen:
             cells = [Text(names[name]), self._state(camera), battery(camera), card(camera)]
             cells += [Text(short(camera.serial, SERIAL_WIDE) or "-", "dim")] if roomy else []
             table.add_row(*cells, self._marks(name, shown, wide, unicode))
-        hidden = len(view.cameras) - len(order)
-        if hidden:
-            table.add_row(Text(f"+{hidden}", "dim"), Text("more cameras", "dim"))
-        return table
+        hidden = [camera for name, camera in view.cameras.items() if name not in order]
+        if not hidden:
+            return table
+        states = collections.Counter(camera.state for camera in hidden)
+        needy = "".join(f", {states[each]} {STATES[each]}" for each in NEEDY if states[each])
+        more = Text(f"+{len(hidden)} more cameras", "dim", no_wrap=True, overflow="ellipsis")
+        return Group(table, more.append(needy, "bold red"))
 
     def _rows(self, rows: int) -> list[str]:
         """Cameras to show where not all fit: those that failed or work come first."""

@@ -140,7 +140,7 @@ def test_the_seconds_until_the_lights_go_dark_are_counted_down(busy, monkeypatch
     assert "dark in 1 s" in "\n".join(picture(view, None, 80))
     assert re.search(r"^cam7 +LATE", "\n".join(picture(view, None, 80)), re.M)
     view.told(busy.add("waiting", **told, lit=False))
-    assert "cam7 late: DARK, started again in 28 s" in "\n".join(picture(view, None, 80))
+    assert "DARK, waiting for cam7: started again in 28 s" in "\n".join(picture(view, None, 80))
     busy.expose("y+", "cam7")
     view.told(busy.lines[-1])
     assert "late" not in "\n".join(picture(view, None, 80))
@@ -158,6 +158,34 @@ def test_more_cameras_than_rows_show_those_that_need_somebody(story):
     assert len(lines) < 24
     assert re.search(r"cam57 +FAILED", text)
     assert re.search(r"\+\d+ +more cameras", text)
+
+
+def test_cameras_that_failed_and_do_not_fit_are_counted(story):
+    told = story(9)
+    told.begin()
+    told.light("full")
+    lines = [told.not_taken("full", camera, "it is gone") for camera in told.cameras]
+    told.add("asked", pattern="full")
+    rows = picture(
+        shown(told.lines), Ask([said(line) for line in lines], ("retake", "abort")), 60, 15
+    )
+    assert len(rows) < 15
+    in_view = sum("FAILED" in row and row.startswith("cam") for row in rows)
+    assert in_view >= 2
+    assert f"+{9 - in_view} more cameras, {9 - in_view} FAILED" in rows
+
+
+def test_of_a_camera_that_failed_what_looked_well_before_is_not_shown(story):
+    told = story(9)
+    told.begin()
+    told.light("full")
+    for camera in ("cam0", "cam8"):
+        told.not_taken("full", camera, "it is gone")
+    lines = picture(shown(told.lines), None, 80, 40)
+    cells = {line.split()[0]: line.split()[2:4] for line in lines if line.startswith("cam")}
+    assert cells["cam0"] == ["-", "-"]
+    assert cells["cam8"] == ["18%!", "-"]  # a low battery may be why
+    assert cells["cam1"] == ["81%", "54"]
 
 
 def test_a_long_sequence_is_shown_around_the_present_pattern(story):
