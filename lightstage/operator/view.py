@@ -36,6 +36,8 @@ Phase = Literal["before", "running", "asked", "paused", "aborted", "complete", "
 SHOTS_MEASURED = 9
 """Time left is told from the median of so many shots, so that one slow one does not change it."""
 NEWS_KEPT = 50
+THERE: tuple[Mark, ...] = ("kept", "in question", "accepted")
+"""Marks of photographs that are there."""
 FOLLOWING = "\0"
 """In place of a pattern: the line holds as long as the capture runs."""
 
@@ -125,9 +127,7 @@ class View:
     def kept(self) -> int:
         """Photographs that count."""
         return sum(
-            mark in ("kept", "in question")
-            for marks in list(self.marks.values())
-            for mark in list(marks.values())
+            mark in THERE for marks in list(self.marks.values()) for mark in list(marks.values())
         )
 
     def mark(self, pattern: str, camera: str) -> Mark:
@@ -307,7 +307,7 @@ class View:
             camera.card_free_bytes = max(0.0, camera.card_free_bytes - size)
 
     def _failed(self, line: Mapping[str, Any]) -> None:
-        if self.mark(*self._place(line)) not in ("kept", "in question"):
+        if self.mark(*self._place(line)) not in THERE:
             self._mark(line, "failed", "failed")
 
     def _finding(self, line: Mapping[str, Any]) -> None:
@@ -315,7 +315,7 @@ class View:
         if text_of(line, "severity") not in ("retake", "refuse") or pattern not in self.patterns:
             return
         for name in [camera] if camera else list(self.cameras):
-            kept = self.mark(pattern, name) in ("kept", "in question")
+            kept = self.mark(pattern, name) in THERE
             mark: Literal["in question", "failed"] = "in question" if kept else "failed"
             self._mark({"pattern": pattern, "camera": name}, mark, mark)
 
@@ -323,7 +323,7 @@ class View:
         """All that was in question counts: a finding may be of an earlier pattern."""
         for pattern, marks in self.marks.items():
             for name in [name for name, mark in marks.items() if mark == "in question"]:
-                self._mark({"pattern": pattern, "camera": name}, "kept", "kept")
+                self._mark({"pattern": pattern, "camera": name}, "accepted", "kept")
 
     def _rejected(self, line: Mapping[str, Any]) -> None:
         pattern, camera = self._place(line)

@@ -20,9 +20,9 @@ from lightstage.resume_line import options_of, resume_line, watch_line
 Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
 """``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
 
-Mark = Literal["to come", "now", "kept", "failed", "again", "in question"]
+Mark = Literal["to come", "now", "kept", "failed", "again", "in question", "accepted"]
 """Of one pattern by one camera; ``again`` waits to be taken once more, ``in question`` is kept and
-may be accepted or taken again."""
+may be accepted or taken again, ``accepted`` was accepted with its faults."""
 Line = Mapping[str, Any]
 
 SIGNS: dict[Tone, str] = {
@@ -312,7 +312,7 @@ KEYS = {
     "leave": ("q", "leave (the capture goes on)"),
 }
 """Key and words of each request."""
-ANSWERS = {"retake": "take it again"}
+ANSWERS = {"retake": "take it again", "abort": "stop now, go on later"}
 """The same as answers to the question, where they read otherwise."""
 LEGEND: tuple[tuple[Mark, str], ...] = (
     ("kept", "kept"),
@@ -320,6 +320,7 @@ LEGEND: tuple[tuple[Mark, str], ...] = (
     ("again", "to retake"),
     ("failed", "failed"),
     ("in question", "in question"),
+    ("accepted", "accepted"),
     ("to come", "to come"),
 )
 """Marks of photographs and their words."""

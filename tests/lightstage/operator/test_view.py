@@ -210,7 +210,7 @@ def test_a_kept_photograph_that_is_asked_about_is_in_question_until_it_is_decide
         assert view.cameras["cam1"].state == "in question"
         assert view.kept == 2
     views[0].told(told.add("accepted", pattern="full", findings=[{}]))
-    assert (views[0].mark("full", "cam1"), views[0].cameras["cam1"].state) == ("kept", "kept")
+    assert (views[0].mark("full", "cam1"), views[0].cameras["cam1"].state) == ("accepted", "kept")
     views[1].told(told.add("rejected", pattern="full", camera="cam1", take=1))
     assert views[1].mark("full", "cam1") == "again"
 
