@@ -228,7 +228,8 @@ def _new_order(
             "--rig",
             found="nothing",
             expected="the stage's rig.json, or --resume",
-            hint="The default stage's is lightstage/data/rig.json.",
+            hint="The default stage's is lightstage/data/rig.json; the simulated stage prints "
+            "where its own lies.",
         )
     check_pseudonym(subject, "subject")
     check_pseudonym(expression, "expression")

@@ -32,6 +32,7 @@ MEANINGS = {
 _CODE = re.compile(r"(libgphoto2 )?error (-\d+) \(([^()\n]*)\)")
 _PORT = re.compile(r"(?<=camera )([^\s,():;]+) \((?:port )?[^()\s]*\)")
 _STATUS = re.compile(r", exit status (?:-?\d+|None)(?:, .*?)?(?=, expected |\.? *$|\n)")
+_STATE = re.compile(r" \((?:type 0x[0-9a-f]+|LIT), state [0-9a-f]*\.\.\)")
 _ERRNO = re.compile(r"\[Errno -?\d+\] ")
 
 
@@ -71,4 +72,6 @@ def plain(text: str) -> str:
         text: with the driver's own codes, ports and exit statuses.
     """
     text = _CODE.sub(_meaning, text)
-    return _ERRNO.sub("", _STATUS.sub("", _PORT.sub(r"\1", text)))
+    for code in (_STATUS, _STATE, _ERRNO):
+        text = code.sub("", text)
+    return _PORT.sub(r"\1", text)

@@ -140,6 +140,12 @@ def test_the_same_of_several_cameras_is_said_once():
             "expected an answer. Switch it off",
             "camera cam1, trigger: found its process ended, expected an answer. Switch it off",
         ),
+        (
+            "LED device at socket://x:1, SET: found lights not as set (type 0x20, state "
+            "ced5f03aa911..), expected the levels sent (LIT, state 000000000000..). Check it.",
+            "LED device at socket://x:1, SET: found lights not as set, expected the "
+            "levels sent. Check it.",
+        ),
         ("x+ by cam0: found a blurred eye (f/2.8)", "x+ by cam0: found a blurred eye (f/2.8)"),
     ],
 )
