@@ -118,12 +118,13 @@ def capture_session(
         stage.rig, stage.told, stage.file, stage.lights, order.root, plan, config.preflight
     )
     findings = [
-        *photosensitivity_findings(order.shots, config.safety),
-        *order.findings,
         *stage.moved,
         *reset,
         *looked,
         *_split_lights(stage.rig, order.shots),
+        # Last, so that they are in view where there is room for one alone: they are of the person.
+        *photosensitivity_findings(order.shots, config.safety),
+        *order.findings,
     ]
     require(findings)
     with _writer(stage, order, config, findings) as writer, contextlib.ExitStack() as followed:
