@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import shlex
 import sys
 from pathlib import Path
 
@@ -93,7 +94,8 @@ def calibrate_command(
     held = (shots.file.expires - shots.file.created).total_seconds() / 86400
     finish(
         f"{shots.root}: {counted(report.poses, 'pose')}, {report.again} taken again, "
-        f"{counted(report.warnings, 'fault')} accepted, holds {duration(held)}",
+        f"{counted(report.warnings, 'fault')} accepted, holds {duration(held)}; "
+        f"what is still missing: lightstage calibrations {shlex.quote(str(out))}",
         {
             "shots": str(shots.root),
             "id": shots.file.id,

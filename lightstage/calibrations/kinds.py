@@ -57,7 +57,11 @@ class Kind:
     def asks(self, rig: Rig, index: int) -> str:
         """What the operator is asked to do for pose `index` (from 0)."""
         where = "before" if (index // len(rig.cameras)) % 2 == 0 else "behind"
-        return self.put.format(camera=self.faced(rig, index), where=where)
+        other = {
+            "tilt": " tilted another way than before," if index else "",
+            "spot": ", on another spot than before" if index else "",
+        }
+        return self.put.format(camera=self.faced(rig, index), where=where, **other)
 
     def shown(self, rig: Rig, every_light: bool) -> tuple[str, ...]:
         """Patterns of a pose.
@@ -78,7 +82,7 @@ KINDS: dict[str, Kind] = {
             "charuco",
             # Nearer and farther: else a longer lens farther off would fit nearly as well.
             "Hold the ChArUco board a hand's width {where} the middle of the stage, facing "
-            "{camera}, tilted another way than before, and keep it still.",
+            "{camera},{tilt} and keep it still.",
             ("full",),
             "solid-angle",
             True,
@@ -88,7 +92,7 @@ KINDS: dict[str, Kind] = {
         ),
         Kind(
             "mirror",
-            "Set the mirror ball in the middle of the stage, on another spot than before.",
+            "Set the mirror ball in the middle of the stage{spot}.",
             # The ratio of a linear gradient to full tells where along its axis a light stands.
             ("full", *(f"lin-{name}" for name in BINARY)),
             "on-off",

@@ -6,6 +6,9 @@ import dataclasses
 from pathlib import Path
 from typing import Protocol
 
+FREE_CARD = "Copy its photographs away and format it, or put a larger card in."
+"""What to do about a full card."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Summary:

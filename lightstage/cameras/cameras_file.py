@@ -50,6 +50,14 @@ class CamerasFile:
 
 def read_cameras_file(path: Path) -> CamerasFile:
     """Read a cameras file (TOML); ConfigError on an unknown key or name, or a value of no text."""
+    if not path.exists():
+        raise ConfigError(
+            path,
+            found="no such file",
+            expected="a cameras file (TOML)",
+            hint="Without --cameras, cameras are found by their serial numbers; the simulated "
+            "stage prints where its file lies.",
+        )
     values = read_toml(path)
     file = make_config(CamerasFile, values, path)
     _check_expect(f"{path}, [expect]", file.expect)

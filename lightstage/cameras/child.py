@@ -106,9 +106,11 @@ class Child:
                     field=doing,
                     found=f"no answer within {deadline_s:.3g} s",
                     expected="an answer",
-                    hint="Its process was ended; switch the camera off and on.",
+                    hint="Its process was ended. If it hangs again, switch the camera off and on.",
                 ) from None
-            except (OSError, ValueError) as error:
+            except OSError:  # nobody reads what it is asked, or answers
+                raise self._died(doing, "its process ended") from None
+            except ValueError as error:
                 raise self._died(doing, str(error)) from None
             if reply is None:
                 raise self._died(doing, "its process ended")

@@ -8,13 +8,15 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from lightstage.cameras.camera import FREE_CARD
 from lightstage.errors import DeviceError
 
 T = TypeVar("T")
 IO, CLAIMED, BUSY = -7, -53, -110
 HINTS = {
     -1: "Is there free space, and is the lens able to focus?",
-    -3: "The camera's memory is full; free its card, then switch it off and on.",
+    -3: f"{FREE_CARD} Then switch it off and on.",
+    -114: f"{FREE_CARD} Then switch it off and on.",
     IO: "Switch the camera off and on, or plug its cable in again.",
     CLAIMED: "Another program has the camera: stop the desktop's photo import "
     "(gvfs-gphoto2-volume-monitor on Linux, PTPCamera on macOS).",

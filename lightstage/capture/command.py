@@ -36,6 +36,7 @@ from lightstage.session import (
     check_consent,
     check_pseudonym,
     read_calibration,
+    read_journal,
     require_new,
     whole_session,
 )
@@ -193,11 +194,12 @@ def take_session(
         order = order if calibrated is None else calibrated(order, stage)
         report = capture_session(stage, order, settings, operator)
     accepted = accepted_in_words(report.accepted, report.accepted_findings)
+    codes = f" ({', '.join(_warned(order.root))})" if report.warnings else ""
     finish(
         f"{order.root}: {counted(report.frames, 'frame')}, {report.taken} taken now "
         f"in {report.seconds:.1f} s, overhead {report.overhead_s:.2f} s, "
         f"{report.retakes} taken again, {accepted and accepted + ', '}"
-        f"{counted(report.warnings, 'warning')} while it ran, "
+        f"{counted(report.warnings, 'warning')} while it ran{codes}, "
         f"largest trigger skew {1e3 * report.max_skew_s:.2f} ms",
         {
             "session": str(order.root),
@@ -210,6 +212,14 @@ def take_session(
         },
         as_json,
     )
+
+
+def _warned(root: Path) -> list[str]:
+    """Of what a session's last run warned, by its code in the journal."""
+    lines = read_journal(root / JOURNAL)
+    since = max((n for n, line in enumerate(lines) if line["event"] == "resume"), default=0)
+    warned = [each for each in lines[since:] if each.get("severity") == "warn"]
+    return list(dict.fromkeys(str(each["code"]) for each in warned))
 
 
 def _new_order(
@@ -229,7 +239,8 @@ def _new_order(
             "--rig",
             found="nothing",
             expected="the stage's rig.json, or --resume",
-            hint="The default stage's is lightstage/data/rig.json.",
+            hint="The default stage's is lightstage/data/rig.json; the simulated stage prints "
+            "where its own lies.",
         )
     check_pseudonym(subject, "subject")
     check_pseudonym(expression, "expression")

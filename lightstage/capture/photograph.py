@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from lightstage.cameras.camera import CameraDevice, CardFile, Exposure, Summary
+from lightstage.capture.absent import AbsentCameras
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.freshness import Freshness
 from lightstage.capture.late_cameras import ExposureTimes
@@ -28,6 +29,7 @@ from lightstage.errors import (
 )
 from lightstage.findings import Finding
 from lightstage.leds.controller import LightLostError
+from lightstage.operator.words import ON_CARD
 from lightstage.preflight import drift, photograph_findings, set_back
 from lightstage.preflight.privacy import FIELDS
 from lightstage.rig import Rig
@@ -82,6 +84,7 @@ class Photographer:
 
     Attributes:
         exposure_times: how long exposures of this session last.
+        absent: cameras that could not be started again.
     """
 
     def __init__(
@@ -100,6 +103,7 @@ class Photographer:
         self._told = told
         self._known = {camera_id: set(files) for camera_id, files in cards.items()}
         self.exposure_times = ExposureTimes(each.shutter for each in told.values())
+        self.absent = AbsentCameras(writer)
         believed = config.preflight.believe_camera_clocks
         self._freshness = Freshness(writer, told, cards, believed)
         # Cameras of which a trigger gave no picture: it may come to the card at any later time.
@@ -222,6 +226,7 @@ class Photographer:
         names = ", ".join(file.name for file in new)
         self._writer.note(
             "note",
+            about=ON_CARD,
             camera=camera.id,
             pattern=pattern,
             said=f"{names} lies on its card, though: {failure}",
@@ -239,12 +244,11 @@ class Photographer:
             now = camera.card()
         except DeviceError:
             try:
-                self._writer.note("note", camera=camera.id, said="restarting")
-                camera.restart()
-                self._writer.note("note", camera=camera.id, said="started again")
-                now = camera.card()
-            except DeviceError as error:
-                raise DeviceError(f"{failure}\n  then: {error}") from None
+                now = self.absent.restart(camera, failure)
+            except DeviceError:
+                # What it has taken is seen when it answers, and of which light it is nobody knows.
+                self._doubtful.add(camera.id)
+                raise
         new = arrived(self._known[camera.id], now)
         self._known[camera.id] |= set(new)
         return new

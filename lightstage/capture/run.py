@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from lightstage.cameras.camera import CameraDevice
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.photograph import Checks, Photographer
-from lightstage.capture.shot import ShotTaken, stopped, take_shot
+from lightstage.capture.shot import ShotTaken, missed, stopped, take_shot
 from lightstage.capture.suspects import Suspects
 from lightstage.capture.wishes import Wishes
 from lightstage.errors import CaptureError, LightstageError, one_error
@@ -236,16 +236,22 @@ class Run:
 
     def _try(self, shot: Shot, cameras: Sequence[CameraDevice]) -> ShotTaken:
         takes = {c.id: self._writer.next_take(shot.pattern, c.id) for c in cameras}
-        result = take_shot(
-            shot,
-            takes,
-            cameras,
-            self._lights,
-            self._photographer,
-            self._writer,
-            self._wishes,
-            self._config,
-        )
+        gone = self._photographer.absent.look_for(cameras, self._heed_abort)
+        there = [camera for camera in cameras if camera.id not in gone]
+        result = ShotTaken((), (), 0.0)
+        if there:
+            result = take_shot(
+                shot,
+                takes,
+                there,
+                self._lights,
+                self._photographer,
+                self._writer,
+                self._wishes,
+                self._config,
+            )
+        absent = missed(shot.pattern, cameras, gone, self._writer)
+        result = dataclasses.replace(result, findings=(*result.findings, *absent))
         if result.light_lost:
             self._writer.note("note", said="the lights were lost; they are greeted again, dark")
             self._lights.recover()
@@ -295,6 +301,10 @@ class Run:
             self._queue.remove(entry)
         self._count(retakes=len(ids))
         self._queue.appendleft((pattern, frozenset(ids).union(*(also for _, also in queued))))
+
+    def _heed_abort(self) -> None:
+        if self._wishes.aborted():
+            raise stopped()
 
     def _heed(self, last: str) -> None:
         """Act on what the operator wished since the last shot, whose pattern is given."""

@@ -118,19 +118,21 @@ def capture_session(
         stage.rig, stage.told, stage.file, stage.lights, order.root, plan, config.preflight
     )
     findings = [
-        *photosensitivity_findings(order.shots, config.safety),
-        *order.findings,
         *stage.moved,
         *reset,
         *looked,
         *_split_lights(stage.rig, order.shots),
+        # Last, so that they are in view where there is room for one alone: they are of the person.
+        *photosensitivity_findings(order.shots, config.safety),
+        *order.findings,
     ]
     require(findings)
     with _writer(stage, order, config, findings) as writer, contextlib.ExitStack() as followed:
         lines = read_journal(writer.journal.path)
-        resumed = [place for place, line in enumerate(lines) if line["event"] == "resume"]
+        since = max((n for n, line in enumerate(lines) if line["event"] == "resume"), default=0)
+        retaken = sum(len(each["takes"]) for each in lines[since:] if each["event"] == "retake")
         for place, line in enumerate(lines):
-            operator.told(line, old=place < max(resumed, default=0))
+            operator.told(line, old=place < since)
         writer.listeners.append(operator.told)
         followed.enter_context(serve_events(writer, operator.request))
         run: Run | None = None
@@ -143,6 +145,7 @@ def capture_session(
                 wanted, findings = found.wanted, [*findings, *found.findings]
             run = _run(stage, order, config, operator, writer, wanted, checks)
             report = _take_until_whole(run, stage, config, writer, findings)
+            report = dataclasses.replace(report, retakes=report.retakes + retaken)
             writer.finish()
             write_manifest(order.root, {**order.facts, "capture": dataclasses.asdict(report)})
             step("manifest-written")

@@ -105,8 +105,8 @@ def take_shot(
     except LightLostError as error:
         if wishes.aborted():  # who stopped it put the light out: no device failed
             raise stopped() from None
-        missed = _missed(shot.pattern, cameras, {camera.id: error for camera in cameras}, writer)
-        return ShotTaken((), tuple(missed), 0.0, light_lost=True)
+        unlit = missed(shot.pattern, cameras, {camera.id: error for camera in cameras}, writer)
+        return ShotTaken((), tuple(unlit), 0.0, light_lost=True)
     writer.lit(
         shot.pattern,
         light.driven.tolist(),
@@ -151,7 +151,7 @@ def take_shot(
     if disk is not None:
         raise disk
     findings = [finding for each in taken for finding in each.findings]
-    findings += _missed(shot.pattern, cameras, failed, writer)
+    findings += missed(shot.pattern, cameras, failed, writer)
     lost = any(isinstance(error, LightLostError) for error in failed.values())
     hung = frozenset(name for name, error in failed.items() if isinstance(error, LateCameraError))
     return ShotTaken(tuple(taken), tuple(findings), light.lit_s, lost, hung)
@@ -179,13 +179,20 @@ def stopped() -> StoppedError:
     return StoppedError("Stopped by the operator.")
 
 
-def _missed(
+def missed(
     pattern: str,
     cameras: Sequence[CameraDevice],
     failed: Mapping[str, LightstageError],
     writer: SessionWriter,
 ) -> list[Finding]:
-    """Photographs that did not come, as findings in the journal too."""
+    """Photographs that did not come, as findings in the journal too.
+
+    Args:
+        pattern: what was to be taken.
+        cameras: that were to take it.
+        failed: why, by camera id, of those that did not.
+        writer: the session.
+    """
     findings = [
         Finding(
             "retake",

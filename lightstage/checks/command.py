@@ -11,6 +11,7 @@ import typer
 from lightstage.checks import check_session
 from lightstage.commands import JsonFlag, finish, progress_bar
 from lightstage.counting import counted
+from lightstage.errors import FormatError
 from lightstage.findings import accepted_in_words
 
 
@@ -23,6 +24,13 @@ def check_command(
     session: Path = typer.Argument(help="Session folder."), as_json: bool = JsonFlag
 ) -> None:
     """Verify every hash, size, exposure and pattern of a session, and that its files agree."""
+    if not session.is_dir():
+        raise FormatError(
+            session,
+            found="a file" if session.exists() else "no such folder",
+            expected="a session's folder",
+            hint="Give the folder that the capture was given with --out.",
+        )
     with progress_bar("check") as progress:
         report = check_session(session, progress)
     told = [finding for finding in report.findings if finding.severity != "note"]

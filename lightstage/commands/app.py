@@ -84,6 +84,7 @@ def run_app(app: typer.Typer) -> None:
         sys.stdout.flush()
     except TyperException as error:
         cast(Any, error).show()  # Typer's base class, which is public, does not declare it
+        _print_meaning(error)
         _print_json(as_json, type(error).__name__, {"message": error.format_message()})
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, typer.Abort):
@@ -96,6 +97,13 @@ def run_app(app: typer.Typer) -> None:
     if status == INTERRUPTED:
         _end_interrupted(as_json)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _print_meaning(error: TyperException) -> None:
+    """What an option or argument is that is missing or wrong: its line of --help."""
+    meant = getattr(getattr(error, "param", None), "help", None)
+    if meant:
+        print(f"It is: {meant}", file=sys.stderr)
 
 
 def finish(text: str, facts: dict[str, Any], as_json: bool) -> None:

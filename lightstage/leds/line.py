@@ -57,6 +57,13 @@ def opened(connect: Callable[[], AnyLine], where: str) -> AnyLine:
     """
     try:
         return connect()
+    except socket.gaierror:
+        raise DeviceError(
+            where,
+            found="no such host",
+            expected="a name that the network knows, or an address such as 192.168.1.20",
+            hint="Is it spelled right, and is this computer on the stage's network?",
+        ) from None
     except OSError as error:
         raise DeviceError(
             where,

@@ -210,9 +210,10 @@ class WireLeds(Closing):
                 raise LightLostError(
                     self._where,
                     field=kind.name,
-                    found=f"type {reply.kind:#04x}, state {reply.payload.hex()[:12]}..",
-                    expected=f"LIT, state {wanted.hex()[:12]}..",
-                    hint="The lights are not as they were set; check the device, then start again.",
+                    found="lights that are not as they were set "
+                    f"(type {reply.kind:#04x}, state {reply.payload.hex()[:12]}..)",
+                    expected=f"the levels that were sent (LIT, state {wanted.hex()[:12]}..)",
+                    hint="Check the device, then start again.",
                 )
             self._wanted = wanted
             return

@@ -22,17 +22,22 @@ def short(text: str, longest: int) -> str:
 
 
 def battery(camera: CameraView) -> Text:
-    """Its charge; a low one has an exclamation mark."""
+    """Its charge; a low one has an exclamation mark.
+
+    Of a camera that failed, a good one is no longer known: it was told before.
+    """
     if camera.battery_percent is None:
         return Text("-", "dim")
     low = camera.battery_percent < LOW_BATTERY_PERCENT
+    if camera.state == "failed" and not low:
+        return Text("-", "dim")
     return Text(f"{camera.battery_percent:.0f}%{'!' if low else ''}", "bold yellow" if low else "")
 
 
 def card(camera: CameraView) -> Text:
-    """What fits on its card."""
+    """What fits on its card; of a camera that failed, room is no longer known."""
     free = camera.card_free_bytes
-    if free is None:
+    if free is None or (camera.state == "failed" and free >= 1e6):
         return Text("-", "dim")
     for unit, size in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
         if free >= size:

@@ -87,7 +87,8 @@ def watch_command(
         _wait_for(session / "journal.jsonl", wait)
         _watch(session, view)
     gone, ended = view.phase == "gone", view.phase in ("aborted", "complete", "before")
-    again = f"\n  Go on with: {resume_line(session, view.options)}" if gone else ""
+    stopped = gone or view.phase == "aborted"
+    again = f"\n  Go on with: {resume_line(session, view.options)}" if stopped else ""
     finish(
         f"{session}: {view.kept} of {counted(view.wanted, 'photograph')} kept, "
         f"{len(view.done)} of {counted(len(view.patterns), 'pattern')} done, "

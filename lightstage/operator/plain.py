@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 
+THEN = "\n  then: "
+"""Between why a camera failed and why it could not be started again."""
+
 MEANINGS = {
     -1: "the camera could not take the photograph",
     -2: "the driver was asked for something impossible",
@@ -29,6 +32,7 @@ MEANINGS = {
 _CODE = re.compile(r"(libgphoto2 )?error (-\d+) \(([^()\n]*)\)")
 _PORT = re.compile(r"(?<=camera )([^\s,():;]+) \((?:port )?[^()\s]*\)")
 _STATUS = re.compile(r", exit status (?:-?\d+|None)(?:, .*?)?(?=, expected |\.? *$|\n)")
+_STATE = re.compile(r" \((?:type 0x[0-9a-f]+|LIT), state [0-9a-f]*\.\.\)")
 _ERRNO = re.compile(r"\[Errno -?\d+\] ")
 
 
@@ -44,12 +48,21 @@ def cause(text: str, camera: str) -> str:
         text: an error of a device: with what it was asked, and what was expected of it.
         camera: its name.
     """
+    whole, *later = plain(text).split(THEN)
+    first, *rest = whole.split("\n")
+    said = "\n".join([_found(first, camera), *rest])
+    if not later:
+        return said
+    # What to do stands in the first part: it is the cause.
+    still = re.split(r"\.(?: [A-Z]|$)", _found(later[-1].split("\n")[0], camera))[0]
+    return f"{said.removesuffix('.')}. It does not start again: {still}."
+
+
+def _found(text: str, camera: str) -> str:
+    """What was found, without where, and without what was expected."""
     asked = rf"camera {re.escape(camera)}(?:, [^:\n]*)?: found "
-    first, *rest = plain(text).split("\n")
-    first, told = re.subn(asked, "", first, count=1)
-    if told:
-        first = re.sub(r", expected .*?(?=\. [A-Z]|\.?$)", "", first)
-    return "\n".join([first, *rest])
+    text, told = re.subn(asked, "", text, count=1)
+    return re.sub(r", expected .*?(?=\. [A-Z]|\.?$)", "", text) if told else text
 
 
 def plain(text: str) -> str:
@@ -59,4 +72,6 @@ def plain(text: str) -> str:
         text: with the driver's own codes, ports and exit statuses.
     """
     text = _CODE.sub(_meaning, text)
-    return _ERRNO.sub("", _STATUS.sub("", _PORT.sub(r"\1", text)))
+    for code in (_STATUS, _STATE, _ERRNO):
+        text = code.sub("", text)
+    return _PORT.sub(r"\1", text)

@@ -5,6 +5,7 @@ No colour carries a meaning alone, and no text is read as markup.
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 from collections.abc import Sequence
 from typing import Literal
@@ -16,7 +17,7 @@ from rich.text import Text
 
 from lightstage.counting import counted
 from lightstage.operator.cells import battery, card, sayable, short
-from lightstage.operator.view import CameraView, View
+from lightstage.operator.view import CameraView, State, View
 from lightstage.operator.window import Scroll, fitting
 from lightstage.operator.words import (
     ANSWERS,
@@ -47,11 +48,14 @@ MARKS: dict[Mark, tuple[str, str, str]] = {
     "failed": ("✗", "X", "bold red"),
     "again": ("↻", "?", "bold yellow"),
     "in question": ("!", "!", "bold red"),
+    "accepted": ("a", "a", "yellow"),
 }
 """For a terminal with Unicode, for one without, and the style."""
 
-NEEDY = ("failed", "in question", "late", "restarting")
+NEEDY: tuple[State, ...] = ("failed", "in question", "late", "restarting")
 """States of cameras that somebody should look at."""
+RARE: tuple[Mark, ...] = ("again", "in question", "accepted")
+"""Marks that are explained where there are any."""
 ROOMY = 100
 """Columns from which serial numbers are shown."""
 LEGIBLE = 70
@@ -101,7 +105,8 @@ class Screen:
             used = 4 + sum(_lines(console, options, part) for part in below)
             # What need not be there goes first where the terminal is low.
             spare = height - 1 - used - len(self.view.cameras)
-            legend = [self._legend(unicode)] if spare >= 1 and width >= LEGIBLE else []
+            words = self._legend(unicode)
+            legend = [words] if spare >= 1 and LEGIBLE <= width >= words.cell_len else []
             gap = [Text()] if spare >= 2 else []
             rows = max(1, height - 1 - used - len(legend) - len(gap))
             middle = [
@@ -137,7 +142,8 @@ class Screen:
             line.append("Lights and cameras are being checked.", "bold")
             return line
         elif view.phase == "running" and view.pattern:
-            line.append(f"TAKING {view.pattern}", "bold")
+            unlit = view.late is not None and not view.late.lit
+            line.append("DARK" if unlit else f"TAKING {view.pattern}", "bold")
             self._countdown(line)
         else:
             line.append("DARK", "bold")
@@ -158,8 +164,10 @@ class Screen:
         left_s = late.left_s()
         soon = "soon" if left_s is None else f"in {left_s:.0f} s"
         who = short(", ".join(late.cameras), 24)
-        does = f"dark {soon}" if late.lit else f"DARK, started again {soon}"
-        line.append(f", {who} late: {does}", "bold yellow")
+        told = (
+            f"{who} late: dark {soon}" if late.lit else f"waiting for {who}: started again {soon}"
+        )
+        line.append(f", {told}", "bold yellow")
 
     def _least_rows(self) -> int:
         """Lines of the table that must be in view: what needs somebody, and how many more."""
@@ -205,17 +213,20 @@ class Screen:
             table.add_column(title, width=wide, no_wrap=True, justify=side, header_style="dim")
         room = width - sum(wide + 2 for _, wide, _ in columns)
         shown, wide = self._window(room)
-        table.add_column(self._header(shown, wide), no_wrap=True, header_style="dim")
+        table.add_column(self._header(shown, wide, room), no_wrap=True, header_style="dim")
         order = self._rows(rows)
         for name in order:
             camera = view.cameras[name]
             cells = [Text(names[name]), self._state(camera), battery(camera), card(camera)]
             cells += [Text(short(camera.serial, SERIAL_WIDE) or "-", "dim")] if roomy else []
             table.add_row(*cells, self._marks(name, shown, wide, unicode))
-        hidden = len(view.cameras) - len(order)
-        if hidden:
-            table.add_row(Text(f"+{hidden}", "dim"), Text("more cameras", "dim"))
-        return table
+        hidden = [camera for name, camera in view.cameras.items() if name not in order]
+        if not hidden:
+            return table
+        states = collections.Counter(camera.state for camera in hidden)
+        needy = "".join(f", {states[each]} {STATES[each]}" for each in NEEDY if states[each])
+        more = Text(f"+{len(hidden)} more cameras", "dim", no_wrap=True, overflow="ellipsis")
+        return Group(table, more.append(needy, "bold red"))
 
     def _rows(self, rows: int) -> list[str]:
         """Cameras to show where not all fit: those that failed or work come first."""
@@ -244,15 +255,18 @@ class Screen:
         first = min(max(0, at - fit // 2), len(patterns) - fit)
         return patterns[first : first + fit], 1
 
-    def _header(self, shown: Sequence[str], wide: int) -> Text:
+    def _header(self, shown: Sequence[str], wide: int, room: int) -> Text:
         if wide > 1:
             return Text("".join(name.ljust(wide) for name in shown))
         patterns, done = self.view.patterns, self.view.done
         first = patterns.index(shown[0]) + 1 if shown else 0
         at = sum(name in done for name in patterns)
-        part = f"{first}-{first + len(shown) - 1} of {len(patterns)}"
-        short = f"{at} of {len(patterns)}"
-        said = [text for text in (part, short) if len(text) <= len(shown)]
+        count = len(patterns)
+        part = f"{first}-{first + len(shown) - 1} of {count}"
+        texts = [f"patterns {part}", part]
+        if len(shown) == count:  # all are in view
+            texts = [f"{counted(count, 'pattern')}, {at} done", f"{at} of {count} done"]
+        said = [text for text in texts if len(text) <= max(room, len(shown))]
         return Text(said[0] if said else "")
 
     def _marks(self, camera: str, shown: Sequence[str], wide: int, unicode: bool) -> Text:
@@ -274,12 +288,19 @@ class Screen:
         return Text(STATES[camera.state], style.get(camera.state, ""))
 
     def _legend(self, unicode: bool) -> Text:
+        """The signs of the table in words; the rare ones where there are any."""
         line = Text(style="dim")
+        marks = {mark for of in self.view.marks.values() for mark in of.values()}
         for mark, words in LEGEND:
+            if mark in RARE and mark not in marks:
+                continue
             sign, plain, style = MARKS[mark]
             line.append(sign if unicode else plain, style)
             line.append(f" {words}  ")
-        return line.append("2 second take")
+        if self.view.takes:
+            line.append("2..9 which take")
+        line.rstrip()
+        return line
 
     def _said(self, console: Console, options: ConsoleOptions, room: int) -> list[RenderableType]:
         """The question, or the latest news, as far as there is room for it."""

@@ -36,6 +36,8 @@ Phase = Literal["before", "running", "asked", "paused", "aborted", "complete", "
 SHOTS_MEASURED = 9
 """Time left is told from the median of so many shots, so that one slow one does not change it."""
 NEWS_KEPT = 50
+THERE: tuple[Mark, ...] = ("kept", "in question", "accepted")
+"""Marks of photographs that are there."""
 FOLLOWING = "\0"
 """In place of a pattern: the line holds as long as the capture runs."""
 
@@ -108,6 +110,8 @@ class View:
         self.phase: Phase = "before"
         self.last_id = 0
         self._shot_s: collections.deque[float] = collections.deque(maxlen=SHOTS_MEASURED)
+        self._troubled_s: collections.deque[float] = collections.deque(maxlen=SHOTS_MEASURED)
+        self._trouble = False
         self._since_s: float | None = None
         self._asked_s: float | None = None
         self._late_since_s: float | None = None
@@ -125,9 +129,7 @@ class View:
     def kept(self) -> int:
         """Photographs that count."""
         return sum(
-            mark in ("kept", "in question")
-            for marks in list(self.marks.values())
-            for mark in list(marks.values())
+            mark in THERE for marks in list(self.marks.values()) for mark in list(marks.values())
         )
 
     def mark(self, pattern: str, camera: str) -> Mark:
@@ -140,12 +142,17 @@ class View:
         return len(self.patterns) * len(self.cameras)
 
     def left_s(self) -> float | None:
-        """Seconds left, from the shots measured; None before there is one."""
-        if not self._shot_s:
+        """Seconds left, from the shots measured; None before there is one.
+
+        A shot in which something failed says little of the others: it is asked where there is no
+        other one.
+        """
+        shots_s = self._shot_s or self._troubled_s
+        if not shots_s:
             return None
         left = sum(pattern not in self.done for pattern in self.patterns)
         late_s = None if self.late is None else self.late.left_s()
-        return left * statistics.median(self._shot_s) + (late_s or 0.0)
+        return left * statistics.median(shots_s) + (late_s or 0.0)
 
     @property
     def over(self) -> bool:
@@ -172,6 +179,7 @@ class View:
             self.options = options_of(line) or self.options
             number = number_of(line, "id")
             self.last_id = self.last_id if number is None else int(number)
+            self._trouble |= _tells_trouble(line)
             take = _TAKES_UP.get(text_of(line, "event"))
             if take is not None:
                 take(self, line)
@@ -307,7 +315,7 @@ class View:
             camera.card_free_bytes = max(0.0, camera.card_free_bytes - size)
 
     def _failed(self, line: Mapping[str, Any]) -> None:
-        if self.mark(*self._place(line)) not in ("kept", "in question"):
+        if self.mark(*self._place(line)) not in THERE:
             self._mark(line, "failed", "failed")
 
     def _finding(self, line: Mapping[str, Any]) -> None:
@@ -315,7 +323,7 @@ class View:
         if text_of(line, "severity") not in ("retake", "refuse") or pattern not in self.patterns:
             return
         for name in [camera] if camera else list(self.cameras):
-            kept = self.mark(pattern, name) in ("kept", "in question")
+            kept = self.mark(pattern, name) in THERE
             mark: Literal["in question", "failed"] = "in question" if kept else "failed"
             self._mark({"pattern": pattern, "camera": name}, mark, mark)
 
@@ -323,7 +331,7 @@ class View:
         """All that was in question counts: a finding may be of an earlier pattern."""
         for pattern, marks in self.marks.items():
             for name in [name for name, mark in marks.items() if mark == "in question"]:
-                self._mark({"pattern": pattern, "camera": name}, "kept", "kept")
+                self._mark({"pattern": pattern, "camera": name}, "accepted", "kept")
 
     def _rejected(self, line: Mapping[str, Any]) -> None:
         pattern, camera = self._place(line)
@@ -345,8 +353,8 @@ class View:
         self._news = collections.deque(left, NEWS_KEPT)
         now_s = number_of(line, "elapsed_s")
         if now_s is not None and self._since_s is not None and now_s > self._since_s:
-            self._shot_s.append(now_s - self._since_s)
-        self._since_s = now_s
+            (self._troubled_s if self._trouble else self._shot_s).append(now_s - self._since_s)
+        self._since_s, self._trouble = now_s, False
 
     def _note(self, line: Mapping[str, Any]) -> None:
         text = text_of(line, "said")
@@ -367,6 +375,12 @@ class View:
         self.pattern = self.late = None
         left = [item for item in self._news if item[1] != FOLLOWING]  # nobody can any more
         self._news = collections.deque(left, NEWS_KEPT)
+
+
+def _tells_trouble(line: Mapping[str, Any]) -> bool:
+    """Whether a line tells that a photograph failed or a camera is late: its shot takes longer."""
+    bad = text_of(line, "severity") in ("retake", "refuse")
+    return bad or text_of(line, "event") in ("failed", "waiting", "asked", "rejected")
 
 
 def _starts_again(line: Mapping[str, Any]) -> bool:

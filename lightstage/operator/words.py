@@ -14,15 +14,15 @@ from typing import Any, Literal
 from lightstage.counting import counted
 from lightstage.findings import accepted_in_words
 from lightstage.operator.plain import cause
-from lightstage.printable import printable
+from lightstage.printable import printable, printable_lines
 from lightstage.resume_line import options_of, resume_line, watch_line
 
 Tone = Literal["quiet", "plain", "good", "warning", "problem", "stop"]
 """``quiet`` is seen in the picture alone; ``problem`` needs somebody; ``stop`` ends the capture."""
 
-Mark = Literal["to come", "now", "kept", "failed", "again", "in question"]
+Mark = Literal["to come", "now", "kept", "failed", "again", "in question", "accepted"]
 """Of one pattern by one camera; ``again`` waits to be taken once more, ``in question`` is kept and
-may be accepted or taken again."""
+may be accepted or taken again, ``accepted`` was accepted with its faults."""
 Line = Mapping[str, Any]
 
 SIGNS: dict[Tone, str] = {
@@ -45,7 +45,10 @@ FINDING: dict[str, tuple[Tone, str, str]] = {
 }
 """By severity: tone, how the line begins, what to do where the finding does not say."""
 
-MISSING = "The others are kept. If it fails again, look at its cable, battery and card."
+ON_CARD = "on-card"
+"""What a note is about that names the picture which a camera took before it failed."""
+
+MISSING = "Photographs that came are kept. If it fails again, look at its cable, battery and card."
 """Said where a photograph did not come."""
 FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
 RESUME = "Nothing that was kept is lost. Go on with: {resume}"
@@ -81,7 +84,10 @@ def text_of(line: Line, name: str) -> str:
 def _told(line: Line, name: str) -> str:
     """A field that may have a driver's words, in plain ones."""
     # Its camera and what it was asked are told beside it: no need to say them twice.
-    return cause(text_of(line, name), text_of(line, "camera"))
+    value = line.get(name)
+    text = "" if value is None or isinstance(value, (dict, list)) else printable_lines(value)
+    # Cut last: much of it goes.
+    return printable(cause(text, text_of(line, "camera")))
 
 
 def number_of(line: Line, name: str) -> float | None:
@@ -205,7 +211,12 @@ def _shot(line: Line) -> Said:
 def _note(line: Line) -> Said:
     if text_of(line, "socket"):
         return Said("plain", "Anyone here can follow with: {watch}")
-    text = f"{_at(line)}{_told(line, 'said') or 'noted'}"
+    if text_of(line, "about") == ON_CARD:
+        return Said("plain", f"{_at(line)}it answers again, and its picture is on its card")
+    told = _told(line, "said")
+    if not told:  # a line of the journal's own, such as one for each file on a card
+        return Said("quiet", f"{_at(line)}{text_of(line, 'about') or 'noted'}")
+    text = f"{_at(line)}{told}"
     return Said("plain", text[:1].upper() + text[1:] if not _place(line) else text)
 
 
@@ -301,7 +312,7 @@ KEYS = {
     "leave": ("q", "leave (the capture goes on)"),
 }
 """Key and words of each request."""
-ANSWERS = {"retake": "take it again"}
+ANSWERS = {"retake": "take it again", "abort": "stop now, go on later"}
 """The same as answers to the question, where they read otherwise."""
 LEGEND: tuple[tuple[Mark, str], ...] = (
     ("kept", "kept"),
@@ -309,6 +320,7 @@ LEGEND: tuple[tuple[Mark, str], ...] = (
     ("again", "to retake"),
     ("failed", "failed"),
     ("in question", "in question"),
+    ("accepted", "accepted"),
     ("to come", "to come"),
 )
 """Marks of photographs and their words."""

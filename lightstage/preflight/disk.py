@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
-from lightstage.cameras.camera import Summary
+from lightstage.cameras.camera import FREE_CARD, Summary
 from lightstage.counting import counted
 from lightstage.findings import Finding
 from lightstage.preflight.config import Plan, PreflightConfig
@@ -46,7 +46,7 @@ def card_findings(
                     f"camera {camera_id}, card",
                     f"{_size(free)} free",
                     f"{_size(wanted)} for {counted(plan.photographs_per_camera, 'photograph')}",
-                    "Copy its photographs away and format it, or put a larger card in.",
+                    FREE_CARD,
                     camera=camera_id,
                 )
             )

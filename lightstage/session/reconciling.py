@@ -225,17 +225,22 @@ class Reconciler(Leftovers):
     def _give_up_outstanding(self, camera: CameraDevice, unknown: Sequence[CardFile]) -> None:
         outstanding = self.state.outstanding(camera.id)
         pattern = None if outstanding is None else outstanding[0]
-        for file in unknown:
-            why = "found on the card; whether its light lasted is not known"
-            self._recover(camera, file, pattern, why)
+        why = "found on the card; whether its light lasted is not known"
+        maybe_ours = [self._recover(camera, file, pattern, why) for file in unknown]
+        if others := maybe_ours.count(False):
+            what = counted(others, "photograph")
+            said = f"{what} of other sessions on its card, left alone"
+            self.writer.note("note", camera=camera.id, said=said)
         if outstanding is not None:
             why = "its light is not certain" if unknown else "the camera took no photograph of it"
             self.reject((outstanding[0], camera.id, outstanding[1]), why)
 
-    def _recover(self, camera: CameraDevice, file: CardFile, pattern: str | None, why: str) -> None:
+    def _recover(self, camera: CameraDevice, file: CardFile, pattern: str | None, why: str) -> bool:
+        """Keep a file of the card apart; whether it may be of this session."""
         kept = self.writer.recover(camera, file, pattern, why)
         if kept is not None:
             self.recovered.append(kept)
+        return kept is not None
 
     def _tell_changed(
         self, camera: CameraDevice, changed: Collection[CardFile], unknown: Sequence[CardFile]
@@ -298,7 +303,9 @@ class Reconciler(Leftovers):
                         incoming, path.stem, file.size, got.sha256, told(key), key[0], camera.id
                     )
                 )
-                self.writer.note("note", about="restored", path=kept.path, camera=camera.id)
+                said = f"{kept.path} came from its card again"
+                place = {"path": kept.path, "camera": camera.id}
+                self.writer.note("note", about="restored", **place, said=said)
                 self.restored.append(key)
                 return
             with disk_errors(incoming):

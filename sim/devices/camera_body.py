@@ -22,15 +22,17 @@ from sim.devices.faults import Due, FaultLog, Story
 FOR_EVER_S = 1e9
 UNDATED = "    :  :     :  :  "
 """EXIF's form of a time that is not known."""
+RECHARGE = "Put in a full battery and switch it on."
 LOST = (-7, "the connection was lost")
-REFUSED = {
-    "disconnect": (-7, "the camera is gone from the bus"),
+REFUSED: dict[str, tuple[int, str] | tuple[int, str, str]] = {
+    "disconnect": (-7, "the camera was unplugged"),
     "port-changes": (-7, "the camera is gone from this port"),
-    "battery-empty": (-7, "the camera switched itself off, its battery is empty"),
+    "battery-empty": (-7, "the camera switched itself off, its battery is empty", RECHARGE),
     "fill-up": (-3, "the card is full"),
     "fail": (-1, "no picture was taken"),
 }
-"""Faults with which no picture is taken: libgphoto2's error and what is said. The first wins."""
+"""Faults with which no picture is taken: libgphoto2's error, what is said, and what to do where the
+error does not tell it. The first wins."""
 SETTINGS = {"wrong-iso": "iso", "owner-set": "owner"}
 """Faults that change one setting."""
 IN_SETTINGS = ("duplicate-serial",)
@@ -53,11 +55,17 @@ class Event:
 
 
 class BodyError(Exception):
-    """What the body answers when it cannot; `code` as in libgphoto2."""
+    """What the body answers when it cannot.
 
-    def __init__(self, code: int, said: str) -> None:
+    Attributes:
+        code: as in libgphoto2.
+        hint: what to do; empty where the code tells it.
+    """
+
+    def __init__(self, code: int, said: str, hint: str = "") -> None:
         super().__init__(said)
         self.code = code
+        self.hint = hint
 
 
 class CameraBody:
@@ -92,9 +100,9 @@ class CameraBody:
         state = self._state()
         state["opens"] += 1
         if state["off"]:
-            raise BodyError(-105, "no camera on the bus: its battery is empty")
+            raise BodyError(-105, "its battery is empty", RECHARGE)
         if self.plugged() != self.port.name:
-            raise BodyError(-105, "no camera on the bus")
+            raise BodyError(-105, "no camera is connected")
         for due in self._story.due(self.id, "open", state["opens"]):
             self._log.write(self.id, due, state["opens"])
             state["claimed_until_s"] = time.monotonic() + float(due.fault["seconds"])
@@ -200,7 +208,7 @@ class CameraBody:
     def _refuse(self, due: dict[str, Due]) -> None:
         """Raise what keeps a picture from being taken, and remember what follows from it."""
         full = self._room() < len(self._light())
-        for name, (code, said) in REFUSED.items():
+        for name, (code, *said) in REFUSED.items():
             if name not in due and not (name == "fill-up" and full):
                 continue
             state = self._state()
@@ -214,7 +222,7 @@ class CameraBody:
                 (self.folder.parent / plug).symlink_to(self.folder)
                 self._save({**state, "plug": plug})
             self._lost = code == LOST[0]
-            raise BodyError(code, said)
+            raise BodyError(code, *said)
 
     def _expose(self, state: dict[str, Any], due: dict[str, Due]) -> None:
         """Put the picture on the card and queue its events."""

@@ -93,7 +93,7 @@ NAMES: dict[str, FaultName] = {
     ),
     "port-changes": _camera("unplugged, and plugged in again at another port"),
     "fill-up": _camera("the card is full", lasts=True),
-    "disconnect": _camera("gone from the bus, back after a time", seconds=1.0),
+    "disconnect": _camera("unplugged, back after a time", seconds=1.0),
     "battery-empty": _camera("switches itself off, for good"),
     "stale": _camera("the picture of the shot before is delivered again"),
     "truncated": _camera("the file's first download gives only a part of it", share=0.5),

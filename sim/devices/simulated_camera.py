@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from lightstage.cameras.camera import (
+    FREE_CARD,
     VERIFIABLE,
     CardFile,
     Download,
@@ -44,8 +45,8 @@ PATIENCE_S = 3.0
 """So long it is asked again while it is busy, or another program's."""
 HINTS = {
     -1: "Try the shot again.",
-    -3: "Free its card.",
-    -7: "Check its cable and battery, then open it again.",
+    -3: FREE_CARD,
+    -7: "Check its cable and battery.",
     -53: "Another program has the camera: close it.",
     -105: "No such camera is connected; check cable and power.",
     -108: "Its card was changed.",
@@ -188,9 +189,9 @@ class SimulatedCamera:
         return self._body
 
     def _failure(self, doing: str, error: BodyError) -> DeviceError:
-        return DeviceError(
-            self.port, field=doing, found=f"error {error.code} ({error})", hint=HINTS[error.code]
-        )
+        hint = error.hint or HINTS[error.code]
+        said = f"error {error.code} ({error})"
+        return DeviceError(self.port, field=doing, found=said, hint=hint)
 
 
 class SimulatedCameras:

@@ -60,6 +60,13 @@ def test_a_command_ends_with_its_facts(texture, tmp_path):
     assert json.loads(done.stdout) == {"mean": 2.0}
 
 
+def test_a_missing_argument_is_told_with_what_it_is(tmp_path):
+    code = SCRIPT.replace("out: Path,", "out: Path = typer.Option(..., help='Where to write.'),")
+    done = subprocess.run([sys.executable, "-c", code, "use", "t"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.endswith("Missing option '--out'.\nIt is: Where to write.\n")
+
+
 def test_a_log_gets_one_plain_line_as_work_begins_and_one_as_it_ends(texture, tmp_path):
     for words in ([], ["--json"]):
         done = run(texture, tmp_path / "out", *words)

@@ -35,6 +35,14 @@ def begin(bench, small_stage, tmp_path):
     return begun
 
 
+def test_a_first_pose_speaks_of_none_before_it(small_stage):
+    for kind in KINDS.values():
+        assert "before." not in kind.asks(small_stage, 0)
+        assert "than before" not in kind.asks(small_stage, 0)
+    assert "on another spot than before" in KINDS["mirror"].asks(small_stage, 1)
+    assert "tilted another way than before, and keep" in KINDS["charuco"].asks(small_stage, 1)
+
+
 @pytest.mark.parametrize("kind", KIND_NAMES)
 def test_every_kind_is_taken_pose_by_pose_to_its_end(bench, begin, small_stage, tmp_path, kind):
     photographer = TargetPhotographer(small_stage, kind, 1, poses=3)

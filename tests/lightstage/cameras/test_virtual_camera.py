@@ -162,7 +162,7 @@ def test_a_camera_that_captures_in_one_call_says_that_its_memory_is_full(virtual
         [sys.executable, "-c", FULL, str(folder)], capture_output=True, text=True, timeout=60
     )
     assert "error -3" in done.stdout, done.stderr
-    assert "memory is full; free its card" in done.stdout
+    assert "Copy its photographs away and format it" in done.stdout
 
 
 def test_a_photograph_is_never_written_over_another_file(cameras, tmp_path):

@@ -176,7 +176,10 @@ BAD = {
     "url": (["--leds", "ftp://x"], ["--leds", "ftp://x", "serial:///dev"]),
     "no device": (["--leds", "serial:///dev/null-none"], ["LED device", "a port that opens"]),
     "no rig": (["--rig", "/none/rig.json"], ["/none/rig.json", "no such file"]),
-    "no cameras file": (["--cameras", "/none/c.toml"], ["/none/c.toml", "no such file"]),
+    "no cameras file": (
+        ["--cameras", "/none/c.toml"],
+        ["/none/c.toml", "no such file", "by their serial numbers"],
+    ),
     "no colour": (["--colour", "/none/colour.json"], ["/none/colour.json", "no such file"]),
     "unknown option": (["--sequense", "full"], ["--sequense"]),
 }

@@ -48,10 +48,22 @@ def test_a_capture_without_consent_says_so_wherever_it_is_looked_for(stage, tmp_
     codes = [line.get("code") for line in lines]
     assert lines[0]["consent"] is None
     assert codes.count("no-consent") == 1
+    # The last before the light: it is in view where there is room for one alone.
+    warned = [line["code"] for line in lines if line.get("severity") == "warn"]
+    assert warned[-1] == "no-consent"
     assert codes.index("no-consent") < [line["event"] for line in lines].index("lit")
     assert json.loads((out / "session.json").read_text())["consent"] is None
     manifest = json.loads((out / "manifest.json").read_text())
     assert (manifest["consent"], manifest["warnings"]["no-consent"]) == (None, 1)
+
+
+def test_the_last_line_says_what_was_warned_of(stage, tmp_path):
+    done = run(stage, tmp_path / "S", "--sequence", "full")
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in (tmp_path / "S/journal.jsonl").read_text().splitlines()]
+    codes = dict.fromkeys(line["code"] for line in lines if line.get("severity") == "warn")
+    assert f"while it ran ({', '.join(codes)})," in done.stdout.splitlines()[-1]
+    assert "no-consent" in codes
 
 
 def test_a_lab_that_requires_consent_lights_nothing_without_it(stage, tmp_path):

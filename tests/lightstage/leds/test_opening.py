@@ -148,6 +148,8 @@ def test_nobody_at_the_other_end_is_told():
         open_leds(f"socket://127.0.0.1:{port}", 8)
     with pytest.raises(DeviceError, match="a host and a network that are there"):
         open_leds("sacn://no-such-host.invalid", 8)
+    with pytest.raises(DeviceError, match=r"found no such host, expected a name .*spelled right"):
+        open_leds("socket://no-such-host.invalid:5000", 8)
     with pytest.raises(DeviceError, match="a port that opens"):
         open_leds("adalight:///dev/tty-none", 8)
 

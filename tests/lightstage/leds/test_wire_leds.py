@@ -160,7 +160,9 @@ def test_lights_that_differ_from_what_was_set_are_an_error():
     turns = ((set_(6, 1, 2, 3), lit(6, 1, 2, 4)),)
     with (
         talking(*turns) as leds,
-        pytest.raises(DeviceError, match=r"SET: found type 0x20, state .*expected LIT"),
+        pytest.raises(
+            DeviceError, match=r"SET: found lights that .*type 0x20, state .*expected .*LIT"
+        ),
     ):
         leds.light(np.array([1, 2, 3]) / 65535)
 

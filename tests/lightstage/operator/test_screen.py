@@ -72,7 +72,7 @@ def test_a_question_says_what_was_found_what_to_do_and_which_keys(busy, columns)
     for part in ("y+ by cam8: no answer within 30 s.", "Look at its cable and battery"):
         assert part in text
     assert "What now?" in text
-    assert " r take it again q stop, dark at once" in text
+    assert " r take it again q stop now, go on later" in text
     assert "accept" not in text
 
 
@@ -86,7 +86,8 @@ def test_every_key_stands_with_its_words_on_one_line(busy, columns, asked):
     assert len(lines) < 24
     assert max(map(len, lines)) <= columns
     retake = "take it again" if asked else "last pattern again"
-    for part in (f" r  {retake}", " a  accept as it is", " p  pause", " q  stop, dark at once"):
+    end = "stop now, go on later" if asked else "stop, dark at once"
+    for part in (f" r  {retake}", " a  accept as it is", " p  pause", f" q  {end}"):
         assert sum(part in line for line in lines) == 1, (part, lines)
 
 
@@ -112,7 +113,7 @@ def test_the_failing_camera_the_question_and_its_keys_are_always_in_view(busy, c
     assert len(shown_lines) < rows
     for part in (r"^cam8 +FAILED", r"^cam3 +", "DARK, waiting for you", "What now?"):
         assert re.search(part, text, re.M), text
-    assert " r  take it again   q  stop, dark at once" in text
+    assert " r  take it again   q  stop now, go on later" in text
 
 
 def test_findings_that_do_not_fit_are_scrolled_by_keys_to_their_end(busy):
@@ -140,7 +141,7 @@ def test_the_seconds_until_the_lights_go_dark_are_counted_down(busy, monkeypatch
     assert "dark in 1 s" in "\n".join(picture(view, None, 80))
     assert re.search(r"^cam7 +LATE", "\n".join(picture(view, None, 80)), re.M)
     view.told(busy.add("waiting", **told, lit=False))
-    assert "cam7 late: DARK, started again in 28 s" in "\n".join(picture(view, None, 80))
+    assert "DARK, waiting for cam7: started again in 28 s" in "\n".join(picture(view, None, 80))
     busy.expose("y+", "cam7")
     view.told(busy.lines[-1])
     assert "late" not in "\n".join(picture(view, None, 80))
@@ -158,6 +159,64 @@ def test_more_cameras_than_rows_show_those_that_need_somebody(story):
     assert len(lines) < 24
     assert re.search(r"cam57 +FAILED", text)
     assert re.search(r"\+\d+ +more cameras", text)
+
+
+def test_cameras_that_failed_and_do_not_fit_are_counted(story):
+    told = story(9)
+    told.begin()
+    told.light("full")
+    lines = [told.not_taken("full", camera, "it is gone") for camera in told.cameras]
+    told.add("asked", pattern="full")
+    rows = picture(
+        shown(told.lines), Ask([said(line) for line in lines], ("retake", "abort")), 60, 15
+    )
+    assert len(rows) < 15
+    in_view = sum("FAILED" in row and row.startswith("cam") for row in rows)
+    assert in_view >= 2
+    assert f"+{9 - in_view} more cameras, {9 - in_view} FAILED" in rows
+
+
+def test_of_a_camera_that_failed_what_looked_well_before_is_not_shown(story):
+    told = story(9)
+    told.begin()
+    told.light("full")
+    for camera in ("cam0", "cam8"):
+        told.not_taken("full", camera, "it is gone")
+    lines = picture(shown(told.lines), None, 80, 40)
+    cells = {line.split()[0]: line.split()[2:4] for line in lines if line.startswith("cam")}
+    assert cells["cam0"] == ["-", "-"]
+    assert cells["cam8"] == ["18%!", "-"]  # a low battery may be why
+    assert cells["cam1"] == ["81%", "54"]
+
+
+def test_what_was_accepted_has_a_sign_of_its_own_and_rare_signs_are_explained_where_they_are(story):
+    told = story(9)
+    told.begin()
+    told.shoot("full")
+    told.light("x+")
+    told.keep("x+", "cam1", 4)
+    before = "\n".join(picture(shown(told.lines), None, 80, 40))
+    assert "accepted" not in before
+    assert "2..9 which take" in before
+    told.keep("x+", "cam0")
+    told.add("finding", severity="retake", code="bright", pattern="x+", camera="cam0", found="x")
+    told.add("accepted", pattern="x+", findings=[{}])
+    lines = picture(shown(told.lines), None, 80, 40)
+    rows = {line.split()[0]: line for line in lines if line.startswith("cam")}
+    assert re.search(r"✓ +a +·", rows["cam0"])
+    assert re.search(r"✓ +4 +·", rows["cam1"])
+    assert sum("a accepted" in line for line in lines) == 1
+
+
+@pytest.mark.parametrize(("columns", "said"), [(60, "7 patterns, 1 done"), (56, "1 of 7 done")])
+def test_the_count_above_the_signs_says_of_what(story, columns, said):
+    told = story(9)
+    told.begin()
+    told.shoot("full")
+    lines = picture(shown(told.lines), None, columns, 24)
+    assert max(map(len, lines)) <= columns
+    (head,) = (line for line in lines if line.startswith("Camera"))
+    assert head.endswith(said)
 
 
 def test_a_long_sequence_is_shown_around_the_present_pattern(story):

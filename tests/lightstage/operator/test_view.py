@@ -106,6 +106,21 @@ def test_one_slow_shot_or_a_pause_does_not_change_the_time_left(story):
     assert abs(shown(told.lines).left_s() - 3 * each_s) < 1.0
 
 
+def test_a_shot_in_which_a_camera_failed_is_no_measure_where_there_is_another(story):
+    told = story(2)
+    told.begin()
+    told.light("full")
+    told.keep("full", "cam0")
+    told.s += 25.0  # it is started again
+    told.not_taken("full", "cam1", "it is gone")
+    told.light("full", 2, ["cam1"])
+    told.keep("full", "cam1", 2)
+    told.add("shot", pattern="full")
+    assert shown(told.lines).left_s() > 6 * 25.0
+    told.shoot("x+")
+    assert shown(told.lines).left_s() < 5 * 3.0
+
+
 def test_a_resumed_capture_goes_on_from_what_is_kept(story):
     told = story(2)
     told.begin()
@@ -210,7 +225,7 @@ def test_a_kept_photograph_that_is_asked_about_is_in_question_until_it_is_decide
         assert view.cameras["cam1"].state == "in question"
         assert view.kept == 2
     views[0].told(told.add("accepted", pattern="full", findings=[{}]))
-    assert (views[0].mark("full", "cam1"), views[0].cameras["cam1"].state) == ("kept", "kept")
+    assert (views[0].mark("full", "cam1"), views[0].cameras["cam1"].state) == ("accepted", "kept")
     views[1].told(told.add("rejected", pattern="full", camera="cam1", take=1))
     assert views[1].mark("full", "cam1") == "again"
 

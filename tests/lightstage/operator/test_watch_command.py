@@ -254,6 +254,18 @@ def test_what_cannot_be_watched_or_asked_is_one_message(tmp_path, replay, writte
         assert done.stderr.count("\n") == 1
 
 
+def test_what_was_stopped_ends_with_the_line_that_goes_on(tmp_path, story, written):
+    told = story(2)
+    told.begin()
+    told.add("aborted", said="Stopped by the operator.", resume_with=["--leds", "socket://x:1"])
+    written(tmp_path / "journal.jsonl", told.lines)
+    done = watch(tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith(
+        f"Go on with: lightstage capture --resume --out {tmp_path} --leds socket://x:1\n"
+    )
+
+
 def test_a_picture_of_any_moment_can_be_written(tmp_path, replay, written):
     written(tmp_path / "journal.jsonl", replay)
     failed = next(line["id"] for line in replay if line["event"] == "failed")

@@ -7,13 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightstage.findings import Severity
-from lightstage.operator.plain import cause, plain
+from lightstage.operator.plain import THEN, cause, plain
 from lightstage.operator.view import State, View
 from lightstage.operator.words import (
     _WORDS,
     FINDING,
     HEARD,
     KEYS,
+    ON_CARD,
     SIGNS,
     STATES,
     Tone,
@@ -139,6 +140,12 @@ def test_the_same_of_several_cameras_is_said_once():
             "expected an answer. Switch it off",
             "camera cam1, trigger: found its process ended, expected an answer. Switch it off",
         ),
+        (
+            "LED device at socket://x:1, SET: found lights not as set (type 0x20, state "
+            "ced5f03aa911..), expected the levels sent (LIT, state 000000000000..). Check it.",
+            "LED device at socket://x:1, SET: found lights not as set, expected the "
+            "levels sent. Check it.",
+        ),
         ("x+ by cam0: found a blurred eye (f/2.8)", "x+ by cam0: found a blurred eye (f/2.8)"),
     ],
 )
@@ -157,6 +164,34 @@ def test_why_a_camera_gave_no_photograph_is_said_without_what_stands_beside_it()
     assert cause(why, "cam5") == said_why
     assert cause(f"DSC_1 lies on its card, though: {why}", "cam5").endswith(f"though: {said_why}")
     assert cause(why, "cam1") == plain(why)
+
+
+def test_a_camera_that_does_not_start_again_is_told_by_why_it_failed_first():
+    port = "/tmp/a-stage-with-a-rather-long-name/of-a-lab/cameras/cam7"
+    first = (
+        f"camera cam7 ({port}), trigger: found error -7 (the camera switched itself off, its "
+        "battery is empty). Put in a full battery and switch it on."
+    )
+    then = (
+        "camera cam7, restart: found no camera at any port, expected the camera with serial 607. "
+        "Check its cable, power and battery."
+    )
+    line = {"event": "finding", "severity": "retake", "code": "not-taken", "camera": "cam7"}
+    line |= {"where": "x+ by cam7", "found": f"{first}{THEN}{then}", "expected": "a photograph"}
+    assert said(line).text == (
+        "Not good: x+ by cam7: the camera switched itself off, its battery is empty. Put in a full "
+        "battery and switch it on. It does not start again: no camera at any port."
+    )
+    other = f"{first}{THEN}camera cam7, restart: found {port}: found serial 608. Check its cable."
+    assert cause(other, "cam7").endswith("found serial 608.")
+
+
+def test_a_picture_found_on_a_cards_folder_is_told_without_its_path():
+    raw = "/DCIM/100SIM/DSC_0001.DNG lies on its card, though: camera cam4, trigger: found nothing"
+    words = said(
+        {"event": "note", "about": ON_CARD, "pattern": "full", "camera": "cam4", "said": raw}
+    )
+    assert str(words) == "full, cam4: it answers again, and its picture is on its card."
 
 
 def test_control_characters_never_reach_the_terminal():

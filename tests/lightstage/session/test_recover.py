@@ -2,6 +2,7 @@
 
 import dataclasses
 import datetime
+import hashlib
 import json
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from lightstage.cameras.camera import CardFile
 from lightstage.errors import DeviceError
+from lightstage.operator.words import said
 from lightstage.session import (
     SessionWriter,
     arrived,
@@ -231,6 +233,23 @@ def test_pictures_of_before_the_session_are_never_copied(desk, begun):
     reconcile(writer, cameras)
     paths = [path for path in desk.root.rglob("*") if path.is_file()]
     assert not any(b"elsewhere" in path.read_bytes() for path in paths)
+    writer.close()
+
+
+def test_photographs_of_other_sessions_on_a_card_are_told_once_a_camera(desk, begun):
+    writer, cameras = begun
+    cameras[0].body.shoot_elsewhere(5)
+    other = desk.root.parent / "other"
+    other.mkdir()
+    theirs = [hashlib.sha256(picture("elsewhere", "nobody", i)).hexdigest() for i in range(5)]
+    frames = [{"event": "frame", "pattern": "x", "camera": "cam0", "sha256": n} for n in theirs]
+    lines = [{"event": "begin", "session": "other"}, *frames]
+    (other / "journal.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    writer.look_beside()
+    reconcile(writer, cameras)
+    words = [str(said(line)) for line in lines_of(writer, "note") if said(line).tone != "quiet"]
+    assert words == ["cam0: 5 photographs of other sessions on its card, left alone."]
+    assert not list((desk.root / "recovered").rglob("*.DNG"))
     writer.close()
 
 

@@ -57,7 +57,10 @@ def test_a_picture_that_is_on_the_card_is_fetched_and_not_taken_again(stage, nam
     ("fault", "said"),
     [
         (Fault("battery-empty", camera="cam1", at=2), "its battery is empty"),
-        (Fault("fill-up", camera="cam1", at=2), "the card is full. Free its card"),
+        (
+            Fault("fill-up", camera="cam1", at=2),
+            "the card is full. Copy its photographs away and format it",
+        ),
     ],
     ids=lambda value: value.name if isinstance(value, Fault) else "",
 )
@@ -251,7 +254,7 @@ def test_a_camera_that_was_disconnected_comes_back(tmp_path, rig, seen, monkeypa
     monkeypatch.setattr(camera_body, "time", clock)
     camera = SimulatedCamera(str(bodies.folder("cam0")))
     camera.open()
-    with pytest.raises(DeviceError, match=r"error -7 .*gone from the bus"):
+    with pytest.raises(DeviceError, match=r"error -7 .*unplugged"):
         camera.trigger(0.0)
     now_s[0] += 19
     with pytest.raises(DeviceError, match=r"error -105 .*No such camera is connected"):

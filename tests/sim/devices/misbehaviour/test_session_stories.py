@@ -59,9 +59,12 @@ def test_a_day_on_which_a_camera_dies_says_so_and_leaves_no_finished_session(
     with pytest.raises(SimError, match="exit code 2"):
         capture_session(world, tmp_path / "s", 5, "full,x+", story=story, config=config)
     said = capfd.readouterr().err
-    assert "camera cam1" in said
+    assert "x+ by cam1" in said
     assert "its battery is empty" in said
-    assert "Check its cable, power and battery" in said
+    assert (
+        "Put in a full battery and switch it on. It does not start again: no camera at any port"
+        in said
+    )
     assert "lightstage capture --resume" in said
     assert (tmp_path / "s" / "frames" / "x+" / "cam0.dng").is_file()
     assert not (tmp_path / "s" / "session.json").exists()
