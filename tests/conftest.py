@@ -19,6 +19,7 @@ import pytest
 from lightstage.commands import run_app
 from lightstage.formats.files import write_json
 from lightstage.formats.processed import ProcessedFolder
+from lightstage.interrupts import handlers_kept, interrupted, raise_on_signals
 
 # How long an example takes says more about the machine's other work than about the code.
 hypothesis.settings.register_profile("project", deadline=None)
@@ -92,6 +93,18 @@ class Ended:
     code: int
     out: str
     err: str
+
+
+@pytest.fixture(autouse=True)
+def signals_forgotten() -> Iterator[None]:
+    """A signal that one test sent does not stop the commands of the tests that come after it.
+
+    A process keeps that a signal came, for it ends soon; the tests' process goes on.
+    """
+    yield
+    if interrupted():
+        with handlers_kept():
+            raise_on_signals()
 
 
 @pytest.fixture
