@@ -12,7 +12,6 @@ import numpy as np
 from torch import Tensor
 
 from learning.checkpoint import (
-    INDEX,
     load_generator,
     load_super_resolution,
     load_whole_face,
@@ -22,7 +21,7 @@ from learning.checkpoint import (
 )
 from learning.data import DataConfig
 from learning.devices import choose_device, memory_of
-from learning.errors import CheckpointError, MapsError
+from learning.errors import MapsError
 from learning.four.config import FourTrainConfig
 from learning.four.infer import infer_four
 from learning.four.networks import FourNetworks, load_four_networks
@@ -53,7 +52,7 @@ from learning.render.occlusion_model import OcclusionConfig
 from learning.render.occlusion_training import OcclusionTrainConfig
 from learning.render.shading import ShadeOptions
 from learning.resample import resampled_texture
-from learning.run import require_own
+from learning.run import require_new
 from learning.train import train
 from learning.upscale.infer import upscale
 from learning.upscale.score import UpscaleScore
@@ -232,15 +231,7 @@ def _occlusion_training(
                 hint="It is the training's; a table has --rows and --directions.",
             )
         return None
-    if (network / INDEX).exists():
-        raise CheckpointError(
-            network / INDEX,
-            field="--network",
-            found="a run that is there already",
-            expected="an empty or a new folder",
-            hint="Choose another, or remove that run first.",
-        )
-    require_own(network)
+    require_new(network, "Choose another --network, or remove that run first.")
     values = read_toml(config) if config else {}
     where = config or "--rows"
     sizes = values.get("occlusion", {})

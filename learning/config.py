@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from typing import ClassVar
 
@@ -12,7 +13,7 @@ from learning.render.shading import Mode
 
 
 @dataclasses.dataclass(frozen=True)
-class TrainingConfig:
+class TrainingConfig(abc.ABC):
     """What all families of networks share; each adds its own and begins from its own values.
 
     Attributes:
@@ -48,6 +49,6 @@ class TrainingConfig:
     save_seconds: float = 60.0
 
     @property
+    @abc.abstractmethod
     def held_out_subjects(self) -> int:
         """People, the last ones by name, who are scored and never trained on."""
-        raise NotImplementedError

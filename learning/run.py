@@ -293,15 +293,8 @@ def begin(
         first = checkpoint.step
         if processes.first:
             _drop_half_line(out / METRICS)
-    elif (out / INDEX).exists():
-        raise CheckpointError(
-            out / INDEX,
-            found="a run that is there already",
-            expected="an empty folder",
-            hint="Go on with --resume, or choose another --out.",
-        )
-    elif processes.first:
-        require_own(out)
+    elif processes.first or (out / INDEX).exists():
+        require_new(out, "Go on with --resume, or choose another --out.")
     about = {
         "family": config.family,
         "config": as_dict(config),
@@ -313,8 +306,23 @@ def begin(
     return Run(out, config, about, first, began, processes, EventFile(out))
 
 
-def require_own(out: Path) -> None:
-    """CheckpointError where a new run's folder holds anything but what a run leaves."""
+def require_new(out: Path, hint: str) -> None:
+    """Refuse a folder that a new run may not have.
+
+    Args:
+        out: the run's folder.
+        hint: what to do where it holds a run.
+
+    Raises:
+        CheckpointError: it holds a run, or anything but what a run leaves.
+    """
+    if (out / INDEX).exists():
+        raise CheckpointError(
+            out / INDEX,
+            found="a run that is there already",
+            expected="an empty or a new folder",
+            hint=hint,
+        )
     there = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
     other = [name for name in there if not any(fnmatch.fnmatch(name, own) for own in OWN)]
     if other:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from lightstage.tiff import Reader
 
 MOST_PARTS = 64
+JPEG_HEAD = b"\xff\xd8\xff"
 PNG_HEAD = b"\x89PNG\r\n\x1a\n"
 FRAMES = (0xC0, 0xC1, 0xC2, 0xC3, *range(0xC5, 0xC8), *range(0xC9, 0xCC), *range(0xCD, 0xD0))
 """Markers of a JPEG's frame headers, which tell bits, size and components [JPEG1992]."""

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import tifffile
 
-from lightstage.containers import FRAMES, PNG_HEAD, chunks, segments
+from lightstage.containers import FRAMES, JPEG_HEAD, PNG_HEAD, chunks, segments
 from lightstage.errors import FormatError
 from lightstage.exif import read_exif
 from lightstage.formats.icc import Profile, read_profile, srgb
@@ -24,7 +24,6 @@ from lightstage.formats.orientation import OF_TIFF
 from lightstage.photograph import identify_file
 from lightstage.tiff import Reader
 
-JPEG_HEAD = b"\xff\xd8\xff"
 TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 BITS = (8, 16)
 RGB, YCBCR = 2, 6
@@ -33,7 +32,6 @@ _PNG_ALPHA, _PNG_COLOUR = 4, 2
 """Bits of a PNG's colour type."""
 SRGB_GAMMA = 45455
 """A PNG's gAMA for sRGB, times 100,000."""
-LEAST_PX = 8
 EXPECTED = "red, green and blue of 8 or 16 bits"
 
 
@@ -109,10 +107,6 @@ def read_developed(path: Path) -> Developed:
         _check_gamma(data, path)
     meaning: Profile = srgb() if raw is None else read_profile(raw, path)
     most = np.iinfo(codes.dtype).max
-    known = told.exposure_s, told.iso, told.f_number
-    exposure = None
-    if known[0] and known[1] and known[2]:
-        exposure = known[0] * known[1] / known[2] ** 2
     return Developed(
         meaning.linear(codes),
         kind,
@@ -120,7 +114,7 @@ def read_developed(path: Path) -> Developed:
         meaning.name,
         raw is not None,
         float((codes == most).any(axis=2).mean()),
-        exposure,
+        told.exposure,
     )
 
 
@@ -228,12 +222,6 @@ def _colours(pixels: np.ndarray, path: Path, *, opaque: bool) -> np.ndarray:
     """(h, w, 3) red, green, blue of what OpenCV read; an opaque fourth channel is left out."""
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.dtype.itemsize * 8 not in BITS:
         raise _refused(path, f"{pixels.dtype} values of shape {pixels.shape}")
-    if min(pixels.shape[:2]) < LEAST_PX:
-        raise FormatError(
-            path,
-            found=f"{pixels.shape[1]} x {pixels.shape[0]} pixels",
-            expected=f"a photograph of {LEAST_PX} x {LEAST_PX} or more",
-        )
     if pixels.shape[2] == 4 and not opaque:
         clear = pixels[..., 3] < np.iinfo(pixels.dtype).max
         if clear.any():

@@ -46,6 +46,11 @@ class FormatError(LightstageError):
     """A file does not hold what its format says."""
 
 
+def unreadable_file(path: Path, error: OSError) -> FormatError:
+    """What the system says of a file that cannot be read."""
+    return FormatError(path, found=error.strerror or str(error), expected="a file")
+
+
 class RigError(FormatError):
     """A rig whose lights or cameras cannot be used."""
 

@@ -21,7 +21,7 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-from lightstage.containers import PNG_HEAD, boxes, chunks, segments
+from lightstage.containers import JPEG_HEAD, PNG_HEAD, boxes, chunks, segments
 from lightstage.tiff import MAX_VALUE_BYTES, Directory, Reader, directories, directory_at
 
 EXPOSURE, F_NUMBER, ISO, ISO_SPEED = 33434, 33437, 34855, 34867
@@ -56,6 +56,8 @@ IPTC_NAMES = {25: "IPTC keywords", 80: "IPTC by-line", 90: "IPTC city", 105: "IP
 IPTC_NAMES |= {110: "IPTC credit", 116: "IPTC copyright", 120: "IPTC caption"}
 _CR3_UUID = bytes.fromhex("85c0b687820f11e08111f4ce462b6a48")
 _CR3_PARTS = {b"CMT1": "picture", b"CMT2": "exif", b"CMT3": "canon", b"CMT4": "gps"}
+MOST_STOPS = 6.0
+"""Exposures of one session's photographs are apart by so much at most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +92,12 @@ class Exif:
     focal_plane_px_per_mm: float | None = None
     orientation: int | None = None
 
+    @property
+    def exposure(self) -> float | None:
+        """Seconds * ISO / f-number^2; None where the file does not tell them all."""
+        time_s, iso, stop = self.exposure_s or 0, self.iso or 0, self.f_number or 0
+        return float(time_s * iso / stop**2) if min(time_s, iso, stop) > 0 else None
+
 
 def read_exif(path: Path) -> Exif:
     """Read a photograph's headers.
@@ -111,7 +119,7 @@ def _parts(reader: Reader) -> Iterator[Directory]:
         yield from _cr3_parts(reader)
     elif head[:15] == b"FUJIFILMCCD-RAW":
         yield from _raf_parts(reader)
-    elif head[:3] == b"\xff\xd8\xff":
+    elif head.startswith(JPEG_HEAD):
         yield from _jpeg_parts(reader, 0)
     elif head[:8] == PNG_HEAD:
         yield from _png_parts(reader)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import Counter
 from pathlib import Path
 
 from lightstage.counting import counted
 from lightstage.developed import Developed
 from lightstage.errors import FormatError
+from lightstage.exif import MOST_STOPS
 from lightstage.findings import Finding
 
-MOST_TIMES = 64.0
-"""Exposures that differ by more are not of one session, as `decode` has it for RAW."""
 ALIKE = 1e-4
 CLIPPED = 0.001
 """Share of clipped pixels from which a picture is named."""
@@ -59,12 +59,12 @@ class Exposures:
         if wanted is None or picture.exposure is None:
             return 1.0
         times = wanted / picture.exposure
-        if not 1 / MOST_TIMES <= times <= MOST_TIMES:
+        if abs(math.log2(times)) > MOST_STOPS:
             raise FormatError(
                 path,
                 field="exposure",
                 found=f"{times:.3g} times less than {whose}",
-                expected=f"at most {MOST_TIMES:g} times",
+                expected=f"at most {2**MOST_STOPS:g} times",
                 hint="Were these photographs taken for this session?",
             )
         if abs(times - 1) <= ALIKE:

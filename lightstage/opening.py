@@ -9,11 +9,13 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from lightstage.developed import LEAST_PX, Developed, developed_kind, read_developed
-from lightstage.errors import FormatError
+from lightstage.developed import Developed, developed_kind, read_developed
+from lightstage.errors import FormatError, unreadable_file
 from lightstage.formats.exr import read_exr
 from lightstage.formats.orientation import of_libraw
 from lightstage.photograph import identify_file
+
+LEAST_PX = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,18 +44,23 @@ def open_photograph(path: Path) -> Opened:
         if developed_kind(path) is not None:
             developed = read_developed(path)
             height, width = developed.rgb.shape[:2]
-            return Opened((width, height), "developed", developed)
+            return _large_enough(path, Opened((width, height), "developed", developed))
         encoding = identify_file(path).encoding
     except OSError as error:
-        raise FormatError(path, found=error.strerror or str(error), expected="a file") from None
+        raise unreadable_file(path, error) from None
     size = _raw_size(path) if encoding == "raw" else _linear_size(path)
-    if min(size) < LEAST_PX:
+    return _large_enough(path, Opened(size, encoding))
+
+
+def _large_enough(path: Path, opened: Opened) -> Opened:
+    width, height = opened.size_px
+    if min(width, height) < LEAST_PX:
         raise FormatError(
             path,
-            found=f"{size[0]} x {size[1]} pixels",
+            found=f"{width} x {height} pixels",
             expected=f"a photograph of {LEAST_PX} x {LEAST_PX} or more",
         )
-    return Opened(size, encoding)
+    return opened
 
 
 def _linear_size(path: Path) -> tuple[int, int]:

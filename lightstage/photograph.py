@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
+from lightstage.containers import JPEG_HEAD, MOST_PARTS
 from lightstage.counting import counted
 from lightstage.errors import FormatError
 
@@ -37,7 +38,6 @@ _HEADS = {
 """Containers that LibRaw reads beside TIFF, CR3 and RAF: where their first bytes say which."""
 _RAF_PARTS = (84, 92, 100)
 """Where a RAF's header has offset and length of its preview, its header and its counts."""
-_MAX_BOXES = 64
 _MAX_IFDS = 32
 _READ = (_DNG_VERSION, _MAKE, _SUB_IFDS, _REDUCED, _PHOTOMETRIC)
 
@@ -117,7 +117,7 @@ def _identify(source: _Source, where: str | Path) -> Kind:
     for (at, begins), suffix in _HEADS.items():
         if head[at:].startswith(begins):
             return Kind(suffix, "raw")
-    jpeg = head[:3] == b"\xff\xd8\xff"
+    jpeg = head.startswith(JPEG_HEAD)
     begun = f"{counted(source.size, 'byte')}, beginning with {head[:8].hex() or 'none'}"
     raise FormatError(
         where,
@@ -144,7 +144,7 @@ def _require_length(
 def _cr3_length(source: _Source) -> int | None:
     """Where the last box of a CR3 ends; struct.error where a box's head is cut."""
     place, kinds = 0, []
-    for _ in range(_MAX_BOXES):
+    for _ in range(MOST_PARTS):
         if place >= source.size:
             break
         size, kind = source.unpack(">I4s", place)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import rawpy
 
-from lightstage.errors import FormatError
+from lightstage.errors import FormatError, unreadable_file
 from lightstage.photograph import identify_file
 
 LIBRAW = ".".join(map(str, rawpy.libraw_version))
@@ -20,12 +20,12 @@ def unreadable_raw(path: Path, error: Exception) -> FormatError:
         error: of rawpy, or of the system.
     """
     if isinstance(error, OSError):
-        return FormatError(path, found=error.strerror or str(error), expected="a file")
+        return unreadable_file(path, error)
     try:
         # What its own header tells against it says more than LibRaw does.
         kind = identify_file(path)
     except OSError as refused:
-        return FormatError(path, found=refused.strerror or str(refused), expected="a file")
+        return unreadable_file(path, refused)
     except FormatError as refused:
         return refused
     text = error.args[0] if error.args else error

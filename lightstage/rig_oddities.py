@@ -39,13 +39,20 @@ def rig_oddities(rig: Rig) -> list[Finding]:
 
 def odd_lights(rig: Rig) -> np.ndarray:
     """(n,) bool, lights that stand at another distance than most, or in another's place."""
+    return np.asarray(_far(rig) | _close(rig))
+
+
+def _far(rig: Rig) -> np.ndarray:
+    """(n,) bool, at another distance from the origin than most."""
     distance = np.linalg.norm(rig.positions_mm, axis=1)
-    middle = float(np.median(distance))
-    odd = np.abs(distance - middle) > RADIUS_SPREAD * middle
-    if len(distance) > 2:
-        apart = _nearest(rig.positions_mm)
-        odd |= apart < CLOSE_SHARE * np.median(apart)
-    return np.asarray(odd)
+    middle = np.median(distance)
+    return np.asarray(np.abs(distance - middle) > RADIUS_SPREAD * middle)
+
+
+def _close(rig: Rig) -> np.ndarray:
+    """(n,) bool, in another light's place; two lights alone are never."""
+    apart = _nearest(rig.positions_mm)
+    return np.asarray((apart < CLOSE_SHARE * np.median(apart)) & (len(apart) > 2))
 
 
 def _nearest(places: np.ndarray) -> np.ndarray:
@@ -80,7 +87,7 @@ def _of_lights(rig: Rig) -> list[Finding]:
                 "Positions are in mm; were they in cm or inches?",
             )
         )
-    far = np.abs(distance - radius) > RADIUS_SPREAD * radius
+    far = _far(rig)
     if far.any():
         found.append(
             _warn(
@@ -91,19 +98,18 @@ def _of_lights(rig: Rig) -> list[Finding]:
                 "The origin is the sphere's centre.",
             )
         )
-    if len(distance) > 2:
+    close = _close(rig)
+    if close.any():
         apart = _nearest(rig.positions_mm)
-        close = apart < CLOSE_SHARE * np.median(apart)
-        if close.any():
-            found.append(
-                _warn(
-                    "close",
-                    _named(rig, close),
-                    f"{apart[close].min():.3g} mm from another light",
-                    f"about {np.median(apart):.3g} mm, as most",
-                    "Is one light in the file twice?",
-                )
+        found.append(
+            _warn(
+                "close",
+                _named(rig, close),
+                f"{apart[close].min():.3g} mm from another light",
+                f"about {np.median(apart):.3g} mm, as most",
+                "Is one light in the file twice?",
             )
+        )
     mean = (rig.positions_mm / distance[:, None]).mean(axis=0)
     if np.linalg.norm(mean) > ONE_SIDED:
         axis = int(np.abs(mean).argmax())

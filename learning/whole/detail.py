@@ -37,8 +37,8 @@ def bands(texture: np.ndarray, seen: np.ndarray, small: np.ndarray) -> list[np.n
     found = []
     for share in BLURS:
         sigma = share * rows
-        weight = _blurred(known, sigma)
-        coarser = _blurred(finer * known, sigma) / np.maximum(weight, 1e-3) * known
+        weight = blurred(known, sigma)
+        coarser = blurred(finer * known, sigma) / np.maximum(weight, 1e-3) * known
         found.append((finer - coarser) * known)
         finer = coarser
     whole = enlarged(np.log(np.maximum(small, DARKEST)), rows, texture.shape[1])
@@ -107,7 +107,7 @@ class Shares:
         return np.clip(np.linalg.solve(steady, self._right), 0, 1).tolist()
 
 
-def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Gaussian; nothing comes in over the borders."""
+def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
+    """An (h, w[, c]) image by a Gaussian; nothing comes in over the borders."""
     out = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
     return out.reshape(image.shape)

@@ -10,6 +10,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from learning.whole.detail import blurred
+
 FEWEST_TEXELS = 100
 """Known on both sides, below which one face does not tell how alike its sides are."""
 ALIKE = 0.5
@@ -78,12 +80,12 @@ def likeness(own: np.ndarray, other: np.ndarray, both: np.ndarray) -> float:
     rows = len(own)
     finest, widest = (share * rows for share in ALIKE_SHARES)
     weight = both.astype(np.float32)
-    around = np.maximum(_blurred(weight, widest), 1e-3)[..., None]
+    around = np.maximum(blurred(weight, widest), 1e-3)[..., None]
 
     def marks(image: np.ndarray) -> np.ndarray:
         known = image * weight[..., None]
-        fine = (known - _blurred(known, widest) / around) * weight[..., None]
-        return np.clip(_blurred(fine, finest)[both], -MOST_BESIDE, MOST_BESIDE)
+        fine = (known - blurred(known, widest) / around) * weight[..., None]
+        return np.clip(blurred(fine, finest)[both], -MOST_BESIDE, MOST_BESIDE)
 
     one, two = marks(own), marks(other)
     return float(np.clip((one * two).sum() / max(float((two * two).sum()), 1e-9), 0, 1))
@@ -111,8 +113,3 @@ def continued(image: np.ndarray, known: np.ndarray) -> np.ndarray:
         # Where a texel is known in part, that part counts, and the larger texels' for the rest.
         found = total + (1 - share)[..., None] * around.reshape(total.shape)
     return found
-
-
-def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
-    spread: np.ndarray = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return spread

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import shlex
 import sys
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from lightstage.counting import counted
 from lightstage.errors import ConfigError, LightstageError
 from lightstage.leds.address import parse_url
 from lightstage.operator import Unattended
-from lightstage.resume_line import calibrate_line
+from lightstage.resume_line import calibrate_line, shell_line
 from lightstage.rig import load_rig
 from lightstage.safety import check_shots
 from lightstage.sequence import plan_shots
@@ -95,7 +94,7 @@ def calibrate_command(
     finish(
         f"{shots.root}: {counted(report.poses, 'pose')}, {report.again} taken again, "
         f"{counted(report.warnings, 'fault')} accepted, holds {duration(held)}; "
-        f"what is still missing: lightstage calibrations {shlex.quote(str(out))}",
+        f"what is still missing: {shell_line('lightstage', 'calibrations', str(out))}",
         {
             "shots": str(shots.root),
             "id": shots.file.id,

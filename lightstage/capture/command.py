@@ -35,6 +35,7 @@ from lightstage.session import (
     Carried,
     check_consent,
     check_pseudonym,
+    last_run,
     read_calibration,
     read_journal,
     require_new,
@@ -216,9 +217,8 @@ def take_session(
 
 def _warned(root: Path) -> list[str]:
     """Of what a session's last run warned, by its code in the journal."""
-    lines = read_journal(root / JOURNAL)
-    since = max((n for n, line in enumerate(lines) if line["event"] == "resume"), default=0)
-    warned = [each for each in lines[since:] if each.get("severity") == "warn"]
+    lines = last_run(read_journal(root / JOURNAL))
+    warned = [each for each in lines if each.get("severity") == "warn"]
     return list(dict.fromkeys(str(each["code"]) for each in warned))
 
 

@@ -36,6 +36,7 @@ from lightstage.session import (
     SessionPlan,
     SessionWriter,
     bring_home,
+    last_run,
     read_journal,
     reconcile,
     require_on_disk,
@@ -129,10 +130,10 @@ def capture_session(
     require(findings)
     with _writer(stage, order, config, findings) as writer, contextlib.ExitStack() as followed:
         lines = read_journal(writer.journal.path)
-        since = max((n for n, line in enumerate(lines) if line["event"] == "resume"), default=0)
-        retaken = sum(len(each["takes"]) for each in lines[since:] if each["event"] == "retake")
+        now = last_run(lines)
+        retaken = sum(len(each["takes"]) for each in now if each["event"] == "retake")
         for place, line in enumerate(lines):
-            operator.told(line, old=place < since)
+            operator.told(line, old=place < len(lines) - len(now))
         writer.listeners.append(operator.told)
         followed.enter_context(serve_events(writer, operator.request))
         run: Run | None = None

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from lightstage.checks.noise import DIFFERENCE_GAIN, fit_noise
-from lightstage.errors import FormatError
+from lightstage.errors import FormatError, unreadable_file
 from lightstage.formats.exr import MAGIC, read_exr
 from lightstage.formats.orientation import of_libraw
 
@@ -99,7 +99,7 @@ def measure_photo(path: Path, thumbnail_px: int = 192) -> Photo:
         with path.open("rb") as handle:
             begins = handle.read(4)
     except OSError as error:
-        raise FormatError(path, found=error.strerror or str(error), expected="a file") from None
+        raise unreadable_file(path, error) from None
     if begins == MAGIC:
         return measure_image(read_exr(path), path, thumbnail_px)
     return _measure_raw(path, thumbnail_px)

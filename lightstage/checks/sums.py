@@ -14,11 +14,8 @@ import numpy as np
 
 from lightstage.checks.motion import Shift, moved
 from lightstage.checks.photo import LIT_SHARE, Photo, pool_size, pooled
+from lightstage.formats.sums import LEVEL_STEP, SLACK
 
-LEVEL_STEP = 1e-3
-"""Levels are compared to this; devices round to steps of their own."""
-SLACK = 1.5
-"""Steps by which rounding may part a sum of two from a third."""
 FLOOR_SHARE = 0.01
 """Of full: residuals below it are motion, flicker and rounding, not noise."""
 ROUNDS = 6

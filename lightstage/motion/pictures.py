@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from lightstage.developed import developed_kind, read_developed
-from lightstage.errors import FormatError
+from lightstage.errors import FormatError, unreadable_file
 from lightstage.formats.exr import read_exr
 from lightstage.formats.orientation import of_libraw
 from lightstage.photograph import identify_file
@@ -48,7 +48,7 @@ def read_grey(path: Path) -> GreyPicture:
         developed = read_developed(path) if developed_kind(path) is not None else None
         linear = developed is None and identify_file(path).encoding == "linear"
     except OSError as error:
-        raise FormatError(path, found=error.strerror or str(error), expected="a file") from None
+        raise unreadable_file(path, error) from None
     if developed is not None or linear:
         image = read_exr(path) if developed is None else developed.rgb
         light = image if image.ndim == 2 else image.mean(axis=2)

@@ -16,7 +16,7 @@ from lightstage.session.opening import require_new, rig_hash
 from lightstage.session.plan import SessionPlan
 from lightstage.session.present import require_on_disk, why_not_delete
 from lightstage.session.pseudonym import check_consent, check_pseudonym
-from lightstage.session.reading import read_journal
+from lightstage.session.reading import last_run, read_journal
 from lightstage.session.reconciling import Reconciled
 from lightstage.session.recover import arrived, bring_home, reconcile
 from lightstage.session.state import Exposed, SessionState, state_of
@@ -39,6 +39,7 @@ __all__ = [
     "check_consent",
     "check_pseudonym",
     "disagreements",
+    "last_run",
     "read_calibration",
     "read_colour",
     "read_journal",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from lightstage.errors import FormatError
@@ -11,6 +12,12 @@ from lightstage.session.events import Line, check_lines
 
 SCHEMA = "lightstage.journal/2"
 FIRST_SCHEMA = "lightstage.journal/1"
+
+
+def last_run(lines: Sequence[Line]) -> Sequence[Line]:
+    """Lines from which on a session was last gone on with; all where it never was."""
+    resumed = [place for place, line in enumerate(lines) if line["event"] == "resume"]
+    return lines[max(resumed, default=0) :]
 
 
 def read_journal(path: Path) -> list[Line]:

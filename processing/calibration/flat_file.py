@@ -36,7 +36,7 @@ class FlatField:
             distance of r radii from the principal point.
         per_pixel: (h, w) float32 further gain of each pixel of the mosaic; None: all 1.
         black_offset: (4,) of the mosaic's top left four places in row order: black above what the
-            file says, as a share of white - black; None where there are no darks.
+            file says, as a share of white less the highest black; None where there are no darks.
         hot_pixels: (n, 2) int row, column.
     """
 

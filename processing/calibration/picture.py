@@ -91,7 +91,7 @@ def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
             height, width = (side // 2 * 2 for side in counts.shape)
             level = counts[:height, :width].astype(np.float32)
             orientation = of_libraw(int(raw.sizes.flip))
-        exposure = exposure_of(path)
+        exposure = read_exif(path).exposure
     except (rawpy.LibRawError, OSError, AttributeError) as error:
         raise unreadable_raw(path, error) from None
     clipped = np.zeros(level.shape, bool)
@@ -102,14 +102,3 @@ def read_mosaic(path: Path, clip_share: float = 1.0) -> Mosaic:
     # One scale for all places, as decode has it: a count is as much light in each.
     level /= np.float32(max(white - black[colours.ravel()].max(), 1.0))
     return Mosaic(level, clipped, channels, exposure).upright(orientation)
-
-
-def exposure_of(path: Path) -> float | None:
-    """Seconds * ISO / f-number^2 of a photograph as its headers tell; None where they do not.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
-    exif = read_exif(path)
-    seconds, iso, f_number = exif.exposure_s or 0, exif.iso or 0, exif.f_number or 0
-    return seconds * iso / f_number**2 if min(seconds, iso, f_number) > 0 else None

@@ -10,14 +10,13 @@ import numpy as np
 from lightstage.errors import LightstageError, one_error
 from lightstage.formats.scale import full_levels
 from lightstage.formats.session import Driven, Session, missing_frames
+from lightstage.formats.sums import LEVEL_STEP
 from lightstage.patterns import pattern_levels
 from lightstage.patterns.names import BINARY, LINEAR, bank_mask, complement
 from processing.errors import ProcessingError
 
 Recipe = tuple[tuple[str, float], ...]
 """Patterns that were photographed and the factors under which their sum is the missing one."""
-LEVEL_STEP = 1e-3
-"""Levels are compared to this: devices round to steps of their own."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from lightstage.errors import FormatError
+from lightstage.exif import MOST_STOPS
 from lightstage.formats.exr import read_exr
 from lightstage.formats.session import Frame, Session
 from processing.calibration.flat_file import FlatField, read_flats
@@ -19,9 +20,6 @@ from processing.frames.window import Window
 from processing.raw.develop import Settings, develop, store
 from processing.raw.file import RawFile, open_raw, read_exposure
 from processing.raw.region import cell_px, preview
-
-MOST_STOPS = 6.0
-"""Photographs whose exposures differ by more stops than this are not of one session."""
 
 
 class Photograph(Protocol):

@@ -117,13 +117,9 @@ def read_exposure(path: Path) -> float | None:
         FormatError: it cannot be read.
     """
     try:
-        told = read_exif(path)
+        return read_exif(path).exposure
     except OSError as error:
         raise unreadable_raw(path, error) from None
-    time, iso, stop = told.exposure_s, told.iso, told.f_number
-    if time is None or iso is None or stop is None or not min(time, iso, stop) > 0:
-        return None
-    return float(time * iso / stop**2)
 
 
 def _opened(path: Path, raw: Any) -> RawFile:

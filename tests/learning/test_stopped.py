@@ -7,19 +7,17 @@ import os
 import re
 import shlex
 import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from learning import run as runs
-from learning.__main__ import main
 from learning.checkpoint import read_checkpoint
 from learning.presets import FAMILIES
 from learning.processes import ALONE, Processes
 from learning.stopped import stopped_training
-from lightstage import interrupts
 
 PATCHES = """
 batch = 2
@@ -76,28 +74,12 @@ shadow_sets = 1
 
 
 @pytest.fixture
-def train(
-    store_path: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> Callable[..., tuple[int, str, str]]:
-    """Runs `train`, by default in a folder with a space: exit code, stdout, stderr."""
-    handlers = {number: signal.getsignal(number) for number in interrupts.NUMBERS}
+def train(run_command: Callable[..., Any]) -> Callable[..., tuple[int, str, str]]:
+    """Runs `train`: exit code, stdout, stderr."""
 
     def run(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["lightstage-learning", "train", *words])
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        capsys.readouterr()
-        try:
-            with pytest.raises(SystemExit) as ended:
-                main()
-        finally:
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
-        said = capsys.readouterr()
-        return int(ended.value.code or 0), said.out, said.err
+        ended = run_command("learning", "train", *words)
+        return ended.code, ended.out, ended.err
 
     return run
 
