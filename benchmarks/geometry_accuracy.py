@@ -33,7 +33,7 @@ from lightstage.formats.files import read_json, write_json
 from lightstage.formats.mesh import Mesh
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.twice import Depths
-from processing.reconstruction.views import Level, View, pyramid
+from processing.reconstruction.views import Level, View, pyramid, toward_cameras
 
 SETS = {
     "all seven": None,
@@ -124,8 +124,8 @@ def normals(case: Case) -> Meshes:
     tipped = dataclasses.replace(level, normals=_tipped(level, TIPPED_DEG))
     alone = dataclasses.replace(CONFIG, relief_mm=0.0)
     cases: list[tuple[str, Level, ReconstructConfig]] = [
-        ("points alone, their planes' normals, not split", _toward_cameras(level), _whole(alone)),
-        ("points alone, their planes' normals", _toward_cameras(level), alone),
+        ("points alone, their planes' normals, not split", toward_cameras(level), _whole(alone)),
+        ("points alone, their planes' normals", toward_cameras(level), alone),
         ("points alone, normals of both", level, alone),
         ("with coarse normals", coarse, CONFIG),
         ("with mended normals, not split", level, _whole(CONFIG)),
@@ -139,18 +139,6 @@ def normals(case: Case) -> Meshes:
 def _whole(config: ReconstructConfig) -> ReconstructConfig:
     """The mesh left as it is fused."""
     return dataclasses.replace(config, splits=0)
-
-
-def _toward_cameras(level: Level) -> Level:
-    """A level whose normals tell nothing: all face their camera."""
-    normals = np.empty_like(level.normals)
-    height, width = normals.shape[1:3]
-    for index, ((fx, fy, cx, cy), pose) in enumerate(zip(level.lenses, level.poses, strict=True)):
-        x, y = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
-        sight = np.stack(np.broadcast_arrays(x[None], y[:, None], 1.0), axis=-1)
-        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
-        normals[index] = -sight @ pose[:, :3]
-    return dataclasses.replace(level, normals=normals)
 
 
 def patterns(case: Case) -> Meshes:
