@@ -30,6 +30,7 @@ from processing.reconstruction.poses import (
     raise_when_off,
     tone_mapped,
 )
+from processing.reconstruction.slants import without_normals
 from processing.reconstruction.small_views import (
     matched_times,
     of_cells,
@@ -38,7 +39,7 @@ from processing.reconstruction.small_views import (
 )
 from processing.reconstruction.stereo import match_views, sources_of
 from processing.reconstruction.twice import Depths, as_known, meshed, twice
-from processing.reconstruction.views import View, common_basis, make_view, pyramid, without_normals
+from processing.reconstruction.views import View, common_basis, make_view, pyramid
 
 __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
 
@@ -135,8 +136,7 @@ def check_session_poses(session: Session, out: Path, config: ReconstructConfig) 
     for name in session.camera_ids():
         frames = read_frames(out, name)
         mask = read_foreground(out, name) & frames.valid
-        brightest = int(np.argmax([half[::8, ::8].mean(dtype=float) for half in frames.half]))
-        small, inside = smaller_picture(tone_mapped(frames.image(brightest), mask), mask, times)
+        small, inside = smaller_picture(tone_mapped(frames.brightest(), mask), mask, times)
         cameras.append(of_cells(session.rig.camera(name), times))
         pictures.append(small)
         masks.append(inside)
@@ -184,8 +184,7 @@ def read_views(
     basis = common_basis([s.images for s in small], [s.mask & s.valid for s in small])
 
     return [
-        make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis, white)
-        for s in small
+        make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis, white) for s in small
     ], lights
 
 

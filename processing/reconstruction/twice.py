@@ -16,14 +16,9 @@ from processing.reconstruction.consistency import Points, consistent_points
 from processing.reconstruction.finer import finer
 from processing.reconstruction.fusion import fuse
 from processing.reconstruction.shading import mended_normals
+from processing.reconstruction.slants import as_matched, without_normals
 from processing.reconstruction.stereo import sources_of
-from processing.reconstruction.views import (
-    Level,
-    View,
-    pictures_of,
-    toward_cameras,
-    without_normals,
-)
+from processing.reconstruction.views import Level, View, pictures_of
 
 Depths = tuple[Level, list[np.ndarray], list[np.ndarray]]
 """A level, and of each view inverse depth and cost, as of `match_views`."""
@@ -59,13 +54,13 @@ def as_known(
 ) -> tuple[Depths, ReconstructConfig]:
     """Depths and settings as they are, or, where no light told normals, as pictures alone allow.
 
-    Directions to the cameras then stand for normals. Planes through neighbouring points turn them;
-    relief and what is carried on by normals would be made up.
+    Planes through neighbouring points then stand for normals; relief, and what normals carry on,
+    would be made up.
     """
     if not without_normals(views):
         return found, config
     plain = dataclasses.replace(config, relief_mm=0.0, carry_mm=0.0)
-    return (toward_cameras(found[0]), *found[1:]), plain
+    return (as_matched(*found[:2]), *found[1:]), plain
 
 
 def twice(

@@ -215,11 +215,6 @@ def halved(level: Level) -> Level:
     return Level(pictures, masks, _unit(block_sum(level.normals)), level.lenses / 2, level.poses)
 
 
-def without_normals(views: Sequence[View]) -> bool:
-    """Whether no light told any normal: there are pictures alone."""
-    return not any(view.normals.any() for view in views)
-
-
 def pictures_of(views: Sequence[View], finest_rows: int) -> Level:
     """The views, halved until they have at most so many rows."""
     level = finest_level(views)
@@ -259,18 +254,6 @@ def depth_to_points(inverse_depth: np.ndarray, lens: np.ndarray, pose: np.ndarra
     y = ((np.arange(height) + 0.5 - cy) / fy)[:, None] * depth
     local = np.stack([x, y, depth], axis=-1)
     return ((local - pose[:, 3]) @ pose[:, :3]).astype(np.float32)
-
-
-def toward_cameras(level: Level) -> Level:
-    """The level with unit vectors to the cameras as its normals, where no light told any."""
-    normals = np.empty_like(level.normals)
-    height, width = normals.shape[1:3]
-    for index, ((fx, fy, cx, cy), pose) in enumerate(zip(level.lenses, level.poses, strict=True)):
-        x, y = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
-        sight = np.stack(np.broadcast_arrays(x[None], y[:, None], 1.0), axis=-1)
-        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
-        normals[index] = -sight @ pose[:, :3]
-    return dataclasses.replace(level, normals=normals)
 
 
 def block_sum(values: np.ndarray) -> np.ndarray:
