@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from lightstage.commands import quiet
-from lightstage.formats.mesh import vertex_normals
+from lightstage.formats.mesh import Mesh, vertex_normals, write_ply
+from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from lightstage.rig import Rig, default_rig
 from processing import pipeline
@@ -21,6 +22,7 @@ from processing.evaluation.folder import evaluate
 from processing.pipeline import PipelineConfig, run
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.stage import reconstruct_views
+from processing.registration.stage import RegisterConfig
 from processing.separation.choice import no_normals
 from sim.light.world import World
 from sim.people.subjects import load_subject
@@ -137,6 +139,36 @@ def test_photographs_of_three_directions_are_separated_and_matched_with_normals(
     report = run(session, tmp_path / "out", TEMPLATE, PipelineConfig(), until="reconstruct")
     assert report["ran"] == ["decode", "separate", "reconstruct"]
     assert given == [True]
+
+
+def test_landmarks_are_looked_for_in_photographs_where_there_is_no_albedo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run_command: Callable[..., Any]
+) -> None:
+    shown: dict[str, np.ndarray] = {}
+
+    class Program:
+        def __init__(self, command: str) -> None:
+            assert command == "find-landmarks"
+
+        def find(self, pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+            shown.update(pictures)
+            raise ProcessingError("find-landmarks", found="a ball", expected="a face")
+
+    monkeypatch.setattr("processing.registration.stage.CommandLandmarks", Program)
+    rig = dataclasses.replace(small_rig(), cameras=lit_ball.small_rig(2, 0.015).cameras)
+    session, out = tmp_path / "session", tmp_path / "out"
+    write_direct(World(ball_subject(), rig), session, SessionConfig(sequence="full"), 3, quiet)
+    config = PipelineConfig(register=RegisterConfig(landmark_command="find-landmarks"))
+    monkeypatch.setattr(pipeline, "reconstruct", lambda *_: {})
+    run(session, out, TEMPLATE, config, until="reconstruct")
+    square = np.array([[0, 0, 80.0], [50, 0, 80], [0, 50, 80]])
+    write_ply(Mesh(square, np.array([[0, 1, 2]], np.int32)), ProcessedFolder(out).base_mesh)
+    with pytest.raises(ProcessingError, match="found a ball"):
+        run(session, out, TEMPLATE, config, only="register")
+    assert set(shown) == {"cam0", "cam1"}
+    for camera, picture in shown.items():
+        lit = ProcessedFolder(out).read_mask(camera)
+        assert picture[lit].mean() > 100 > 10 > picture[~lit].mean()
 
 
 @pytest.mark.parametrize(
