@@ -46,7 +46,6 @@ __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
 CHECKED_ROWS = 1600
 """Poses are checked in pictures of at most twice so many rows."""
 
-
 PICTURES_ALONE = (
     "lights that tell no normals, so the mesh is of matched pictures alone: without relief finer "
     "than their patches, and only where two cameras agree"

@@ -51,6 +51,27 @@ def photographed(rig: Rig, sequence: str, root: Path) -> Path:
     return root / "session"
 
 
+def test_views_without_normals_become_a_ball() -> None:
+    views, _ = textured_ball.views_of(textured_ball.cameras(5), np.random.default_rng(5))
+    blind = [dataclasses.replace(v, normals=np.zeros_like(v.normals)) for v in views]
+    found = reconstruct_views(
+        blind, ReconstructConfig(cell_mm=3.0, trim_mm=5.0, agree_mm=1.5, splits=0)
+    )
+    error = np.abs(np.linalg.norm(found.mesh.vertices, axis=1) - RADIUS_MM)
+    assert np.median(error) < 0.1
+    assert np.percentile(error, 95) < 0.8
+    normals = vertex_normals(found.mesh.vertices, found.mesh.faces)
+    facing = np.einsum("nk,nk->n", normals, found.mesh.vertices) / RADIUS_MM
+    assert np.median(facing) > 0.995
+    front = found.mesh.vertices[:, 2] > 0
+    assert np.percentile(error[front], 95) < 0.6
+    corners = found.mesh.vertices[found.mesh.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = 0.5 * np.linalg.norm(across[corners.mean(axis=1)[:, 2] > 0], axis=1).sum()
+    assert area > 0.9 * 2 * np.pi * RADIUS_MM**2
+    assert (found.facts["normals"], found.facts["alone_share"]) == ("none: pictures alone", 0)
+
+
 def test_a_session_of_full_alone_becomes_a_mesh_and_says_what_it_is(
     tmp_path: Path, run_command: Callable[..., Any]
 ) -> None:
@@ -80,27 +101,6 @@ def test_a_session_of_full_alone_becomes_a_mesh_and_says_what_it_is(
     again = run_command("processing", "run", *words, "--until", "reconstruct")
     assert "up to date" in again.out
     assert before == {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-
-
-def test_views_without_normals_become_a_ball() -> None:
-    views, _ = textured_ball.views_of(textured_ball.cameras(5), np.random.default_rng(5))
-    blind = [dataclasses.replace(v, normals=np.zeros_like(v.normals)) for v in views]
-    found = reconstruct_views(
-        blind, ReconstructConfig(cell_mm=3.0, trim_mm=5.0, agree_mm=1.5, splits=0)
-    )
-    error = np.abs(np.linalg.norm(found.mesh.vertices, axis=1) - RADIUS_MM)
-    assert np.median(error) < 0.1
-    assert np.percentile(error, 95) < 0.8
-    normals = vertex_normals(found.mesh.vertices, found.mesh.faces)
-    facing = np.einsum("nk,nk->n", normals, found.mesh.vertices) / RADIUS_MM
-    assert np.median(facing) > 0.995
-    front = found.mesh.vertices[:, 2] > 0
-    assert np.percentile(error[front], 95) < 0.6
-    corners = found.mesh.vertices[found.mesh.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = 0.5 * np.linalg.norm(across[corners.mean(axis=1)[:, 2] > 0], axis=1).sum()
-    assert area > 0.9 * 2 * np.pi * RADIUS_MM**2
-    assert (found.facts["normals"], found.facts["alone_share"]) == ("none: pictures alone", 0)
 
 
 @pytest.mark.parametrize("sequence", ["full", "x+", "olat-003", "full,x+", "polarised", "mux-1"])
