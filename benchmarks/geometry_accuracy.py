@@ -5,8 +5,8 @@ one file (--keep), so that a person and a part fit into four minutes; a run with
 --parts does all and writes RESULTS.md. Parts: `ours`, `peer` (OpenCV SGBM, the same fusion),
 `normals` (positions and normals together: off, on, and with normals tipped by 3 degrees; the
 person `relief` has shape and shading of one relief),
-`patterns` (which photographs the matcher saw), `floor` (true cameras, no noise). --told writes the
-tables of what is kept.
+`patterns` (which photographs the matcher saw), `pictures` (no normals: pictures alone, beside the
+whole session), `floor` (true cameras, no noise). --told writes the tables of what is kept.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from benchmarks.reflectance_people import folder
 from lightstage.formats.files import read_json, write_json
 from lightstage.formats.mesh import Mesh
 from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.slants import toward_cameras
 from processing.reconstruction.twice import Depths
 from processing.reconstruction.views import Level, View, pyramid
 
@@ -124,8 +125,8 @@ def normals(case: Case) -> Meshes:
     tipped = dataclasses.replace(level, normals=_tipped(level, TIPPED_DEG))
     alone = dataclasses.replace(CONFIG, relief_mm=0.0)
     cases: list[tuple[str, Level, ReconstructConfig]] = [
-        ("points alone, their planes' normals, not split", _toward_cameras(level), _whole(alone)),
-        ("points alone, their planes' normals", _toward_cameras(level), alone),
+        ("points alone, their planes' normals, not split", toward_cameras(level), _whole(alone)),
+        ("points alone, their planes' normals", toward_cameras(level), alone),
         ("points alone, normals of both", level, alone),
         ("with coarse normals", coarse, CONFIG),
         ("with mended normals, not split", level, _whole(CONFIG)),
@@ -141,18 +142,6 @@ def _whole(config: ReconstructConfig) -> ReconstructConfig:
     return dataclasses.replace(config, splits=0)
 
 
-def _toward_cameras(level: Level) -> Level:
-    """A level whose normals tell nothing: all face their camera."""
-    normals = np.empty_like(level.normals)
-    height, width = normals.shape[1:3]
-    for index, ((fx, fy, cx, cy), pose) in enumerate(zip(level.lenses, level.poses, strict=True)):
-        x, y = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
-        sight = np.stack(np.broadcast_arrays(x[None], y[:, None], 1.0), axis=-1)
-        sight /= np.linalg.norm(sight, axis=-1, keepdims=True)
-        normals[index] = -sight @ pose[:, :3]
-    return dataclasses.replace(level, normals=normals)
-
-
 def patterns(case: Case) -> Meshes:
     """Points alone, of matching with some of the photographs, coarser than by default."""
     config = dataclasses.replace(CONFIG, relief_mm=0.0, finest_rows=COARSE_ROWS)
@@ -161,11 +150,21 @@ def patterns(case: Case) -> Meshes:
         yield Made(name, case.laid(mesh), seconds)
 
 
+def pictures(case: Case) -> Meshes:
+    """The stage as it is, beside photographs that tell no normals, matched as pictures alone."""
+    yield Made("whole session", *_ours(case)[2:])
+    for name in ("full alone", "all seven"):
+        views, lights = case.views(CONFIG, SETS[name], normals=False)
+        _, mesh, seconds = timed(views, lights, CONFIG)
+        yield Made(f"{name}, no normals", case.laid(mesh), seconds)
+
+
 PARTS: dict[str, Callable[[Case], Meshes]] = {
     "ours": ours,
     "peer": peer,
     "normals": normals,
     "patterns": patterns,
+    "pictures": pictures,
     "floor": floor,
 }
 
@@ -201,6 +200,7 @@ def tables(results: dict[str, dict[str, Row]]) -> None:
     regions: list[Cells] = []
     turned: list[Cells] = []
     sets: list[Cells] = []
+    alone: list[Cells] = []
     for key, found in sorted(results.items()):
         light, name, part = key.split(" ")
         for method, row in found.items():
@@ -224,6 +224,9 @@ def tables(results: dict[str, dict[str, Row]]) -> None:
             else:
                 fine = f"{row['shown_deg'][0]:.2f} / {row['shown_deg'][1]:.2f}"
                 cells = [who, method, *mm, share, deg]
+                if part == "pictures":
+                    alone.append((*cells, row["seconds"]))
+                    continue
                 if part == "normals":
                     turned.append((*cells, fine))
                 else:
@@ -258,6 +261,14 @@ def tables(results: dict[str, dict[str, Row]]) -> None:
             "are those of the second look. The people's finest relief is in their shading alone, "
             "not in their shape, but for `relief`, the plain person once more, displaced by it. "
             "What light shows is the mean of shading normals over half a millimetre.",
+        )
+    if alone:
+        record(
+            "Geometry: pictures alone",
+            ("person", "photographs", *both, share, deg, "processor, s"),
+            alone,
+            "Without normals the matcher's patches follow planes through the points of the level "
+            "before; nothing is carried on, and no relief comes from normals.",
         )
     if sets:
         record(

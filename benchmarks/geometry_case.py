@@ -85,10 +85,13 @@ class Case:
         self.skin: Skin = true_skin(ProcessedFolder(truth_path(path)), seen)
 
     def views(
-        self, config: ReconstructConfig, patterns: Sequence[str] | None = None
+        self,
+        config: ReconstructConfig,
+        patterns: Sequence[str] | None = None,
+        normals: bool = True,
     ) -> tuple[list[View], PatternLights]:
         """What the matcher sees, of some patterns or of all, and their lights."""
-        return read_views(self.session, self.out, config, patterns)
+        return read_views(self.session, self.out, config, patterns, normals)
 
     def meshed(self, depths: Depths, config: ReconstructConfig) -> Mesh:
         """Consistency and fusion; in the truth's world."""

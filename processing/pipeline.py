@@ -17,7 +17,7 @@ from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
 from processing.atlas.stage import AtlasConfig, atlas
 from processing.decode.completing import unmendable_frames, with_complements
-from processing.decode.stage import DecodeConfig, decode
+from processing.decode.stage import DecodeConfig, decode, lit_patterns
 from processing.errors import ProcessingError
 from processing.memory import give_back
 from processing.pages import write_processed_report
@@ -41,11 +41,14 @@ from processing.records import (
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
 from processing.registration.stage import RegisterConfig, clicked_landmarks, register
+from processing.separation.choice import no_normals, tell_normals
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 
 STAGES = ("decode", "separate", "reconstruct", "refine", "register", "atlas")
 WITH_TEMPLATE = ("register", "atlas")
+WITH_NORMALS = ("separate", "refine", "atlas")
+"""Stages that photographs from fewer than three directions of light cannot feed."""
 
 Bar = Callable[[str], contextlib.AbstractContextManager[ProgressCallback]]
 """Given a stage's name, a context with a progress callback, such as `commands.progress_bar`."""
@@ -81,6 +84,13 @@ class Job:
     config: PipelineConfig
     template: Template | None
     template_hash: str
+    normals: bool = True
+    """Whether the photographs tell normals."""
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages that such photographs go through, in order."""
+        return STAGES if self.normals else tuple(s for s in STAGES if s not in WITH_NORMALS)
 
     @property
     def made_from(self) -> MadeFrom:
@@ -146,6 +156,10 @@ def run(
     if problems:
         raise one_error(problems)
     require_own(out)
+    patterns = lit_patterns(session)
+    normals = last == STAGES[0] or not patterns or tell_normals(session, patterns)
+    if last in WITH_NORMALS and not normals:
+        raise no_normals(patterns)
     if not (template_path / "template.json").is_file():
         # A stage that reads no template would not notice that another one was meant.
         raise FormatError(
@@ -157,7 +171,7 @@ def run(
         if not config.register.landmark_command:
             # Registration needs them an hour later at full size: said now.
             clicked_landmarks(session)
-    job = Job(session, out, config, template, template_hash)
+    job = Job(session, out, config, template, template_hash, normals)
     _plan(job, last, only)  # what it refuses is refused before the folder is made
     with locked(out / RUN_LOCK, _busy(out)):
         records, keys, planned = _plan(job, last, only)
@@ -186,7 +200,7 @@ def _plan(
     require_same_session(job.out, job.made_from)
     records = read_records(job.out)
     keys = stage_keys(job, records if only else {})
-    planned = _only(only, records, keys) if only else _stale(job, records, keys, last)
+    planned = _only(job, only, records, keys) if only else _stale(job, records, keys, last)
     return records, keys, planned
 
 
@@ -219,7 +233,7 @@ def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:
 
 def _stale(job: Job, records: dict[str, Record], keys: dict[str, str], last: str) -> list[str]:
     """Stages up to `last` that must run."""
-    wanted = STAGES[: STAGES.index(last) + 1]
+    wanted = job.stages[: job.stages.index(last) + 1]
     stale: list[str] = []
     for stage in wanted:
         record = records.get(stage)
@@ -229,9 +243,9 @@ def _stale(job: Job, records: dict[str, Record], keys: dict[str, str], last: str
     return _with_coarse_maps(stale, records)
 
 
-def _only(stage: str, records: dict[str, Record], keys: dict[str, str]) -> list[str]:
+def _only(job: Job, stage: str, records: dict[str, Record], keys: dict[str, str]) -> list[str]:
     """One stage; `separate` decodes first where that is stale, since it has no command."""
-    before = STAGES[: STAGES.index(stage)]
+    before = job.stages[: job.stages.index(stage)]
     if stage == "separate":
         fresh = "decode" in records and records["decode"].key == keys["decode"]
         return ["separate"] if fresh else ["decode", "separate"]
@@ -280,7 +294,7 @@ def _stage(job: Job, stage: str, progress: ProgressCallback) -> dict[str, Any]:
     if stage == "separate":
         return separate(session, out, config.separate, progress)
     if stage == "reconstruct":
-        return reconstruct(session, out, config.reconstruct, progress)
+        return reconstruct(session, out, config.reconstruct, progress, job.normals)
     if stage == "refine":
         return refine(session, out, config.refine, progress)
     assert job.template is not None

@@ -91,7 +91,7 @@ def decode(
     raw = {frame.camera for frame in session.file.frames if frame.encoding == "raw"}
     calibrations = read_calibrations(session, raw_scale(session) if raw else 1.0)
     recipes = missing_patterns(session)
-    lit = tuple(p for p in session.file.sequence if session.levels(p).max() > 0)
+    lit = lit_patterns(session)
     dark = tuple(p for p in session.file.sequence if p not in lit)
     steps = len(cameras) * (len(lit) + len(dark))
     warnings = [] if all(c.correction for c in calibrations.values()) else [UNCALIBRATED]
@@ -130,6 +130,11 @@ def decode(
         "sums": sums,
         "warnings": [*warnings, *said(recipes), *prepare_warnings(sums)],
     }
+
+
+def lit_patterns(session: Session) -> tuple[str, ...]:
+    """Patterns of a session's sequence that give light, in its order."""
+    return tuple(p for p in session.file.sequence if session.levels(p).max() > 0)
 
 
 UNTOLD = "no photograph tells its exposure, so all are taken to have the same"

@@ -87,6 +87,11 @@ class Frames:
         inner *= np.float32(self.scale)
         return self.window.placed(inner, self.shape)
 
+    def brightest(self) -> np.ndarray:
+        """(H, W, 3) float32, the picture of the pattern that lights most."""
+        means = [half[::8, ::8].mean(dtype=float) for half in self.half]
+        return self.image(int(np.argmax(means)))
+
     def pixels(self, mask: np.ndarray, patterns: Sequence[str] | None = None) -> np.ndarray:
         """What the pixels of a mask read, without the whole pictures.
 

@@ -1,4 +1,4 @@
-"""Stage `reconstruct`: decoded photographs and coarse normals to base_mesh.ply."""
+"""Stage `reconstruct`: decoded photographs, and coarse normals if any, to base_mesh.ply."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from processing.reconstruction.poses import (
     raise_when_off,
     tone_mapped,
 )
+from processing.reconstruction.slants import without_normals
 from processing.reconstruction.small_views import (
     matched_times,
     of_cells,
@@ -37,13 +38,19 @@ from processing.reconstruction.small_views import (
     smaller_picture,
 )
 from processing.reconstruction.stereo import match_views, sources_of
-from processing.reconstruction.twice import Depths, meshed, twice
+from processing.reconstruction.twice import Depths, as_known, meshed, twice
 from processing.reconstruction.views import View, common_basis, make_view, pyramid
 
 __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]
 
 CHECKED_ROWS = 1600
 """Poses are checked in pictures of at most twice so many rows."""
+
+PICTURES_ALONE = (
+    "lights that tell no normals, so the mesh is of matched pictures alone: without relief finer "
+    "than their patches, and only where two cameras agree"
+)
+"""Of a mesh without photometric normals."""
 
 
 class Reconstructed(NamedTuple):
@@ -63,7 +70,11 @@ class Reconstructed(NamedTuple):
 
 
 def reconstruct(
-    session: Session, out: Path, config: ReconstructConfig, progress: ProgressCallback = quiet
+    session: Session,
+    out: Path,
+    config: ReconstructConfig,
+    progress: ProgressCallback = quiet,
+    normals: bool = True,
 ) -> dict[str, Any]:
     """Reconstruct the face and neck, and write OUT/base_mesh.ply (mm, world).
 
@@ -72,9 +83,10 @@ def reconstruct(
         out: processed folder with decoded frames, foreground masks and views' diffuse normals.
         config: settings.
         progress: called as views are matched.
+        normals: whether the photographs tell normals; false matches them as pictures alone.
 
     Returns:
-        Facts: vertices, faces, holes, points, agreement.
+        Facts: vertices, faces, holes, points, agreement, where normals came from.
 
     Raises:
         FormatError: an input that an earlier stage should have written.
@@ -85,13 +97,14 @@ def reconstruct(
         # Features are looked for by one core: the other one makes the views meanwhile.
         checked = pool.submit(check_session_poses, session, out, config)
         try:
-            views, lights = read_views(session, out, config)
+            views, lights = read_views(session, out, config, normals=normals)
         finally:
             # Cameras that stand elsewhere are named first, whatever else is wrong.
             poses = checked.result()
     mesh, holes, facts, shown = reconstruct_views(views, config, progress, lights)
     write_pictures(out, [view.camera.id for view in views], shown, mesh)
     write_ply(mesh, ProcessedFolder(out).base_mesh)
+    alone = [] if normals else [f"{', '.join(lights.patterns)}: {PICTURES_ALONE}"]
     return {
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),
@@ -105,7 +118,7 @@ def reconstruct(
         },
         "pose_matches": dict(zip(poses.camera_ids, poses.matches, strict=True)),
         "pose_tracks": poses.tracks,
-        "warnings": _warnings(session, views, poses) + drifted(poses, config),
+        "warnings": _warnings(session, views, poses) + drifted(poses, config) + alone,
     }
 
 
@@ -122,8 +135,7 @@ def check_session_poses(session: Session, out: Path, config: ReconstructConfig) 
     for name in session.camera_ids():
         frames = read_frames(out, name)
         mask = read_foreground(out, name) & frames.valid
-        brightest = int(np.argmax([half[::8, ::8].mean(dtype=float) for half in frames.half]))
-        small, inside = smaller_picture(tone_mapped(frames.image(brightest), mask), mask, times)
+        small, inside = smaller_picture(tone_mapped(frames.brightest(), mask), mask, times)
         cameras.append(of_cells(session.rig.camera(name), times))
         pictures.append(small)
         masks.append(inside)
@@ -138,6 +150,7 @@ def read_views(
     out: Path,
     config: ReconstructConfig,
     patterns: Sequence[str] | None = None,
+    normals: bool = True,
 ) -> tuple[list[View], PatternLights]:
     """All cameras' photographs, foreground masks and coarse normals, as the matcher wants them.
 
@@ -146,6 +159,7 @@ def read_views(
         out: processed folder.
         config: how fine.
         patterns: which photographs are matched; None for all.
+        normals: whether coarse normals are read; false gives views without any.
 
     Returns:
         The views, and the lights of their patterns.
@@ -159,14 +173,17 @@ def read_views(
     small = []
     for name in cameras:
         frames, mask = read_frames(out, name), read_foreground(out, name)
-        normals = folder.read_view(name, "diffuse_normal")
-        small.append(small_view(session.rig.camera(name), frames, mask, normals, times, wanted))
+        if normals:
+            known = folder.read_view(name, "diffuse_normal")
+        else:
+            known = np.zeros((*mask.shape, 3), np.float32)
+        small.append(small_view(session.rig.camera(name), frames, mask, known, times, wanted))
     lights = pattern_lights(session, wanted)
+    white = lights.colour if normals else None
     basis = common_basis([s.images for s in small], [s.mask & s.valid for s in small])
 
     return [
-        make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis, lights.colour)
-        for s in small
+        make_view(s.camera, s.images, s.valid, s.mask, s.normals, basis, white) for s in small
     ], lights
 
 
@@ -199,8 +216,9 @@ def reconstruct_views(
     names = [view.camera.id for view in views]
     if config.colmap_from:
         level = pyramid(views, config.finest_rows, config.coarsest_rows)[-1]
-        found: Depths = level, *read_colmap(Path(config.colmap_from), names, level)
-        points, mesh = meshed(found, config)
+        read: Depths = level, *read_colmap(Path(config.colmap_from), names, level)
+        found, plain = as_known(views, read, config)
+        points, mesh = meshed(found, plain)
     else:
         found = match_views(views, config, progress)
         found, points, mesh = twice(views, found, config, lights, progress)
@@ -209,6 +227,7 @@ def reconstruct_views(
         write_colmap(Path(config.colmap_to), names, level, depths, sources_of(views, config))
     matched = sum(int((depth > 0).sum()) for depth in depths)
     facts: dict[str, Any] = {
+        "normals": "none: pictures alone" if without_normals(views) else "photometric",
         "matched_pixels": matched,
         "points": len(points.positions),
         "agreeing_share": round(int((points.views > 0).sum()) / max(matched, 1), 4),

@@ -1,7 +1,8 @@
 """Depth of every view, coarse to fine, on the planes that photometric normals give.
 
 Slanted windows and propagation of planes as in [Bleyer2011]; here the slant is known, and how the
-window is bent, and only the depth is sought.
+window is bent, and only the depth is sought. Where no light told normals, slants are those of the
+coarser level's surface.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from lightstage.lines import nearest_equations
 from lightstage.rig import Camera
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.patches import NO_MATCH, Stereo
+from processing.reconstruction.slants import one_level_on, without_normals
 from processing.reconstruction.slopes import plane_slopes
 from processing.reconstruction.sweeps import polish, propagate, sweep
 from processing.reconstruction.views import Level, View, pyramid
@@ -135,7 +137,10 @@ def match_views(
     depths: list[np.ndarray] = []
     costs: list[np.ndarray] = []
     total, done = len(levels) * len(views), 0
+    blind = without_normals(views)
     for number, level in enumerate(levels):
+        if blind and number > 0:
+            level = one_level_on(level, levels[number - 1], depths)
         shape = level.masks.shape[1:]
         coarser, depths, costs = depths, [], []
         radius = config.patch_radius_px

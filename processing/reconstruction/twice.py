@@ -16,6 +16,7 @@ from processing.reconstruction.consistency import Points, consistent_points
 from processing.reconstruction.finer import finer
 from processing.reconstruction.fusion import fuse
 from processing.reconstruction.shading import mended_normals
+from processing.reconstruction.slants import as_matched, without_normals
 from processing.reconstruction.stereo import sources_of
 from processing.reconstruction.views import Level, View, pictures_of
 
@@ -48,6 +49,20 @@ def meshed(found: Depths, config: ReconstructConfig) -> tuple[Points, Mesh]:
     return points, finer(mesh, points.positions, points.normals, *how)
 
 
+def as_known(
+    views: Sequence[View], found: Depths, config: ReconstructConfig
+) -> tuple[Depths, ReconstructConfig]:
+    """Depths and settings as they are, or, where no light told normals, as pictures alone allow.
+
+    Planes through neighbouring points then stand for normals; relief, and what normals carry on,
+    would be made up.
+    """
+    if not without_normals(views):
+        return found, config
+    plain = dataclasses.replace(config, relief_mm=0.0, carry_mm=0.0)
+    return (as_matched(*found[:2]), *found[1:]), plain
+
+
 def twice(
     views: Sequence[View],
     found: Depths,
@@ -67,6 +82,8 @@ def twice(
     Returns:
         Depths, points and mesh.
     """
+    alone = without_normals(views)
+    found, config = as_known(views, found, config)
     if not config.look_again:
         return found, *meshed(found, config)
     wider = dataclasses.replace(
@@ -83,8 +100,8 @@ def twice(
     unsure = [count < 1 for count in points.agreeing]
     sources = sources_of(views, config)
     depths, costs = look_again(fine, seen, sources, unsure, config, progress)
-    mended = None
-    if lights is not None:
+    mended = np.stack([sight.normals for sight in seen]) if alone else None
+    if lights is not None and not alone:
         same = fine.masks.shape == level.masks.shape
         # Views that were made smaller still have their signals at another size.
         if max(len(view.mask) for view in views) == fine.masks.shape[1]:

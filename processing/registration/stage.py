@@ -16,6 +16,7 @@ from lightstage.formats.session import Session
 from lightstage.formats.template import Template
 from processing.colour import srgb_from_linear
 from processing.errors import RegistrationError
+from processing.frames.read import read_frames
 from processing.rays import MeshRays
 from processing.registration.ears import EarConfig, ear_guides
 from processing.registration.landmarks import triangulate
@@ -123,10 +124,13 @@ def _landmarks(
     if config.landmark_command:
         pictures = {}
         for camera in sorted(set(folder.view_ids()) & {c.id for c in session.rig.cameras}):
-            albedo = folder.read_view(camera, "diffuse_albedo")
-            lit = albedo[folder.read_mask(camera)]
+            if folder.view_path(camera, "diffuse_albedo").is_file():
+                linear = folder.read_view(camera, "diffuse_albedo")
+            else:  # photographs that tell no normals tell no albedo either
+                linear = read_frames(folder.root, camera).brightest()
+            lit = linear[folder.read_mask(camera)]
             white = max(float(np.quantile(lit, 0.99)), 1e-6) if len(lit) else 1.0
-            pictures[camera] = (255 * srgb_from_linear(np.clip(albedo / white, 0, 1))).astype(
+            pictures[camera] = (255 * srgb_from_linear(np.clip(linear / white, 0, 1))).astype(
                 np.uint8
             )
         return CommandLandmarks(config.landmark_command).find(pictures)

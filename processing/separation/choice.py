@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+from lightstage.formats.session import Session
 from processing.errors import ProcessingError
-from processing.lighting.lights import PatternLights, rank
+from processing.lighting.lights import PatternLights, fix_normals, pattern_lights, rank
 from processing.pixels import PixelMaps
 from processing.separation import colour, kampouris, linear, mux, polarised, ratios
 from processing.separation.config import SeparateConfig
@@ -40,13 +41,7 @@ def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
     fitting = fitting_methods(lights)
     found = ", ".join(lights.patterns)
     if not fitting:
-        raise ProcessingError(
-            "session.json",
-            field="sequence",
-            found=found,
-            expected="patterns that light a face from three directions, such as `binary`",
-            hint="Capture with `--sequence binary`.",
-        )
+        raise no_normals(lights.patterns)
     method = fitting[0] if config.method == "auto" else config.method
     if method not in fitting:
         raise ProcessingError(
@@ -69,6 +64,39 @@ def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
     return method
 
 
+def tell_normals(session: Session, patterns: tuple[str, ...]) -> bool:
+    """Whether a session's photographs under P lit patterns tell normals by any method."""
+    return bool(fitting_methods(pattern_lights(session, patterns)))
+
+
+def no_normals(patterns: Sequence[str]) -> ProcessingError:
+    """What to tell of photographs whose patterns no method separates."""
+    return ProcessingError(
+        "session.json",
+        field="sequence",
+        found=", ".join(patterns),
+        expected=f"patterns that light a face from three directions: {_lacking(patterns)}",
+        hint="A mesh needs no more than one light: `lightstage-processing run SESSION --out OUT "
+        "--until reconstruct`. For maps, capture with `--sequence binary`.",
+    )
+
+
+def _lacking(patterns: Sequence[str]) -> str:
+    """Which photographs would make normals of what there is, in words."""
+    banks = {name.partition("@")[2] for name in patterns}
+    bases = {name.partition("@")[0].removeprefix("lin-") for name in patterns}
+    if bases & {"mux-1", "mux-2"}:
+        return "both mux-1 and mux-2, of a rig whose lamps have colours of their own"
+    axes = [f"{axis}+" for axis in "xyz" if not bases & {f"{axis}+", f"{axis}-"}]
+    names = " and ".join(filter(None, [", ".join(axes[:-1]), *axes[-1:]]))
+    if banks != {""}:
+        return (
+            f"photographs under {names or 'the same patterns'} as well, each as @cross and as "
+            "@parallel, or all without polarisers"
+        )
+    return f"photographs under {names or 'lights elsewhere'} as well, by every camera"
+
+
 def fitting_methods(lights: PatternLights) -> list[str]:
     """Methods that can separate photographs under these lights, the best first."""
     names = lights.patterns
@@ -82,6 +110,9 @@ def fitting_methods(lights: PatternLights) -> list[str]:
         return []
     if mux_shots(lights):
         return ["mux"]
+    # One shot of `mux` has three directions, but each in a channel of its own.
+    if not fix_normals(lights):
+        return []
     if any(name.startswith("lin-") for name in names):
         return ["linear", "colour"]
     pairs = all(f"{axis}{sign}" in names for axis in "xyz" for sign in "+-")

@@ -28,8 +28,8 @@ def test_cameras_that_stand_elsewhere_are_named_before_any_other_fault(poses, vi
         if poses:
             raise fault(poses)
 
-    def read(*given):
-        del given
+    def read(*given, **how):
+        del given, how
         if views:
             raise fault(views)
         return [], None
