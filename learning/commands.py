@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from learning.checkpoint import (
     shipped_super_resolution,
     shipped_weights,
 )
+from learning.clock import DATA, IDLE, NETWORK, PARTS, RENDERING
 from learning.data import DataConfig
 from learning.devices import choose_device, memory_of
 from learning.errors import MapsError
@@ -52,12 +53,13 @@ from learning.render.occlusion_model import OcclusionConfig
 from learning.render.occlusion_training import OcclusionTrainConfig
 from learning.render.shading import ShadeOptions
 from learning.resample import resampled_texture
-from learning.run import require_new
+from learning.run import not_better, require_new
 from learning.train import train
 from learning.upscale.infer import upscale
 from learning.upscale.score import UpscaleScore
 from learning.whole.infer import infer_whole_face
 from lightstage.commands import ProgressCallback
+from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import LightSet, write_lights
@@ -315,6 +317,7 @@ def train_command(
         result = train(store, out, resolved, resume, progress, device, processes)
     return {
         "steps": result.steps,
+        "steps_of_earlier_calls": result.first,
         "examples": result.examples,
         "held_out": ", ".join(result.held_out),
         **dataclasses.asdict(result.score),
@@ -324,7 +327,28 @@ def train_command(
         "processes": processes.count,
         **{f"share_{name}": share for name, share in result.shares.items()},
         "seconds": result.seconds,
+        "step_seconds": result.step_seconds,
+        "warnings": list(filter(None, [not_better(result.score)])),
     }
+
+
+def trained_line(facts: Mapping[str, Any]) -> str:
+    """What `train_command` came to, in one line."""
+    steps, earlier = facts["steps"], facts["steps_of_earlier_calls"]
+    now = f" ({steps - earlier} of them in this call)" if earlier else ""
+    line = (
+        f"{counted(steps, 'step')}{now}; {facts['step_seconds']:.0f} s of steps in "
+        f"{facts['seconds']:.0f} s with reading and scoring; {facts['scored']} of the people held "
+        f"out ({facts['held_out']}): {facts['said']}"
+    )
+    if steps == earlier:
+        return line
+    share = {name: f"{100 * facts[f'share_{name}']:.0f} %" for name in PARTS}
+    return (
+        f"{line}; of the steps' time on {facts['device']} the network took {share[NETWORK]}, "
+        f"waiting for batches {share[IDLE]}; making batches, much of it at the same time, took "
+        f"{share[DATA]} and rendering {share[RENDERING]}"
+    )
 
 
 def _smaller_batch(batch: int) -> str:
