@@ -65,7 +65,7 @@ from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_mesh
-from lightstage.formats.processed import ProcessedFolder, write_map
+from lightstage.formats.processed import MAPS, ProcessedFolder, write_map
 from lightstage.formats.template import default_template_path, load_template
 from lightstage.rig import Camera, default_rig, load_rig
 from processing.dataset import open_store, read_head_pose
@@ -372,6 +372,7 @@ def infer_command(
     began = time.monotonic()
     if refine is not None and not 0 <= refine <= 3600:
         raise ConfigError("--refine", found=str(refine), expected="0 to 3600 seconds")
+    _require_own(out)
     device = choose_device(device_name)
     about = read_checkpoint(checkpoint or shipped_weights())
     if texture.suffix.lower() != ".exr" and texture.exists():
@@ -433,6 +434,21 @@ def infer_command(
         "notes": [*notes, *found.notes],
         "seconds": time.monotonic() - began,
     }
+
+
+def _require_own(out: Path) -> None:
+    """Refuse a folder that holds anything but what `infer` writes, such as a dataset's store."""
+    own = {LIGHT, *(f"{name}.exr" for name in MAPS)}
+    there = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
+    other = [name for name in there if name not in own]
+    if other:
+        raise MapsError(
+            out,
+            field="--out",
+            found=f"a folder that holds {other[0]}",
+            expected="a new folder, or one with inferred maps, which are replaced",
+            hint="Choose another --out.",
+        )
 
 
 def upscale_command(
