@@ -41,9 +41,11 @@ $(READY): requirements.lock pyproject.toml scripts/system-packages
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) --upgrade pip
 	@[ -e $(READY) ] || scripts/disk-space $(VENV)
+	@echo "Installing the packages of requirements.lock into $(VENV): a minute to five, without a word."
 	$(INSTALL) --requirement requirements.lock
 	$(INSTALL) --no-deps --editable .
-	touch $(READY)
+	@touch $(READY)
+	@echo "Ready. \`. $(BIN)/activate\` brings the commands into this shell; README.md says what to run."
 
 lock: $(READY) ## resolve pyproject.toml again into requirements.lock
 	scripts/lock $(BIN)

@@ -9,6 +9,7 @@ if __name__ == "__main__":
 
 import contextlib
 import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -243,7 +244,7 @@ def train(
     as_json: bool = JsonFlag,
 ) -> None:
     """Train a network on a dataset; some people are held out and scored."""
-    from learning.commands import train_command
+    from learning.commands import train_command, trained_line
     from learning.processes import started_by_torchrun
     from learning.stopped import stopped_training
 
@@ -262,15 +263,9 @@ def train(
         raise stopped_training(out, given, processes) from None
     if not processes.first:
         return
-    finish(
-        f"{out}: {counted(facts['steps'], 'step')} in {facts['seconds']:.0f} s; {facts['scored']} "
-        f"of the people held out ({facts['held_out']}): {facts['said']}; of the steps' time on "
-        f"{facts['device']}: data {100 * facts['share_data']:.0f} %, rendering "
-        f"{100 * facts['share_rendering']:.0f} %, network {100 * facts['share_network']:.0f} %, "
-        f"waiting for batches {100 * facts['share_idle']:.0f} %",
-        facts,
-        as_json,
-    )
+    for warning in facts["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
+    finish(f"{out}: {trained_line(facts)}", facts, as_json)
 
 
 @app.command()

@@ -57,6 +57,7 @@ class Checkpoint:
         texture_rows: of the maps trained on, which is the size of skin's detail for the network.
         code_version: of this package when it was saved.
         metrics: when it was saved.
+        step_seconds: what these steps took.
         files: role (generator, generators or network; average; training) to {name, sha256}.
     """
 
@@ -69,6 +70,7 @@ class Checkpoint:
     texture_rows: int
     code_version: str
     metrics: dict[str, float]
+    step_seconds: float
     files: dict[str, dict[str, str]]
 
 
@@ -153,6 +155,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             int(value["texture_rows"]),
             str(value["code_version"]),
             {str(name): float(number) for name, number in value["metrics"].items()},
+            float(value.get("step_seconds", 0.0)),  # older ones do not say
             {
                 role: {
                     "name": check_name(f["name"], index, f"files.{role}.name", CheckpointError),

@@ -8,7 +8,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 
-DATA, RENDERING, NETWORK, IDLE = "data", "rendering", "network", "idle"
+PARTS = DATA, RENDERING, NETWORK, IDLE = "data", "rendering", "network", "idle"
 """Making a batch less rendering it; rendering, in batches and in losses; everything else of a step,
 the backward pass of a rendering loss too; what a step waits for its batch, whoever makes it."""
 
@@ -43,12 +43,17 @@ class Clock:
                 self.seconds[name] += spent - inner
                 self._whole[name] += spent
 
+    @property
+    def steps_seconds(self) -> float:
+        """What the steps took in all."""
+        return self._whole[NETWORK]
+
     def shares(self) -> dict[str, float]:
         """Each part's share of the steps' time; nothing where there was no step.
 
         Batches that are made meanwhile in another thread come on top of a step's own parts.
         """
-        steps = self._whole[NETWORK]
+        steps = self.steps_seconds
         if not steps > 0:
             return {}
         shares = {name: self.seconds[name] / steps for name in (DATA, RENDERING, NETWORK)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from learning.checkpoint import (
     shipped_super_resolution,
     shipped_weights,
 )
+from learning.clock import DATA, IDLE, NETWORK, PARTS, RENDERING
 from learning.data import DataConfig
 from learning.devices import choose_device, memory_of
 from learning.errors import MapsError
@@ -52,18 +53,19 @@ from learning.render.occlusion_model import OcclusionConfig
 from learning.render.occlusion_training import OcclusionTrainConfig
 from learning.render.shading import ShadeOptions
 from learning.resample import resampled_texture
-from learning.run import require_new
+from learning.run import not_better, require_new
 from learning.train import train
 from learning.upscale.infer import upscale
 from learning.upscale.score import UpscaleScore
 from learning.whole.infer import infer_whole_face
 from lightstage.commands import ProgressCallback
+from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.mesh import Mesh, read_mesh
-from lightstage.formats.processed import ProcessedFolder, write_map
+from lightstage.formats.processed import MAPS, ProcessedFolder, write_map
 from lightstage.formats.template import default_template_path, load_template
 from lightstage.rig import Camera, default_rig, load_rig
 from processing.dataset import open_store, read_head_pose
@@ -315,6 +317,7 @@ def train_command(
         result = train(store, out, resolved, resume, progress, device, processes)
     return {
         "steps": result.steps,
+        "steps_of_earlier_calls": result.first,
         "examples": result.examples,
         "held_out": ", ".join(result.held_out),
         **dataclasses.asdict(result.score),
@@ -324,7 +327,28 @@ def train_command(
         "processes": processes.count,
         **{f"share_{name}": share for name, share in result.shares.items()},
         "seconds": result.seconds,
+        "step_seconds": result.step_seconds,
+        "warnings": list(filter(None, [not_better(result.score)])),
     }
+
+
+def trained_line(facts: Mapping[str, Any]) -> str:
+    """What `train_command` came to, in one line."""
+    steps, earlier = facts["steps"], facts["steps_of_earlier_calls"]
+    now = f" ({steps - earlier} of them in this call)" if earlier else ""
+    line = (
+        f"{counted(steps, 'step')}{now}; {facts['step_seconds']:.0f} s of steps in "
+        f"{facts['seconds']:.0f} s with reading and scoring; {facts['scored']} of the people held "
+        f"out ({facts['held_out']}): {facts['said']}"
+    )
+    if steps == earlier:
+        return line
+    share = {name: f"{100 * facts[f'share_{name}']:.0f} %" for name in PARTS}
+    return (
+        f"{line}; of the steps' time on {facts['device']} the network took {share[NETWORK]}, "
+        f"waiting for batches {share[IDLE]}; making batches, much of it at the same time, took "
+        f"{share[DATA]} and rendering {share[RENDERING]}"
+    )
 
 
 def _smaller_batch(batch: int) -> str:
@@ -348,6 +372,7 @@ def infer_command(
     began = time.monotonic()
     if refine is not None and not 0 <= refine <= 3600:
         raise ConfigError("--refine", found=str(refine), expected="0 to 3600 seconds")
+    _require_own(out)
     device = choose_device(device_name)
     about = read_checkpoint(checkpoint or shipped_weights())
     if texture.suffix.lower() != ".exr" and texture.exists():
@@ -409,6 +434,21 @@ def infer_command(
         "notes": [*notes, *found.notes],
         "seconds": time.monotonic() - began,
     }
+
+
+def _require_own(out: Path) -> None:
+    """Refuse a folder that holds anything but what `infer` writes, such as a dataset's store."""
+    own = {LIGHT, *(f"{name}.exr" for name in MAPS)}
+    there = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
+    other = [name for name in there if name not in own]
+    if other:
+        raise MapsError(
+            out,
+            field="--out",
+            found=f"a folder that holds {other[0]}",
+            expected="a new folder, or one with inferred maps, which are replaced",
+            hint="Choose another --out.",
+        )
 
 
 def upscale_command(

@@ -20,8 +20,11 @@ HEAD_MM = (100.0, 1000.0)
 """Longest edge of the box around a head, from a face alone to one with shoulders."""
 FLATTEST = 0.1
 """Shortest edge of that box over the longest one; a face alone has about a half."""
-BRIGHTEST_MEDIAN = 2.0
-"""Skin reflects less than 0.8 of light, of which there is about 1."""
+BRIGHTEST_MEDIAN, BRIGHTEST = 2.0, 5.0
+"""Skin reflects less than 0.8 of light, of which there is about 1; the 95th percentile may be a
+highlight."""
+MOST_NEGATIVE = 0.02
+"""Share of a surface's texels whose mean is negative: noise about black makes a few."""
 DARKEST = 0.005
 """A texture whose 95th percentile is darker than this was exposed for something else."""
 MOST_BLACK, SAID_BLACK = 0.95, 0.5
@@ -136,6 +139,14 @@ def look_through(texture: np.ndarray, covered: np.ndarray, where: str | Path) ->
     Raises:
         MapsError: hardly a texel that was photographed, or one exposed far too much or too little.
     """
+    negative = float((texture[covered].mean(axis=1) < -UNSEEN).mean()) if covered.any() else 0.0
+    if negative > MOST_NEGATIVE:
+        raise MapsError(
+            where,
+            found=f"{100 * negative:.1f} % of the surface's texels negative",
+            expected=f"at most {100 * MOST_NEGATIVE:g} %: light is 0 or more",
+            hint="Was too high a black level or a background subtracted?",
+        )
     brightest = texture[covered].max(axis=1, initial=0.0)
     seen = brightest[brightest > UNSEEN]
     black = 1 - len(seen) / max(1, len(brightest))
@@ -147,13 +158,13 @@ def look_through(texture: np.ndarray, covered: np.ndarray, where: str | Path) ->
             hint="Does the texture belong to this mesh, and is it linear light?",
         )
     middle, high = np.percentile(seen, [50, 95])
-    if middle > BRIGHTEST_MEDIAN or high < DARKEST:
+    if middle > BRIGHTEST_MEDIAN or high > BRIGHTEST or high < DARKEST:
         raise MapsError(
             where,
             field="exposure",
             found=f"a median of {middle:.3g} and a 95th percentile of {high:.3g}",
-            expected=f"a median of at most {BRIGHTEST_MEDIAN:g} and a 95th percentile of at least "
-            f"{DARKEST:g}, where 1 is a white diffuser in the light",
+            expected=f"a median of at most {BRIGHTEST_MEDIAN:g} and a 95th percentile of "
+            f"{DARKEST:g} to {BRIGHTEST:g}, where 1 is a white diffuser in the light",
             hint="Multiply the texture by one number, so that lit skin is about 0.1 to 0.6.",
         )
     notes = []

@@ -37,8 +37,9 @@ OWN = (METRICS, "*.safetensors", "events.*", "samples.html", ".*")
 """What a run that stopped before its first checkpoint leaves, half-written files too."""
 BEFORE = {"shading": "physical", "ema": 0.0}
 """What a run did that began before these could be chosen."""
-FREE = ("seconds", "precision", "compile")
-"""How long to go on, and how fast on the device at hand, are new decisions each time."""
+FREE = ("seconds", "precision", "compile", "save_seconds", "log_steps")
+"""How long to go on, how fast on the device at hand, and what is written on the way, are new
+decisions each time."""
 MOST_TOLD = 4
 """Values that differ from those a run began with, at most, that a message names."""
 
@@ -71,6 +72,13 @@ class Scored(Protocol):
     def sentence(self) -> str:
         """The figures that matter, for the command's last line."""
 
+    def guesses(self) -> dict[str, float]:
+        """PSNR in dB of plain guesses, by name, which a network should be better than."""
+
+    @property
+    def psnr_db(self) -> float:
+        """The network's."""
+
 
 ScoreT = TypeVar("ScoreT", bound=Scored)
 
@@ -82,7 +90,9 @@ class TrainResult(Generic[ScoreT]):
     Attributes:
         checkpoint: its index.
         steps: done in all, earlier calls included.
+        first: of these, the ones that earlier calls did.
         seconds: of this call.
+        step_seconds: of this call's steps.
         examples: patches or scans trained on.
         held_out: people who were not.
         score: of the people held out.
@@ -91,7 +101,9 @@ class TrainResult(Generic[ScoreT]):
 
     checkpoint: Path
     steps: int
+    first: int
     seconds: float
+    step_seconds: float
     examples: int
     held_out: list[str]
     score: ScoreT
@@ -108,6 +120,7 @@ class Run:
         about: the checkpoint's other fields.
         first: step to begin with.
         began: monotonic seconds.
+        spent: seconds of the steps of earlier calls.
         processes: that train together; the first alone writes.
         events: of this call, as TensorBoard reads them.
         clock: of this call's steps. What makes batches and renders counts its own parts on it; what
@@ -119,6 +132,7 @@ class Run:
     about: dict[str, Any]
     first: int
     began: float
+    spent: float = 0.0
     processes: Processes = ALONE
     events: EventFile | None = None
     clock: Clock = dataclasses.field(default_factory=Clock)
@@ -176,13 +190,18 @@ class Run:
     def _steps(self, total: int, progress: ProgressCallback) -> Iterator[tuple[int, float]]:
         """Step numbers with the share that is done, until the steps or the time are used up.
 
-        The time is the first process's.
+        The time is the first process's. That of earlier calls counts in the share, so that a
+        learning rate which falls with it does not begin at its largest again.
         """
         began, step, seconds = time.monotonic(), self.first, self.config.seconds
         shown = progress if self.processes.first else quiet
+        before = self.spent
         while True:
-            spent = time.monotonic() - began
-            done = self.processes.of_first(step / total if seconds is None else spent / seconds)
+            if seconds is None:
+                done = step / total
+            else:
+                done = (before + time.monotonic() - began) / (before + seconds)
+            done = self.processes.of_first(done)
             if done >= 1:
                 return
             yield step, done
@@ -202,6 +221,8 @@ class Run:
     def _save(self, learner: Learner, steps: int, about: dict[str, Any]) -> Path:
         if not self.processes.first:
             return self.out / INDEX
+        spent = self.spent + self.clock.steps_seconds
+        about = {**about, "step_seconds": round(spent, 2)}
         return save_checkpoint(self.out, steps, learner.tensors(), about)
 
     def _astray(self, learner: Learner, step: int, found: str, expected: str) -> TrainingError:
@@ -239,7 +260,17 @@ class Run:
             write_samples(self.out, title, score.sentence(), samples)
         seconds = time.monotonic() - self.began
         held_out = self.about["held_out"]
-        return TrainResult(index, steps, seconds, examples, held_out, score, shares)
+        return TrainResult(
+            index,
+            steps,
+            self.first,
+            seconds,
+            self.clock.steps_seconds,
+            examples,
+            held_out,
+            score,
+            shares,
+        )
 
     def log(self, values: dict[str, Any]) -> None:
         """Add a line to the metrics."""
@@ -278,7 +309,7 @@ def begin(
         CheckpointError: nothing to resume, another configuration or other data; or, without
             `resume`, a run that is there already.
     """
-    began, first = time.monotonic(), 0
+    began, first, spent = time.monotonic(), 0, 0.0
     if resume:
         if not (out / INDEX).exists():
             raise CheckpointError(
@@ -290,7 +321,7 @@ def begin(
         checkpoint = read_checkpoint(out)
         _check_same(checkpoint, config, store)
         load(checkpoint)
-        first = checkpoint.step
+        first, spent = checkpoint.step, checkpoint.step_seconds
         if processes.first:
             _drop_half_line(out / METRICS)
     elif processes.first or (out / INDEX).exists():
@@ -303,7 +334,20 @@ def begin(
         "texture_rows": store.scans[0].rows,
         "metrics": {},
     }
-    return Run(out, config, about, first, began, processes, EventFile(out))
+    return Run(out, config, about, first, began, spent, processes, EventFile(out))
+
+
+def not_better(score: Scored) -> str:
+    """What to tell of a network that plain guesses are as good as; empty where none is."""
+    better = {name: db for name, db in score.guesses().items() if db >= score.psnr_db}
+    if not better:
+        return ""
+    name = max(better, key=lambda guess: better[guess])
+    return (
+        f"on the people held out the network's {score.psnr_db:.2f} dB are no better than "
+        f"{name} ({better[name]:.2f} dB): train longer or on more people; where more time does not "
+        "help, lower learning_rate"
+    )
 
 
 def require_new(out: Path, hint: str) -> None:

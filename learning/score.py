@@ -53,6 +53,14 @@ class Score:
     diffuse_normal_deg: float
     specular_normal_deg: float
 
+    def guesses(self) -> dict[str, float]:
+        """See `Scored`."""
+        return {
+            "the lit texture": self.psnr_input_db,
+            "the mean person": self.psnr_mean_db,
+            "one tone": self.psnr_flat_db,
+        }
+
     def sentence(self) -> str:
         """See `Scored`."""
         return (

@@ -59,6 +59,9 @@ def session(
     rows: int = typer.Option(
         1536, min=96, max=6144, help="Rows of the person's maps, a multiple of 3; a folder's stay."
     ),
+    consent: str | None = typer.Option(
+        None, "--consent", help="Id of a consent record, as `lightstage capture` takes it."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Photograph a simulated person in the light stage."""
@@ -66,6 +69,7 @@ def session(
 
     from lightstage.patterns import drive_levels, pattern_levels, sequence_patterns
     from lightstage.rig import default_rig, load_rig
+    from lightstage.session import check_consent
     from sim.camera.flaws import load_flaws
     from sim.camera.optics import distorted
     from sim.camera.room import even_levels
@@ -78,6 +82,7 @@ def session(
     from sim.people.subjects import check_subject, load_subject
     from sim.reference.world import ReferenceWorld
     from sim.session import (
+        LANDMARKS,
         SessionConfig,
         require_new,
         truth_path,
@@ -88,6 +93,8 @@ def session(
 
     begun = time.monotonic()
     check_subject(subject)
+    if consent is not None:
+        check_consent(consent)
     require_rows(rows, "--rows")
     require_new(out)
     config = SessionConfig(sequence=sequence, texture_rows=rows)
@@ -123,10 +130,10 @@ def session(
             lit.prepare(np.stack(states), progress)
     if direct:
         with progress_bar("photographs") as progress:
-            write_direct(lit, out, config, seed, progress, done_to_light)
+            write_direct(lit, out, config, seed, progress, done_to_light, consent)
     else:
-        capture_session(lit, out, seed, sequence, done_to_light, story)
-        write_landmarks(world, out, seed, config.click_noise_px)
+        capture_session(lit, out, seed, sequence, done_to_light, story, consent=consent)
+        write_landmarks(world, out / LANDMARKS, seed, config.click_noise_px)
     count = len(patterns) * len(stage.cameras)
     seconds = time.monotonic() - begun
     facts = {

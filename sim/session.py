@@ -6,6 +6,7 @@ import dataclasses
 import datetime
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from sim.light.polarised import behind_polarisers, is_polarised
 from sim.light.world import World
 from sim.reference.world import ReferenceWorld
 from sim.truth import landmarks_px
+
+LANDMARKS = "landmarks.json"
+"""What a session calls its landmarks."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,6 +74,7 @@ def write_direct(
     seed: int,
     progress: ProgressCallback,
     flaws: CaptureFlaws | None = None,
+    consent: str | None = None,
 ) -> Path:
     """Write a session of linear EXR frames without any device.
 
@@ -83,6 +88,7 @@ def write_direct(
         seed: of the landmark clicks, lenses and sway.
         progress: of frames.
         flaws: what the apparatus does to the light; the default does nothing.
+        consent: id of a consent record, None for none.
 
     Returns:
         `out`. session.json is written last, so a folder without it is unfinished.
@@ -124,8 +130,9 @@ def write_direct(
                 ]
                 progress(len(frames), total)
     write_json(flaws_path(out), shooting.record({name: k for k, name in enumerate(patterns)}))
-    write_landmarks(world, out, seed, config.click_noise_px)
+    write_landmarks(world, out / LANDMARKS, seed, config.click_noise_px)
     subject = world.subject
+    more: dict[str, Any] = {} if consent is None else {"consent": consent}
     file = SessionFile(
         id=session_id(subject.name, subject.expression, created),
         created_utc=created,
@@ -134,13 +141,14 @@ def write_direct(
         sequence=list(patterns),
         frames=sorted(frames, key=lambda f: (patterns.index(f.pattern), f.camera)),
         patterns={name: Driven(levels=level.tolist()) for name, level in levels.items()},
+        **more,
     )
     save_session(out, file)
     return out
 
 
-def write_landmarks(world: World | ReferenceWorld, out: Path, seed: int, noise_px: float) -> Path:
-    """Write landmarks.json as someone would have clicked it."""
+def write_landmarks(world: World | ReferenceWorld, path: Path, seed: int, noise_px: float) -> Path:
+    """Write a session's landmarks.json as someone would have clicked it; returns `path`."""
     rng = np.random.default_rng([seed, 68])
     points = {camera.id: landmarks_px(world, camera, rng, noise_px) for camera in world.rig.cameras}
-    return write_points_px(points, out / "landmarks.json")
+    return write_points_px(points, path)

@@ -49,6 +49,7 @@ def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
 ) -> None:
     for index, name in enumerate(PEOPLE):
         make_processed(tmp_path / "P" / f"{name}-neutral", 192, 128, subject=name, seed=index)
+    make_processed(tmp_path / "NEW", 192, 128, subject="person-0009", seed=9)
     write_json(tmp_path / "P" / "people.json", {"schema": "lightstage.people/1", "people": []})
     (tmp_path / "P" / "people.lock").write_text("")
     ran = []

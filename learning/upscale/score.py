@@ -76,6 +76,13 @@ class UpscaleScore:
     correlation: float
     correlation_lanczos: float
 
+    def guesses(self) -> dict[str, float]:
+        """See `Scored`."""
+        return {
+            "bicubic interpolation": self.psnr_bicubic_db,
+            "Lanczos interpolation": self.psnr_lanczos_db,
+        }
+
     def sentence(self) -> str:
         """See `Scored`."""
         return (

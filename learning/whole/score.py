@@ -41,6 +41,10 @@ class FaceScore:
     specular_constant_rmse: float
     deviation_ratio: float
 
+    def guesses(self) -> dict[str, float]:
+        """See `Scored`."""
+        return {"the lit texture": self.psnr_input_db, "the mean person": self.psnr_mean_db}
+
     def sentence(self) -> str:
         """See `Scored`."""
         return (

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 
 from lightstage.interrupts import interrupted
 
+LINE_EVERY_S = 30.0
+"""A log file gets a line of how far the work is so often."""
 ProgressCallback = Callable[[int, int], None]
 """`progress(done, total)`, called by long functions; they print nothing themselves."""
 
@@ -21,12 +23,13 @@ def quiet(done: int, total: int) -> None:
 def progress_bar(label: str) -> Iterator[ProgressCallback]:
     """A bar on stderr, drawn from `progress(done, total)` calls.
 
-    In a log file it is two plain lines: that the work has begun, and when it ended.
+    In a log file it is plain lines: that the work has begun, how far it is every half minute, and
+    when it ended.
     The yielded callback raises KeyboardInterrupt where a signal came before.
     """
     if not sys.stderr.isatty():
-        with _told_by_lines(label):
-            yield _stop_where_interrupted
+        with _told_by_lines(label) as progress:
+            yield progress
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -44,11 +47,21 @@ def progress_bar(label: str) -> Iterator[ProgressCallback]:
 
 
 @contextlib.contextmanager
-def _told_by_lines(label: str) -> Iterator[None]:
+def _told_by_lines(label: str) -> Iterator[ProgressCallback]:
     began, how = time.monotonic(), "stopped after"
+    told = began
+
+    def progress(done: int, total: int) -> None:
+        nonlocal told
+        _stop_where_interrupted(done, total)
+        now = time.monotonic()
+        if now - told >= LINE_EVERY_S:
+            told = now
+            print(f"{label}: {done} of {total}", file=sys.stderr, flush=True)
+
     print(f"{label}: begun", file=sys.stderr, flush=True)
     try:
-        yield
+        yield progress
         how = "done in"
     finally:
         print(f"{label}: {how} {time.monotonic() - began:.1f} s", file=sys.stderr, flush=True)

@@ -233,14 +233,21 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
     Raises:
         FormatError, DatasetError: no folder, something that is no processed folder, a missing map,
             maps or atlases of different size, NaN, a missing or not rigid head_from_world, a folder
-            given twice, a pseudonym of a simulated and of a captured person; all in one message.
+            given twice, a scan of the same files, a pseudonym of two people; all in one message.
     """
     if not processed:
-        raise DatasetError(out, found="no processed folder", expected="at least one")
+        raise DatasetError(
+            "dataset build",
+            found="no processed folder among what was named",
+            expected="at least one",
+            hint="Name folders that `lightstage-processing run` made, as P/*.",
+        )
     problems: list[LightstageError] = []
     entries: list[ScanEntry] = []
     first: tuple[Path, ScanEntry] | None = None
     known: dict[str, tuple[Path, ScanEntry]] = {}
+    files: dict[tuple[str, str, str], Path] = {}
+    simulated: dict[tuple[str, str], Path] = {}
     statistics = Statistics({name: CHANNELS[name] for name in AVERAGED})
     with atomic_folder(out, DATASET, STORE) as beside:
         for index, root in enumerate(processed):
@@ -251,6 +258,10 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
                 first = first or (root, entry)
                 _require_same_size(root, entry, *first)
                 _require_same_person(root, entry, *known.setdefault(entry.subject, (root, entry)))
+                who = (entry.subject, entry.expression)
+                _require_other_files(root, files.setdefault((*who, entry.sha256), root))
+                if entry.synthetic:
+                    _require_one_draw(root, entry, simulated.setdefault(who, root))
                 if not problems:
                     _write_scan(beside / "scans" / f"{index:04d}", maps)
                 entries.append(entry)
@@ -305,6 +316,30 @@ def _require_same_person(root: Path, entry: ScanEntry, own_root: Path, own: Scan
             expected=f"a pseudonym of its own: in {own_root} it is {whose[own.synthetic]}",
             hint="Leave one of them out, or make one under another pseudonym. What was "
             "photographed on the simulated stage and processed counts as captured.",
+        )
+
+
+def _require_other_files(root: Path, own_root: Path) -> None:
+    """Refuse a copy of a scan: it would count twice, and might be tested on what was trained on."""
+    if root != own_root:
+        raise DatasetError(
+            root,
+            found=f"the same files as {own_root}",
+            expected="a scan of its own",
+            hint="Leave one of the two out.",
+        )
+
+
+def _require_one_draw(root: Path, entry: ScanEntry, own_root: Path) -> None:
+    """Refuse two simulated scans of one pseudonym and expression: they are of two people."""
+    if root != own_root:
+        raise DatasetError(
+            root,
+            field="subject",
+            found=f"{entry.subject!r}, {entry.expression}, which {own_root} is already",
+            expected="a pseudonym of its own",
+            hint="Two calls of `lightstage-sim dataset` give their people the same names. Make all "
+            "of them in one call, with more --subjects.",
         )
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
@@ -22,6 +24,9 @@ BYTES_A_PIXEL, BYTES_OF_ARRAYS = 50, 400
 that make arrays of all readings."""
 MOST_ILL_POSED = 0.5
 """Share of all views' pixels above which the maps mean nothing."""
+DIM = 0.15
+"""Median reading of the face under its brightest pattern, of white, below which noise and not
+patterns or lamps may be what hides the normals: dark skin reads about .07, light skin .4."""
 COLOUR_SPREAD = 0.02
 """Lights whose colours differ by more than this are worth a warning."""
 
@@ -37,7 +42,7 @@ def separate(
 
     Raises:
         ProcessingError: patterns that no method, or not the one asked for, can separate; more than
-            `MOST_ILL_POSED` of the face ill-posed.
+            `MOST_ILL_POSED` of the face ill-posed though it is well lit.
     """
     folder = ProcessedFolder(out)
     cameras = session.camera_ids()
@@ -50,6 +55,8 @@ def separate(
     method = chosen_method(lights, config)
     warnings += _warnings(lights, method)
 
+    reading: dict[str, float] = {}
+
     def one(camera_id: str) -> tuple[float, float, int]:
         frames = read_frames(out, camera_id)
         mask = read_foreground(out, camera_id)
@@ -58,6 +65,8 @@ def separate(
         write_maps(folder, camera_id, mask, maps)
         folder.write_mask(camera_id, mask)
         found = maps.confidence
+        shown = frames.brightest()[mask]
+        reading[camera_id] = float(np.median(shown)) if len(shown) else 0.0
         return float(found.mean()), float((found < 0.5).mean()), len(found)
 
     sizes = [session.rig.camera(c).width_px * session.rig.camera(c).height_px for c in cameras]
@@ -72,19 +81,26 @@ def separate(
     share = sum(each * counted_px[camera] for camera, each in ill_posed.items()) / max(pixels, 1)
     if share > MOST_ILL_POSED:
         worst = max(ill_posed, key=lambda camera: ill_posed[camera])
+        found = f"{100 * share:.0f} % of the face ill-posed ({worst}: {ill_posed[worst]:.0%})"
+        dim = float(np.median(list(reading.values())))
         fault = ProcessingError(
             out / "views",
             field="confidence",
-            found=f"{100 * share:.0f} % of the face ill-posed ({worst}: "
-            f"{100 * ill_posed[worst]:.0f} %)",
+            found=found,
             expected=f"at most {100 * MOST_ILL_POSED:g} %",
             hint="Do the photographs show the patterns that session.json names, and do the rig's "
             "lights stand where it says? `lightstage check SESSION` and views/CAMERA/"
             "confidence.exr show more. --force goes on.",
         )
-        if not config.forced:
+        if dim < DIM:
+            warnings.append(
+                f"{found}: the face reads {dim:.2f} of white under its brightest pattern, so that "
+                "noise hides part of the normals; give more light or longer exposures"
+            )
+        elif config.forced:
+            warnings.append(f"forced: {fault}")
+        else:
             raise fault
-        warnings.append(f"forced: {fault}")
     return {
         "method": method,
         "diffuse_normals": normals_of(method, config),

@@ -31,6 +31,7 @@ def capture_session(
     flaws: CaptureFlaws | None = None,
     story: Story | None = None,
     config: Path | None = None,
+    consent: str | None = None,
 ) -> Path:
     """Let `lightstage capture` photograph a simulated person.
 
@@ -47,6 +48,7 @@ def capture_session(
         story: what goes wrong with the devices; what happened is written beside that. The cameras
             are simulated ones then, which can have every fault.
         config: of `lightstage capture`; its defaults where absent.
+        consent: id of a consent record, None for none.
 
     Raises:
         SimError: the capture failed (it has said why on stderr).
@@ -59,6 +61,7 @@ def capture_session(
     ):
         command = [sys.executable, "-m", "lightstage", *stage.command(out), "--sequence", sequence]
         command += [] if config is None else ["--config", str(config)]
+        command += [] if consent is None else ["--consent", consent]
         with _running(command) as process:
             while process.poll() is None and stage.device.failure is None:
                 time.sleep(POLL_S)

@@ -12,7 +12,7 @@ from typing import TextIO
 
 import typer
 
-from lightstage.commands import output_folder, progress_bar
+from lightstage.commands import output_file, output_folder, progress_bar
 from sim.errors import SimError
 
 POLL_S = 0.2
@@ -36,6 +36,12 @@ def stage(
     scale: float = ScaleOption,
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     faults: Path | None = typer.Option(None, help="What goes wrong (TOML, docs/faults.md)."),
+    landmarks: Path | None = output_file(
+        "--landmarks",
+        help="The landmarks as someone would click them, for SESSION/landmarks.json.",
+        suffixes=[".json"],
+        default=None,
+    ),
 ) -> None:
     """Let a simulated stage stand ready until Ctrl-C, and say how to capture it."""
     from lightstage.patterns import sequence_patterns
@@ -46,7 +52,7 @@ def stage(
     from sim.devices.standing_stage import standing_stage
     from sim.light.world import World
     from sim.people.subjects import check_subject, load_subject
-    from sim.session import SessionConfig
+    from sim.session import LANDMARKS, SessionConfig, write_landmarks
 
     check_subject(subject)
     story = Story() if faults is None else Story.read(faults)
@@ -57,6 +63,8 @@ def stage(
     person = load_subject(subject, seed, None, SessionConfig().texture_rows)
     with progress_bar("shadow rays, cameras") as progress:
         world = World(person, where, progress)
+    if landmarks is not None:
+        write_landmarks(world, landmarks, seed, SessionConfig().click_noise_px)
     with tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name:
         desk = Path(name)
         log = FaultLog(None if faults is None else faults.with_suffix(".jsonl").absolute())
@@ -64,6 +72,9 @@ def stage(
         with devices as standing:
             command = [*standing.command(Path("SESSION")), "--sequence", sequence]
             print(f"Ready; Ctrl-C ends it. In another terminal:\n\n{_in_lines(command)}\n")
+            if landmarks is not None:
+                to = shlex.quote(f"SESSION/{LANDMARKS}")
+                print(f"Afterwards, for `register`: cp {shlex.quote(str(landmarks))} {to}\n")
             if log.path is not None:
                 print("What goes wrong is told in", log.path)
             sys.stdout.flush()

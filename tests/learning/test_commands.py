@@ -158,6 +158,8 @@ def test_train_then_infer_writes_the_maps(
     bad[5, 7, 1] = np.nan
     refused = tmp_path / "refused"
     nan = write_exr(tmp_path / "nan.exr", bad)
+    assert run(monkeypatch, *base, "--texture", texture, "--out", store_path) == 2
+    assert "found a folder that holds dataset.json" in capsys.readouterr().err
     assert run(monkeypatch, *base, "--texture", nan, "--out", refused) == 2
     assert "element (5, 7, 1): found 1 NaN or infinite value," in capsys.readouterr().err
     assert not refused.exists()

@@ -10,6 +10,7 @@ import torch.nn.functional as functional
 from learning.data import DataConfig
 from learning.errors import MapsError
 from learning.infer import infer, run_tiles
+from learning.infer_checks import look_through
 from learning.networks.generator import Generator, GeneratorConfig
 from learning.resample import resampled_texture
 from lightstage.formats.mesh import Mesh
@@ -156,6 +157,22 @@ def test_a_texture_of_another_exposure_is_refused(gain: float, said: str, ball_m
             np.eye(3, 4),
             named=("photo.exr", "head.obj"),
         )
+
+
+def test_negative_and_burnt_out_textures_are_refused(ball_mesh: Mesh) -> None:
+    rng = np.random.default_rng(0)
+    covered = np.ones((24, 16), bool)
+    texture = rng.uniform(0.02, 0.5, (24, 16, 3)).astype(np.float32)
+    assert look_through(texture, covered, "t.exr") == []
+    with pytest.raises(MapsError, match=r"t\.exr: found \d+\.\d % of .* texels negative"):
+        look_through(texture - 0.2, covered, "t.exr")
+    noisy = texture.copy()
+    noisy[0, :4] = -0.001  # noise about black
+    assert look_through(noisy, covered, "t.exr") == []
+    burnt = texture.copy()
+    burnt[:2] *= 40
+    with pytest.raises(MapsError, match=r"exposure: .* 95th percentile"):
+        look_through(burnt, covered, "t.exr")
 
 
 def test_a_black_texture_is_refused_and_black_texels_have_no_confidence(ball_mesh: Mesh) -> None:

@@ -20,13 +20,15 @@ from learning.checkpoint import (
     shipped_super_resolution,
     shipped_weights,
 )
+from learning.commands import trained_line
 from learning.config import TrainingConfig
 from learning.limits import LIMITS, require_within
 from learning.network_trainer import NetworkTrainer
 from learning.presets import FAMILIES
-from learning.run import Run
+from learning.run import Run, not_better
 from learning.train import TRAINERS, train
 from learning.training import Task
+from learning.whole.score import FaceScore
 from lightstage.formats.config import as_dict, make_config
 from processing.dataset import Store, open_store
 from tests.learning.test_upscale import TINY as UPSCALE
@@ -166,3 +168,50 @@ def test_a_family_of_its_own_needs_no_more_than_a_configuration_a_trainer_and_a_
     assert lines[0]["learning_rate"] == 0.05
     assert lines[20]["learning_rate"] == pytest.approx(0.025)
     assert lines[-1]["far"] == straight.score.far
+
+
+def test_a_training_by_time_that_goes_on_does_not_begin_at_its_largest_rate_again(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(TRAINERS, ToneConfig.family, (ToneTrainer, tone_task))
+    monkeypatch.setitem(LIMITS, "target", (0, 1))
+    store, out = open_store(store_path), tmp_path / "run"
+    config = ToneConfig(log_steps=1, seconds=0.4)
+    begun = train(store, out, config)
+    spent = read_checkpoint(out).step_seconds
+    assert 0.2 < spent < begun.seconds
+    longer = dataclasses.replace(config, seconds=0.2, save_seconds=7.0, log_steps=2)
+    found = train(store, out, longer, resume=True)
+    assert found.first == begun.steps < found.steps
+    assert found.step_seconds < found.seconds
+    assert read_checkpoint(out).step_seconds == pytest.approx(spent + found.step_seconds, abs=0.02)
+    lines = [json.loads(text) for text in (out / "metrics.jsonl").read_text().splitlines()]
+    rates = [
+        line["learning_rate"]
+        for line in lines
+        if line["step"] >= begun.steps and "far" in line and "learning_rate" in line
+    ]
+    assert rates[0] == pytest.approx(0.05 * (1 - spent / (spent + 0.2)), rel=0.2)
+    assert rates[-1] < rates[0]
+
+
+def test_a_network_that_a_plain_guess_is_as_good_as_is_told() -> None:
+    score = FaceScore(*[0.0] * len(dataclasses.fields(FaceScore)))
+    known = {"psnr_db": 18.0, "psnr_input_db": 9.0, "psnr_mean_db": 18.58}
+    told = not_better(dataclasses.replace(score, **known))
+    assert "18.00 dB are no better than the mean person (18.58 dB)" in told
+    assert "lower learning_rate" in told
+    assert not_better(dataclasses.replace(score, **{**known, "psnr_db": 18.59})) == ""
+
+
+def test_the_last_line_says_which_steps_and_seconds_are_of_this_call() -> None:
+    facts = {
+        "steps": 265, "steps_of_earlier_calls": 219, "seconds": 59.4, "step_seconds": 20.2,
+        "scored": "diffuse albedo", "held_out": "P9", "said": "PSNR 22.50 dB", "device": "cpu",
+        "share_data": 0.09, "share_rendering": 0.76, "share_network": 0.67, "share_idle": 0.33,
+    }  # fmt: skip
+    line = trained_line(facts)
+    assert line.startswith("265 steps (46 of them in this call); 20 s of steps in 59 s with ")
+    assert "the network took 67 %, waiting for batches 33 %; making batches, much of it" in line
+    assert trained_line({**facts, "steps_of_earlier_calls": 0}).startswith("265 steps; 20 s")
+    assert trained_line({**facts, "steps": 219}).endswith("PSNR 22.50 dB")

@@ -7,10 +7,12 @@ import re
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from lightstage.commands import progress_bar
 from lightstage.errors import DeviceError, LightstageError, RigError, one_error
 from lightstage.formats.exr import write_exr
 
@@ -183,3 +185,15 @@ run_app(app)
     assert done.returncode not in (0, 2)
     assert "went on" not in done.stdout
     assert "Exception ignored" in done.stderr
+
+
+def test_a_log_file_says_now_and_then_how_far_the_work_is(capsys, monkeypatch):
+    clock = iter([0.0, 1.0, 31.0, 40.0, 62.0, 70.0])
+    monkeypatch.setattr(
+        "lightstage.commands.progress.time", SimpleNamespace(monotonic=lambda: next(clock))
+    )
+    with progress_bar("work") as progress:
+        for done in range(1, 5):
+            progress(done, 9)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["work: begun", "work: 2 of 9", "work: 4 of 9", "work: done in 70.0 s"]

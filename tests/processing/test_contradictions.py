@@ -108,6 +108,24 @@ def test_a_face_that_is_mostly_ill_posed_is_an_error(tmp_path):
     assert any("ill-posed" in warning for warning in facts["warnings"])
 
 
+def test_a_dark_face_that_noise_hides_is_a_warning_that_asks_for_light(tmp_path):
+    """The same photographs, of a face so dark that patterns are not what is wrong with it."""
+    rng = np.random.default_rng(0)
+    shots = photographs()
+    full = shots["full"]["cam0"]
+    scale = 0.07 / float(np.median(full[full > 0]))
+    for axis in "xyz":
+        share = rng.uniform(0, 1, full.shape)
+        shots[f"{axis}+"] = {"cam0": scale * full * share}
+        shots[f"{axis}-"] = {"cam0": scale * full * (1 - share)}
+    shots["full"] = {"cam0": scale * full}
+    session, out = load_session(write_raw_session(tmp_path / "S", RIG, shots, COLOUR)), tmp_path
+    decode(session, out, FORCED_NOT)
+    warnings = separate(session, out, SeparateConfig())["warnings"]
+    assert any("of white under its brightest pattern" in warning for warning in warnings)
+    assert any("give more light or longer exposures" in warning for warning in warnings)
+
+
 def test_force_is_an_option_of_run_and_separate(tmp_path):
     root = session_of(tmp_path / "S", PATTERNS, x_minus=0.5)
     runner, args = CliRunner(), [str(root), "--out", str(tmp_path / "OUT")]

@@ -283,6 +283,24 @@ def test_one_pseudonym_of_a_simulated_and_a_captured_person_is_refused(
     assert len(open_store(build_store([captured, smile], tmp_path / "out" / "store")).scans) == 2
 
 
+def test_a_copy_of_a_scan_and_two_draws_of_one_pseudonym_are_refused(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    first = make_processed(tmp_path / "P" / "person-0000-neutral", seed=1)
+    copy = make_processed(tmp_path / "copy", seed=1)
+    with pytest.raises(LightstageError, match=r"copy: found the same files as .*P/person-0000"):
+        build_store([first, copy], tmp_path / "store")
+    other = make_processed(tmp_path / "Q" / "person-0000-neutral", seed=2)
+    # A captured person may have been photographed twice.
+    assert len(open_store(build_store([first, other], tmp_path / "twice")).scans) == 2
+    for root in (first, other):
+        report = json.loads((root / "report.json").read_text())
+        (root / "report.json").write_text(json.dumps({**report, "synthetic": True}))
+    with pytest.raises(LightstageError, match=r"Q/person-0000.*of its own.*--subjects"):
+        build_store([first, other], tmp_path / "store")
+    assert not (tmp_path / "store").exists()
+
+
 def test_a_folder_of_processed_folders_is_told_with_what_to_name(
     tmp_path: Path, make_processed: Make
 ) -> None:

@@ -56,6 +56,12 @@ def test_a_direct_session_is_whole_and_well_formed(direct, tiny_rig):
     np.testing.assert_array_equal(session.levels("x+"), pattern_levels("x+", tiny_rig))
 
 
+def test_a_session_carries_the_id_of_a_consent_record(direct, world, tmp_path):
+    file = write_direct(world, tmp_path / "s", CONFIG, 1, quiet, consent="C-0017")
+    assert load_session(file).file.model_extra["consent"] == "C-0017"
+    assert "consent" not in load_session(direct).file.model_extra
+
+
 def test_direct_frames_are_the_worlds_photographs(direct, world, tiny_rig):
     found = read_exr(direct / "frames/y-/cam1.exr")
     known = world.photograph("cam1", pattern_levels("y-", tiny_rig)[None])[0]
@@ -77,8 +83,8 @@ def test_landmarks_are_projections_where_seen_and_null_where_hidden(direct, worl
 
 
 def test_click_noise_has_the_stated_size(world, tmp_path):
-    clean = read_points_px(write_landmarks(world, tmp_path / "a", 1, 0.0))["cam0"]
-    noisy = read_points_px(write_landmarks(world, tmp_path / "b", 1, 0.5))["cam0"]
+    clean = read_points_px(write_landmarks(world, tmp_path / "a.json", 1, 0.0))["cam0"]
+    noisy = read_points_px(write_landmarks(world, tmp_path / "b.json", 1, 0.5))["cam0"]
     off = (noisy - clean)[np.isfinite(noisy - clean)]
     assert 0.35 < off.std() < 0.65
 

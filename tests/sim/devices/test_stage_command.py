@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 
+from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.session import load_session
 from lightstage.rig import save_rig
 from sim.devices.stage_command import Echo
@@ -15,6 +16,7 @@ from sim.devices.stage_command import Echo
 def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig):
     rig = save_rig(tiny_rig, tmp_path / "rig.json")
     options = ["--rig", str(rig), "--scale", "1", "--sequence", "full,x+"]
+    options += ["--landmarks", "clicked.json"]
     stage = subprocess.Popen(
         [sys.executable, "-m", "sim", "stage", *options],
         stdout=subprocess.PIPE,
@@ -34,6 +36,8 @@ def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig
             cwd=tmp_path,
         )
         assert done.returncode == 0, done.stderr
+        assert "cp clicked.json SESSION/landmarks.json" in next(lines)
+        assert set(read_points_px(tmp_path / "clicked.json")) == {c.id for c in tiny_rig.cameras}
         assert len(load_session(tmp_path / "SESSION").file.frames) == 2 * len(tiny_rig.cameras)
     finally:
         stage.send_signal(signal.SIGINT)
