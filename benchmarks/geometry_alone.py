@@ -41,7 +41,7 @@ def main() -> None:
     rows = []
     for name, config in SETTINGS.items():
         start = time.process_time()
-        _, points, mesh = twice(views, found, config, lights)
+        _, points, mesh, _ = twice(views, found, config, lights)
         seconds = time.process_time() - start
         got = score(case.laid(mesh), case.skin)
         rows.append(

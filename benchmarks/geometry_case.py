@@ -111,5 +111,5 @@ def timed(
 ) -> tuple[Depths, Mesh, float]:
     """Our depths and mesh, in the cameras' world, and processor seconds."""
     start = time.process_time()
-    found, _, mesh = twice(views, match_views(views, config), config, lights)
+    found, _, mesh, _ = twice(views, match_views(views, config), config, lights)
     return found, mesh, time.process_time() - start

@@ -59,11 +59,32 @@ def run(
     config: Path | None = ConfigPath,
     until: str = typer.Option("atlas", "--until", help="The last stage to run."),
     atlas_rows: int | None = AtlasRows,
+    mesh: Path | None = typer.Option(
+        None,
+        "--mesh",
+        help="Your own mesh of this head as it sat, .ply or .obj, mm, in the rig's axes, in place "
+        "of a reconstructed one.",
+    ),
+    occluders: Path | None = typer.Option(
+        None,
+        "--occluders",
+        help="Mesh of what else casts shadows or hides skin: clothes, hair, glasses.",
+    ),
     force: bool = Force,
     as_json: bool = JsonFlag,
 ) -> None:
     """Everything from photographs to the atlas; what is up to date is skipped."""
-    _process(session, out, template, config, atlas_rows, as_json, until=until, force=force)
+    _process(
+        session,
+        out,
+        template,
+        config,
+        atlas_rows,
+        as_json,
+        until=until,
+        force=force,
+        meshes=(mesh, occluders),
+    )
 
 
 @app.command()
@@ -122,10 +143,11 @@ def _process(
     until: str = "atlas",
     only: str | None = None,
     force: bool = False,
+    meshes: tuple[Path | None, Path | None] = (None, None),
 ) -> None:
     from processing import pipeline
 
-    settings = pipeline.read_config(config, atlas_rows)
+    settings = pipeline.read_config(config, atlas_rows, *meshes)
     if force:
         settings = settings.as_forced()
     with limited_access(group_of([session])):

@@ -21,6 +21,7 @@ from processing.decode.stage import DecodeConfig, decode, lit_patterns
 from processing.errors import ProcessingError
 from processing.memory import give_back
 from processing.pages import write_processed_report
+from processing.reconstruction.given import require_given
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
     REPORT_SCHEMA,
@@ -98,17 +99,34 @@ class Job:
         return MadeFrom(self.session.file.id, self.session.file.subject)
 
 
-def read_config(path: Path | None, atlas_rows: int | None = None) -> PipelineConfig:
+def read_config(
+    path: Path | None,
+    atlas_rows: int | None = None,
+    mesh: Path | None = None,
+    occluders: Path | None = None,
+) -> PipelineConfig:
     """Defaults, overridden by a TOML file, overridden by the command line.
+
+    Args:
+        path: the file.
+        atlas_rows: height of the atlas in texels.
+        mesh: of the head, in place of a reconstructed one.
+        occluders: mesh of what else casts shadows.
 
     Raises:
         ConfigError: an unknown table or key, or a value of another type.
     """
     values = {} if path is None else read_toml(path)
     config = make_config(PipelineConfig, values, path or "configuration")
-    if atlas_rows is None:
-        return config
-    return dataclasses.replace(config, atlas=dataclasses.replace(config.atlas, rows=atlas_rows))
+    if atlas_rows is not None:
+        config = dataclasses.replace(
+            config, atlas=dataclasses.replace(config.atlas, rows=atlas_rows)
+        )
+    given = {"mesh": mesh, "occluders": occluders}
+    meshes: dict[str, Any] = {name: str(file) for name, file in given.items() if file is not None}
+    return dataclasses.replace(
+        config, reconstruct=dataclasses.replace(config.reconstruct, **meshes)
+    )
 
 
 @contextlib.contextmanager
@@ -172,7 +190,9 @@ def run(
             # Registration needs them an hour later at full size: said now.
             clicked_landmarks(session)
     job = Job(session, out, config, template, template_hash, normals)
-    _plan(job, last, only)  # what it refuses is refused before the folder is made
+    # What these refuse is refused before the folder is made.
+    if "reconstruct" in _plan(job, last, only)[2]:
+        require_given(config.reconstruct)
     with locked(out / RUN_LOCK, _busy(out)):
         records, keys, planned = _plan(job, last, only)
         for stage in planned:
@@ -216,19 +236,26 @@ def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:
     for path in [session.root / name for name in named if isinstance(name, str)]:
         # Gains of single pixels lie beside the flats that name them.
         files += [path, *sorted(path.parent.glob(f"{path.stem}-*.npz"))]
-    if Path(job.config.decode.mesh).is_file():
-        files.append(Path(job.config.decode.mesh))
     landmarks = session.root / "landmarks.json"
     before = hash_of(code_version(), [sha256_file(path) for path in files])
     keys = {}
     for stage in STAGES:
-        extra = []
+        extra: list[str | None] = [sha256_file(path) for path in _meshes(job.config, stage)]
         if stage in WITH_TEMPLATE:
             marks = sha256_file(landmarks) if landmarks.is_file() else None
-            extra = [job.template_hash, marks]
+            extra += [job.template_hash, marks]
         keys[stage] = hash_of(before, stage, as_dict(getattr(job.config, stage)), extra)
         before = kept[stage].key if stage in kept else keys[stage]
     return keys
+
+
+def _meshes(config: PipelineConfig, stage: str) -> list[Path]:
+    """Meshes that a stage's configuration names, and that are there."""
+    named = {
+        "decode": [config.decode.mesh],
+        "reconstruct": [config.reconstruct.mesh, config.reconstruct.occluders],
+    }
+    return [Path(name) for name in named.get(stage, []) if Path(name).is_file()]
 
 
 def _stale(job: Job, records: dict[str, Record], keys: dict[str, str], last: str) -> list[str]:

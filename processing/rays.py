@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import open3d
 from numba import njit, prange
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera
 
 CHUNK_RAYS = 4_000_000
@@ -32,27 +34,60 @@ class Hits:
 class MeshRays:
     """A mesh prepared for ray queries."""
 
-    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
-        """Build the hierarchy over (n, 3) vertices in mm and (t, 3) triangles."""
+    def __init__(
+        self, vertices: np.ndarray, triangles: np.ndarray, occluders: Mesh | None = None
+    ) -> None:
+        """Build the hierarchy.
+
+        Args:
+            vertices: (n, 3) mm.
+            triangles: (t, 3).
+            occluders: what hides the mesh from lights and cameras and is never met itself.
+        """
         self._scene = open3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            open3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
-            open3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
+        self._mesh = self._add(vertices, triangles)
+        if occluders is not None:
+            self._add(occluders.vertices, occluders.triangles())
+
+    def _add(self, vertices: np.ndarray, triangles: np.ndarray) -> int:
+        return int(
+            self._scene.add_triangles(
+                open3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
+                open3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
+            )
         )
 
     def cast(self, origins_mm: np.ndarray, directions: np.ndarray) -> Hits:
-        """First hit of rays from (n, 3) origins (or one (3,)) along (n, 3) unit directions."""
-        count = len(directions)
-        rays = np.empty((count, 6), np.float32)
-        rays[:, :3] = origins_mm
-        rays[:, 3:] = directions
-        found = self._scene.cast_rays(open3d.core.Tensor(rays))
-        missed = found["geometry_ids"].numpy() == open3d.t.geometry.RaycastingScene.INVALID_ID
+        """First hit of rays from (n, 3) origins (or one (3,)) along (n, 3) unit directions.
+
+        A ray that an occluder stops meets nothing.
+        """
+        found = self._found(origins_mm, directions)
+        missed = found["geometry_ids"].numpy() != self._mesh
         face = found["primitive_ids"].numpy().astype(np.int64)
-        face[missed] = -1
+        distance_mm = found["t_hit"].numpy()
+        face[missed], distance_mm[missed] = -1, np.inf
         uv = found["primitive_uvs"].numpy()
         barycentric = np.stack([1 - uv[:, 0] - uv[:, 1], uv[:, 0], uv[:, 1]], axis=1)
-        return Hits(face.astype(np.int32), barycentric, found["t_hit"].numpy())
+        return Hits(face.astype(np.int32), barycentric, distance_mm)
+
+    def _found(self, origins_mm: np.ndarray, directions: np.ndarray) -> Any:
+        rays = np.empty((len(directions), 6), np.float32)
+        rays[:, :3] = origins_mm
+        rays[:, 3:] = directions
+        return self._scene.cast_rays(open3d.core.Tensor(rays))
+
+    def stopped(self, camera: Camera, mask: np.ndarray) -> np.ndarray:
+        """(h, w) bool: pixels of a (h, w) bool mask at which a camera sees an occluder."""
+        out = np.zeros(mask.shape, bool)
+        rows, columns = np.nonzero(mask)
+        nothing = open3d.t.geometry.RaycastingScene.INVALID_ID
+        for first in range(0, len(rows), CHUNK_RAYS):
+            some = rows[first:][:CHUNK_RAYS], columns[first:][:CHUNK_RAYS]
+            directions = camera.rays_through(some[1] + 0.5, some[0] + 0.5)
+            met = self._found(camera.centre_mm, directions)["geometry_ids"].numpy()
+            out[some] = (met != self._mesh) & (met != nothing)
+        return out
 
     def cast_camera(self, camera: Camera, mask: np.ndarray | None = None) -> Hits:
         """First hits of a camera's pixels, in row order.

@@ -108,6 +108,7 @@ def lit_surface(
     most_faces: int,
     finest_mm: float = 1.2,
     seen_by: Sequence[tuple[Camera, np.ndarray]] | None = None,
+    occluders: Mesh | None = None,
     progress: ProgressCallback = quiet,
 ) -> LitSurface:
     """Cast each vertex's rays to the lights and to the sky, once.
@@ -124,6 +125,7 @@ def lit_surface(
         most_faces: a mesh of more triangles is thinned to as many.
         finest_mm: triangles are split until their edges are about so long.
         seen_by: cameras and their (h, w) bool foregrounds; None asks for every vertex.
+        occluders: what else hides lights and sky.
         progress: counts rays' vertices.
     """
     vertices, triangles = thinned(mesh, most_faces)
@@ -132,7 +134,7 @@ def lit_surface(
     edge_mm = _edge_mm(vertices, triangles)
     for _ in range(averaging_rounds(smoothing_mm, edge_mm)):
         normals = average @ normals
-    rays = MeshRays(vertices, triangles)
+    rays = MeshRays(vertices, triangles, occluders)
     normals = _unit(normals)
     sky = fibonacci_sphere(directions)
     open_sky = rays.visible(vertices, normals, sky * SKY_MM, offset_mm=offset_mm)

@@ -54,6 +54,11 @@ class ProcessedFolder:
         return self.root / "base_mesh.ply"
 
     @property
+    def occluders(self) -> Path:
+        """What else hides light from the skin, mm, world, where there is anything."""
+        return self.root / "occluders.ply"
+
+    @property
     def detailed_mesh(self) -> Path:
         """The base mesh with the specular normals' relief, mm, world, where it was asked for."""
         return self.root / "detailed_mesh.ply"

@@ -77,9 +77,10 @@ def sighted(level: Level, mesh: Mesh, rays: MeshRays, normals: np.ndarray) -> li
     return out
 
 
-def rays_of(mesh: Mesh) -> tuple[MeshRays, np.ndarray]:
-    """A mesh's rays and its vertices' normals."""
-    return MeshRays(mesh.vertices, mesh.faces), vertex_normals(mesh.vertices, mesh.faces)
+def rays_of(mesh: Mesh, occluders: Mesh | None = None) -> tuple[MeshRays, np.ndarray]:
+    """A mesh's rays, with what stops them before they meet it, and its vertices' normals."""
+    rays = MeshRays(mesh.vertices, mesh.faces, occluders)
+    return rays, vertex_normals(mesh.vertices, mesh.faces)
 
 
 def look_again(

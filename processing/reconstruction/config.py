@@ -56,6 +56,11 @@ class ReconstructConfig:
             the points' positions and normals more closely.
         split_settle_mm: `settle_mm` of the split mesh.
         trim_mm: the surface is cut where no point lies within this distance, or two pixels.
+        mesh: PLY or OBJ file of this head as it sat, mm, in the rig's axes, taken in place of a
+            reconstructed one; empty for none.
+        occluders: PLY or OBJ file of what else casts shadows on the skin or hides it, such as
+            clothes, hair and glasses, in the same axes; empty for what the pictures show of it.
+        find_occluders: look for it where no file is named.
         colmap_to: folder to which pictures, poses and depth maps are written in COLMAP's formats;
             empty for none.
         colmap_from: such a folder whose depth maps are taken in place of our own matching; empty
@@ -94,5 +99,8 @@ class ReconstructConfig:
     splits: int = 1
     split_settle_mm: float = 0.5
     trim_mm: float = 1.0
+    mesh: str = ""
+    occluders: str = ""
+    find_occluders: bool = True
     colmap_to: str = ""
     colmap_from: str = ""

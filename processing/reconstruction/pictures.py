@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
@@ -39,20 +39,24 @@ def coverage(agreeing: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 def write_pictures(
     out: Path,
-    names: Sequence[str],
-    shown: Sequence[np.ndarray],
+    shown: Mapping[str, np.ndarray],
     mesh: Mesh,
+    occluders: Mesh | None = None,
 ) -> None:
-    """Write each view's `coverage` and the mesh into a processed folder, where the report looks.
+    """Write each view's `coverage` and the meshes into a processed folder, where the report looks.
 
     Args:
         out: the processed folder.
-        names: of the views' cameras.
-        shown: of each view (h, w, 3) uint8, its `coverage`.
+        shown: of each camera (h, w, 3) uint8, its `coverage`; none where nothing was matched.
         mesh: mm, world.
+        occluders: what else casts shadows, mm, world.
     """
+    for earlier in [*_folder(out).glob("coverage-*.png"), _occluders(out)]:
+        earlier.unlink(missing_ok=True)
     write_png(_folder(out) / "mesh.png", lit_sides(mesh, SIDE_PX))
-    for name, image in zip(names, shown, strict=True):
+    if occluders is not None:
+        write_png(_occluders(out), lit_sides(occluders, SIDE_PX))
+    for name, image in shown.items():
         write_png(_folder(out) / f"coverage-{name}.png", image)
     _distance(out).unlink(missing_ok=True)  # that of an earlier mesh
 
@@ -78,6 +82,10 @@ def mesh_section(out: Path) -> Section | None:
         "camera looks squarely; blue is its inside."
     )
     parts: list[str | Picture] = [Picture(mesh, said, "mesh", lossless=True)]
+    occluders = _read(_occluders(out))
+    if occluders is not None:
+        said = "What else casts shadows and hides skin, from three sides. No skin should be in it."
+        parts.append(Picture(occluders, said, "occluders", lossless=True))
     distance = _read(_distance(out))
     if distance is not None:
         said = (
@@ -101,6 +109,10 @@ def mesh_section(out: Path) -> Section | None:
 
 def _folder(out: Path) -> Path:
     return out / "work" / "geometry"
+
+
+def _occluders(out: Path) -> Path:
+    return _folder(out) / "occluders.png"
 
 
 def _distance(out: Path) -> Path:

@@ -55,6 +55,7 @@ class PoseReport:
         tracks: points triangulated with the rig's poses.
         track_residual_px: their median reprojection error, NaN without tracks.
         spread_mm: median distance of the tracks from their median, the size of what was seen.
+        points_mm: (tracks, 3) those points, world.
     """
 
     camera_ids: tuple[str, ...]
@@ -66,6 +67,7 @@ class PoseReport:
     tracks: int
     track_residual_px: float
     spread_mm: float
+    points_mm: np.ndarray
 
 
 def tone_mapped(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -128,6 +130,7 @@ def check_poses(
         len(points),
         float(np.median(errors)) if len(errors) else float("nan"),
         float(np.median(spread)),
+        points,
     )
 
 

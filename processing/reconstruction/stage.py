@@ -21,6 +21,8 @@ from processing.lighting.lights import PatternLights, pattern_lights
 from processing.reconstruction.colmap_folder import read_colmap, write_colmap
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import Holes, alone_share, boundary_loops
+from processing.reconstruction.given import given_mesh, given_occluders, read_given
+from processing.reconstruction.occluders import OthersBeside, found_occluders, nothing_beside
 from processing.reconstruction.pictures import coverage, write_pictures
 from processing.reconstruction.poses import (
     PoseReport,
@@ -60,13 +62,15 @@ class Reconstructed(NamedTuple):
         mesh: mm, world.
         holes: its boundary loops.
         facts: JSON-ready.
-        shown: of each view (h, w, 3) uint8, its `coverage`.
+        shown: of each camera (h, w, 3) uint8, its `coverage`.
+        occluders: what else casts shadows, mm, world; None for nothing, or where it was not asked.
     """
 
     mesh: Mesh
     holes: Holes
     facts: dict[str, Any]
-    shown: list[np.ndarray]
+    shown: dict[str, np.ndarray]
+    occluders: Mesh | None
 
 
 def reconstruct(
@@ -77,6 +81,9 @@ def reconstruct(
     normals: bool = True,
 ) -> dict[str, Any]:
     """Reconstruct the face and neck, and write OUT/base_mesh.ply (mm, world).
+
+    Where the configuration names a mesh, that one is written instead; what it names as occluders
+    is written as OUT/occluders.ply.
 
     Args:
         session: for its rig.
@@ -91,8 +98,76 @@ def reconstruct(
     Raises:
         FormatError: an input that an earlier stage should have written.
         PoseError: cameras that do not stand where the rig says.
-        ReconstructionError: views that do not see one surface.
+        ReconstructionError: views that do not see one surface, or a given mesh that is not where
+            they show the head.
     """
+    make = _given if config.mesh else _matched
+    poses, found, warnings = make(session, out, config, progress, normals)
+    mesh, holes, facts, shown, occluders = found
+    if config.occluders:
+        cameras = [session.rig.camera(name) for name in session.camera_ids()]
+        others = given_occluders(Path(config.occluders), mesh, cameras)
+        occluders, facts = others.mesh, {**facts, **others.facts}
+    folder = ProcessedFolder(out)
+    if occluders is None:
+        folder.occluders.unlink(missing_ok=True)  # those of an earlier run
+    else:
+        write_ply(occluders, folder.occluders)
+    write_pictures(out, shown, mesh, occluders)
+    write_ply(mesh, folder.base_mesh)
+    return {
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "outline_mm": round(holes.outline_mm, 1),
+        "holes": len(holes.lengths_mm),
+        "hole_lengths_mm": [round(length, 1) for length in holes.lengths_mm[:20]],
+        **facts,
+        "occluder_faces": 0 if occluders is None else len(occluders.faces),
+        "pose_residual_px": {
+            camera: None if np.isnan(residual) else round(residual, 3)
+            for camera, residual in zip(poses.camera_ids, poses.residual_px, strict=True)
+        },
+        "pose_matches": dict(zip(poses.camera_ids, poses.matches, strict=True)),
+        "pose_tracks": poses.tracks,
+        "warnings": _warnings(session, poses) + drifted(poses, config) + warnings,
+    }
+
+
+class Made(NamedTuple):
+    """What `reconstruct` writes, however it was made.
+
+    Attributes:
+        poses: what matches say of the cameras.
+        found: mesh, facts, pictures.
+        warnings: what the user should know of it.
+    """
+
+    poses: PoseReport
+    found: Reconstructed
+    warnings: list[str]
+
+
+def _given(
+    session: Session, out: Path, config: ReconstructConfig, _: ProgressCallback, normals: bool
+) -> Made:
+    """The mesh that the configuration names."""
+    poses = check_session_poses(session, out, config)
+    cameras = [session.rig.camera(name) for name in session.camera_ids()]
+    mesh, facts, warnings = given_mesh(Path(config.mesh), cameras, poses.points_mm)
+    looked = config.find_occluders and normals and not config.occluders and len(cameras) > 1
+    views = read_views(session, out, config)[0] if looked else []
+    occluders = others_beside(views, config, normals)(mesh)
+    return Made(poses, Reconstructed(mesh, boundary_loops(mesh), facts, {}, occluders), warnings)
+
+
+def _matched(
+    session: Session,
+    out: Path,
+    config: ReconstructConfig,
+    progress: ProgressCallback,
+    normals: bool,
+) -> Made:
+    """The mesh that the photographs give."""
     with ThreadPoolExecutor(1) as pool:
         # Features are looked for by one core: the other one makes the views meanwhile.
         checked = pool.submit(check_session_poses, session, out, config)
@@ -101,25 +176,27 @@ def reconstruct(
         finally:
             # Cameras that stand elsewhere are named first, whatever else is wrong.
             poses = checked.result()
-    mesh, holes, facts, shown = reconstruct_views(views, config, progress, lights)
-    write_pictures(out, [view.camera.id for view in views], shown, mesh)
-    write_ply(mesh, ProcessedFolder(out).base_mesh)
-    alone = [] if normals else [f"{', '.join(lights.patterns)}: {PICTURES_ALONE}"]
-    return {
-        "vertices": len(mesh.vertices),
-        "faces": len(mesh.faces),
-        "outline_mm": round(holes.outline_mm, 1),
-        "holes": len(holes.lengths_mm),
-        "hole_lengths_mm": [round(length, 1) for length in holes.lengths_mm[:20]],
-        **facts,
-        "pose_residual_px": {
-            camera: None if np.isnan(residual) else round(residual, 3)
-            for camera, residual in zip(poses.camera_ids, poses.residual_px, strict=True)
-        },
-        "pose_matches": dict(zip(poses.camera_ids, poses.matches, strict=True)),
-        "pose_tracks": poses.tracks,
-        "warnings": _warnings(session, views, poses) + drifted(poses, config) + alone,
-    }
+    beside = others_beside(views, config, normals)
+    found = reconstruct_views(views, config, progress, lights, beside)
+    empty = [view.camera.id for view in views if not np.isfinite(view.textures).any()]
+    warnings = [f"{camera} shows nothing and was not used" for camera in empty]
+    warnings += [] if normals else [f"{', '.join(lights.patterns)}: {PICTURES_ALONE}"]
+    return Made(poses, found, warnings)
+
+
+def others_beside(views: list[View], config: ReconstructConfig, normals: bool) -> OthersBeside:
+    """How it is known what else casts shadows: from a file, from the views, or not at all."""
+    if config.occluders:
+        mesh = read_given(Path(config.occluders))
+        return lambda _: mesh
+    # Of pictures alone, everything is in the skin's mesh; one view tells no depth.
+    if not config.find_occluders or not normals or len(views) < 2:
+        return nothing_beside
+
+    def coarsely(some: Sequence[View], how: ReconstructConfig) -> Mesh:
+        return reconstruct_views(list(some), how).mesh
+
+    return lambda skin: found_occluders(views, skin, config, coarsely)
 
 
 def check_session_poses(session: Session, out: Path, config: ReconstructConfig) -> PoseReport:
@@ -192,6 +269,7 @@ def reconstruct_views(
     config: ReconstructConfig,
     progress: ProgressCallback = quiet,
     lights: PatternLights | None = None,
+    beside: OthersBeside = nothing_beside,
 ) -> Reconstructed:
     """From views to a mesh: the pure part of the stage.
 
@@ -200,6 +278,7 @@ def reconstruct_views(
         config: settings.
         progress: called as views are matched.
         lights: of the patterns that the views' signals are of, where they have signals.
+        beside: tells what else casts shadows beside a first mesh of the skin.
 
     Raises:
         ReconstructionError: fewer than two views show anything, or no points agree.
@@ -219,9 +298,10 @@ def reconstruct_views(
         read: Depths = level, *read_colmap(Path(config.colmap_from), names, level)
         found, plain = as_known(views, read, config)
         points, mesh = meshed(found, plain)
+        occluders = beside(mesh)
     else:
         found = match_views(views, config, progress)
-        found, points, mesh = twice(views, found, config, lights, progress)
+        found, points, mesh, occluders = twice(views, found, config, lights, progress, beside)
     level, depths, _ = found
     if config.colmap_to:
         write_colmap(Path(config.colmap_to), names, level, depths, sources_of(views, config))
@@ -237,15 +317,14 @@ def reconstruct_views(
         name: round(float((count > 0).sum() / max(int(mask.sum()), 1)), 3)
         for name, count, mask in zip(names, points.agreeing, level.masks, strict=True)
     }
-    shown = [coverage(*both) for both in zip(points.agreeing, level.masks, strict=True)]
-    return Reconstructed(mesh, boundary_loops(mesh), facts, shown)
+    each = zip(names, points.agreeing, level.masks, strict=True)
+    shown = {name: coverage(count, mask) for name, count, mask in each}
+    return Reconstructed(mesh, boundary_loops(mesh), facts, shown, occluders)
 
 
-def _warnings(session: Session, views: list[View], poses: PoseReport) -> list[str]:
-    empty = [view.camera.id for view in views if not np.isfinite(view.textures).any()]
+def _warnings(session: Session, poses: PoseReport) -> list[str]:
     said = said_approximate(read_session_cameras(session))
-    said += [f"{camera} shows nothing and was not used" for camera in empty]
-    known = {view.camera.id for view in views}
+    known = set(session.camera_ids())
     said += [f"{c.id} has no photographs" for c in session.rig.cameras if c.id not in known]
     said += [
         f"the pose of {camera} could not be checked: {counted(count, 'match', 'matches')}"

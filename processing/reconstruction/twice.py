@@ -15,6 +15,7 @@ from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import Points, consistent_points
 from processing.reconstruction.finer import finer
 from processing.reconstruction.fusion import fuse
+from processing.reconstruction.occluders import OthersBeside, apart, nothing_beside
 from processing.reconstruction.shading import mended_normals
 from processing.reconstruction.slants import as_matched, without_normals
 from processing.reconstruction.stereo import sources_of
@@ -69,7 +70,8 @@ def twice(
     config: ReconstructConfig,
     lights: PatternLights | None = None,
     progress: ProgressCallback = quiet,
-) -> tuple[Depths, Points, Mesh]:
+    beside: OthersBeside = nothing_beside,
+) -> tuple[Depths, Points, Mesh, Mesh | None]:
     """A mesh, and, where `config.look_again`, a second one by what the first one tells.
 
     Args:
@@ -78,14 +80,16 @@ def twice(
         config: the stage's settings.
         lights: of the patterns that the views' signals are of.
         progress: called after each view of the second look.
+        beside: tells what else casts shadows beside a mesh of the skin.
 
     Returns:
-        Depths, points and mesh.
+        Depths, points, mesh, and what else casts shadows.
     """
     alone = without_normals(views)
     found, config = as_known(views, found, config)
     if not config.look_again:
-        return found, *meshed(found, config)
+        points, mesh = meshed(found, config)
+        return found, points, mesh, beside(mesh)
     wider = dataclasses.replace(
         config,
         carry_mm=WIDER * config.carry_mm,
@@ -95,7 +99,8 @@ def twice(
     points, mesh = meshed(found, wider)
     level = found[0]
     fine = pictures_of(views, config.finest_rows)
-    rays, normals = rays_of(mesh)
+    occluders = beside(mesh)
+    rays, normals = rays_of(mesh, occluders)
     seen = sighted(level, mesh, rays, normals)
     unsure = [count < 1 for count in points.agreeing]
     sources = sources_of(views, config)
@@ -110,4 +115,5 @@ def twice(
     if mended is not None:
         level = dataclasses.replace(level, normals=mended)
     again = level, depths, costs
-    return again, *meshed(again, config)
+    points, mesh = meshed(again, config)
+    return again, points, mesh, None if occluders is None else apart(occluders, mesh)

@@ -90,8 +90,17 @@ def prepare_scene(
     lights: PatternLights,
     seen_by: list[tuple[Camera, np.ndarray]],
     config: RefineConfig,
+    occluders: Mesh | None = None,
 ) -> Scene:
-    """Cast the mesh's rays; gloss is a typical skin's, and no light goes from skin to skin yet."""
+    """Cast the mesh's rays; gloss is a typical skin's, and no light goes from skin to skin yet.
+
+    Args:
+        mesh: the skin, mm, world.
+        lights: of P patterns.
+        seen_by: cameras and their (h, w) bool foregrounds.
+        config: see there.
+        occluders: what else hides lights and sky from the skin, such as clothes.
+    """
     surface = lit_surface(
         mesh,
         lights,
@@ -101,6 +110,7 @@ def prepare_scene(
         most_faces=config.most_faces,
         finest_mm=config.finest_mm,
         seen_by=seen_by,
+        occluders=occluders,
     )
     count = len(surface.vertices)
     dark = np.zeros((count, len(lights.patterns), 3), np.float32)

@@ -11,9 +11,10 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.mesh import Mesh, read_ply, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
-from lightstage.rig import Rig
+from lightstage.rig import Camera, Rig
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import fix_normals, pattern_lights
+from processing.rays import MeshRays
 from processing.refinement.config import RefineConfig
 from processing.refinement.detail import NormalView, displaced
 from processing.refinement.every_pixel import solve_view
@@ -44,10 +45,13 @@ def refine(
     cameras = [session.rig.camera(camera_id) for camera_id in session.camera_ids()]
     lights = pattern_lights(session, read_frames(out, cameras[0].id).patterns)
     seen_by = [(camera, read_foreground(out, camera.id)) for camera in cameras]
+    occluders = read_ply(folder.occluders) if folder.occluders.is_file() else None
+    others = seen_occluders(mesh, occluders, seen_by)
+    seen_by = [(camera, lit & ~others[camera.id]) for camera, lit in seen_by]
     if not fix_normals(lights):
-        return keep_coarse(folder, mesh, lights, seen_by, config, progress)
+        return keep_coarse(folder, mesh, lights, seen_by, config, occluders, progress)
     steps = 3 + config.gloss_rounds + len(cameras)
-    scene = prepare_scene(mesh, lights, seen_by, config)
+    scene = prepare_scene(mesh, lights, seen_by, config, occluders)
     progress(1, steps)
     grids = [
         read_view(read_frames(out, camera.id), camera, lit, scene, config, config.gloss_pixels)
@@ -65,7 +69,13 @@ def refine(
         maps, occlusion = solved.maps.pixel_maps(), solved.maps.occlusion
         between[camera.id] = round(solved.between_nodes, 4)
         count, mean = write_refined(
-            folder, camera.id, solved.mask, maps, occlusion, config.coarse_confidence
+            folder,
+            camera.id,
+            solved.mask,
+            maps,
+            occlusion,
+            config.coarse_confidence,
+            others[camera.id],
         )
         confidence[camera.id] = round(mean, 4)
         pixels += count
@@ -92,6 +102,16 @@ def refine(
         **detail,
         "warnings": [],
     }
+
+
+def seen_occluders(
+    mesh: Mesh, occluders: Mesh | None, seen_by: list[tuple[Camera, np.ndarray]]
+) -> dict[str, np.ndarray]:
+    """(h, w) bool of each camera: foreground that shows an occluder, which has no maps of skin."""
+    if occluders is None:
+        return {camera.id: np.zeros_like(foreground) for camera, foreground in seen_by}
+    rays = MeshRays(mesh.vertices, mesh.triangles(), occluders)
+    return {camera.id: rays.stopped(camera, foreground) for camera, foreground in seen_by}
 
 
 def write_detailed(

@@ -24,6 +24,7 @@ def keep_coarse(
     lights: PatternLights,
     seen_by: list[tuple[Camera, np.ndarray]],
     config: RefineConfig,
+    occluders: Mesh | None = None,
     progress: ProgressCallback = quiet,
 ) -> dict[str, Any]:
     """Write the mesh's ambient occlusion beside the coarse maps, which stay as they are.
@@ -34,6 +35,7 @@ def keep_coarse(
         lights: of the session's patterns.
         seen_by: cameras and their (h, w) bool foregrounds.
         config: see there.
+        occluders: what else hides the sky from the skin.
         progress: counts views.
 
     Returns:
@@ -47,6 +49,7 @@ def keep_coarse(
         directions=config.occlusion_directions,
         most_faces=config.most_faces,
         finest_mm=UNSPLIT_MM,
+        occluders=occluders,
     )
     confidence: dict[str, float] = {}
     pixels = 0

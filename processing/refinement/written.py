@@ -21,6 +21,7 @@ def write_refined(
     maps: PixelMaps,
     occlusion: np.ndarray,
     share: float,
+    others: np.ndarray | None = None,
 ) -> tuple[int, float]:
     """Write a view's maps and mask, those of `separate` kept where only they are known.
 
@@ -31,13 +32,16 @@ def write_refined(
         maps: of these.
         occlusion: (n,) of these, 1 = open.
         share: of their confidence that coarse maps keep.
+        others: (h, w) bool, pixels that show an occluder and no skin: they keep no coarse maps.
+            None where there are none.
 
     Returns:
         How many pixels the view has now, and their mean confidence.
     """
     every = mask
     if all(folder.view_path(camera_id, name).is_file() for name in MAP_NAMES.values()):
-        every = mask | folder.read_mask(camera_id)
+        coarse = folder.read_mask(camera_id)
+        every = mask | (coarse if others is None else coarse & ~others)
     holes = every & ~mask
     any_hole = bool(holes.any())
     confidence = float(maps.confidence.sum(dtype=float))

@@ -119,10 +119,12 @@ def entering(roughness: float) -> tuple[np.ndarray, np.ndarray]:
     return grid, np.array(shares)
 
 
-def shade(ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def shade(
+    ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray, seen_lights: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """(..., n) irradiance and mirror radiance under (..., L) levels: patterns share the geometry.
 
-    A convex ball shadows only itself.
+    A convex ball shadows only itself; `seen_lights`, (L, n) bool, says what something else hides.
     """
     lights = rig.positions_mm
     radii = np.linalg.norm(lights, axis=1)
@@ -133,7 +135,9 @@ def shade(ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray) -> tuple[np.nd
     m = ball.roughness
     leaving = let_through(ball, nv) / (kept_mean(ball) if ball.coated else 1)
     seen, skin = smith(nv, m), (0.4 / 2.4) ** 2
-    for light, radius, level in zip(lights, radii, np.moveaxis(levels, -1, 0), strict=True):
+    for number, (light, radius, level) in enumerate(
+        zip(lights, radii, np.moveaxis(levels, -1, 0), strict=True)
+    ):
         if not level.any():
             continue
         to_light = light - sight.points_mm
@@ -141,6 +145,8 @@ def shade(ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray) -> tuple[np.nd
         to_light /= distance[:, None]
         nl = np.maximum((sight.normals * to_light).sum(axis=1), 0)
         weight = (level / white)[..., None] * (radius / distance) ** 2
+        if seen_lights is not None:
+            weight = weight * seen_lights[number]
         irradiance += weight * (nl * let_through(ball, nl) * leaving)
         half = to_light + sight.views
         half /= np.linalg.norm(half, axis=1, keepdims=True)
@@ -153,10 +159,12 @@ def shade(ball: Ball, sight: Sight, rig: Rig, levels: np.ndarray) -> tuple[np.nd
     return irradiance, mirror
 
 
-def photograph(ball: Ball, sight: Sight, rig: Rig) -> np.ndarray:
-    """(n, P, 3) what the pixels read under the binary sequence."""
+def photograph(
+    ball: Ball, sight: Sight, rig: Rig, seen_lights: np.ndarray | None = None
+) -> np.ndarray:
+    """(n, P, 3) what the pixels read under the binary sequence; see `shade`."""
     levels = np.stack([pattern_levels(name, rig) for name in PATTERNS])
-    irradiance, mirror = shade(ball, sight, rig, levels)
+    irradiance, mirror = shade(ball, sight, rig, levels, seen_lights)
     return (irradiance[..., None] * np.array(ball.albedo) + mirror[..., None]).swapaxes(0, 1)
 
 

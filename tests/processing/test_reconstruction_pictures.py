@@ -26,8 +26,8 @@ def test_coverage_is_red_where_nobody_agrees_and_white_where_many_do() -> None:
 
 def test_the_report_gets_a_section_where_there_is_a_mesh(tmp_path: Path) -> None:
     assert mesh_section(tmp_path) is None
-    shown = [np.full((30, 20, 3), 90, np.uint8), np.full((30, 20, 3), 200, np.uint8)]
-    write_pictures(tmp_path, ["cam0", "cam1"], shown, ellipsoid())
+    shown = {f"cam{k}": np.full((30, 20, 3), 90 + 110 * k, np.uint8) for k in (0, 1)}
+    write_pictures(tmp_path, shown, ellipsoid())
     section = mesh_section(tmp_path)
     assert section is not None
     assert len(section.parts) == 2
@@ -40,14 +40,28 @@ def test_the_report_gets_a_section_where_there_is_a_mesh(tmp_path: Path) -> None
 
 def test_the_distance_to_the_truth_is_shown_until_there_is_another_mesh(tmp_path: Path) -> None:
     mesh = ellipsoid()
-    shown = [np.full((30, 20, 3), 90, np.uint8)]
-    write_pictures(tmp_path, ["cam0"], shown, mesh)
+    shown = {"cam0": np.full((30, 20, 3), 90, np.uint8)}
+    write_pictures(tmp_path, shown, mesh)
     write_distance(tmp_path, mesh, np.zeros(len(mesh.vertices)))
     section = mesh_section(tmp_path)
     assert section is not None
     told = [part.alt for part in section.parts if isinstance(part, Picture)]
     assert told == ["mesh", "distance to the truth", "coverage"]
-    write_pictures(tmp_path, ["cam0"], shown, mesh)
+    write_pictures(tmp_path, shown, mesh)
     section = mesh_section(tmp_path)
     assert section is not None
     assert len(section.parts) == 2
+
+
+def test_a_later_runs_pictures_replace_all_of_an_earlier_one(tmp_path: Path) -> None:
+    def told() -> list[str]:
+        section = mesh_section(tmp_path)
+        assert section is not None
+        return [part.alt for part in section.parts if isinstance(part, Picture)]
+
+    write_pictures(tmp_path, {}, ellipsoid(), ellipsoid())
+    assert told() == ["mesh", "occluders"]
+    write_pictures(tmp_path, {"cam0": np.zeros((30, 20, 3), np.uint8)}, ellipsoid())
+    assert told() == ["mesh", "coverage"]
+    write_pictures(tmp_path, {}, ellipsoid())
+    assert told() == ["mesh"]

@@ -50,6 +50,17 @@ def test_without_coarse_maps_there_are_the_meshs_pixels_alone(tmp_path) -> None:
     np.testing.assert_array_equal(folder.read_mask("a"), mask)
 
 
+def test_pixels_of_an_occluder_keep_no_coarse_maps(tmp_path) -> None:
+    folder = ProcessedFolder(tmp_path)
+    everywhere, mask = np.ones((4, 4), bool), np.zeros((4, 4), bool)
+    write_refined(folder, "a", everywhere, maps_of(16, 0.5), np.ones(16), 0.5)
+    mask[0], others = True, np.zeros((4, 4), bool)
+    others[2:] = True
+    assert write_refined(folder, "a", mask, maps_of(4, 0.5), np.ones(4), 0.5, others)[0] == 8
+    np.testing.assert_array_equal(folder.read_mask("a"), ~others)
+    assert (folder.read_view("a", "confidence")[others] == 0).all()
+
+
 def test_values_beyond_half_floats_are_refused(tmp_path) -> None:
     with pytest.raises(FormatError, match="65504"):
         write_refined(

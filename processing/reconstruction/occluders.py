@@ -1,0 +1,119 @@
+"""What else casts shadows: clothes, hair, a headrest, found in the pictures beside the skin.
+
+Photometric normals come from colour, and grey cloth has none. So where the photographs show
+something in front of the dark that the skin's mesh does not cover, it is matched as pictures alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+
+from lightstage.formats.mesh import Mesh, connected, directed_edges
+from lightstage.rig import Camera
+from processing.closest import ClosestPoints
+from processing.errors import ReconstructionError
+from processing.rays import MeshRays
+from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.views import View
+
+COVER_ROWS = 400
+"""What the skin covers is looked for in pictures of about so many rows."""
+MARGIN = 2
+"""So many pixels of these beside the skin are left out: edges show both."""
+LEAST_SHARE = 0.02
+"""Share of the foreground that no skin covers, below which nothing is looked for."""
+ROWS = 800
+"""Pictures of so many rows at most: shadows need no finer shape."""
+OFF_SKIN_MM = 2.0
+"""What lies nearer to the skin's mesh would shadow its own surface."""
+LEAST_CM2 = 10.0
+"""Smaller pieces are matches that went wrong."""
+
+Reconstruct = Callable[[Sequence[View], ReconstructConfig], Mesh]
+"""From views to a mesh; ReconstructionError where they show no common surface."""
+
+
+OthersBeside = Callable[[Mesh], Mesh | None]
+"""Tells what else casts shadows beside a mesh of the skin; None for nothing."""
+
+
+def nothing_beside(_: Mesh) -> None:
+    """For where nothing is looked for."""
+
+
+def found_occluders(
+    views: Sequence[View], skin: Mesh, config: ReconstructConfig, reconstruct: Reconstruct
+) -> Mesh | None:
+    """What the views show beside the skin.
+
+    Args:
+        views: with their foregrounds.
+        skin: mm, world.
+        config: settings of the skin's mesh.
+        reconstruct: makes a mesh of views.
+
+    Returns:
+        Its mesh, mm, world; None where there is nothing of any size.
+    """
+    rays = MeshRays(skin.vertices, skin.triangles())
+    rest = [_beside(view, rays) for view in views]
+    foreground = sum(int(view.mask.sum()) for view in views)
+    if sum(int(view.mask.sum()) for view in rest) < LEAST_SHARE * foreground:
+        return None
+    coarse = dataclasses.replace(
+        config,
+        finest_rows=min(ROWS, config.finest_rows),
+        look_again=False,
+        agree_mm=2.5 * config.agree_mm,
+        cell_mm=2.5 * config.cell_mm,
+        settle_mm=2.5 * config.settle_mm,
+        trim_mm=3 * config.trim_mm,
+        splits=0,
+        colmap_to="",
+        colmap_from="",
+    )
+    try:
+        mesh = reconstruct(rest, coarse)
+    except ReconstructionError:
+        return None  # no two views agree on anything
+    return apart(mesh, skin)
+
+
+def _beside(view: View, rays: MeshRays) -> View:
+    """The view without the skin, and without normals."""
+    camera = view.camera
+    small = camera.scaled(min(1.0, COVER_ROWS / camera.height_px))
+    covered = _covered(small, rays)
+    size = (view.mask.shape[1], view.mask.shape[0])
+    mask = view.mask & (cv2.resize(covered, size, interpolation=cv2.INTER_NEAREST) == 0)
+    textures = np.where(mask[..., None], view.textures, np.float32(np.nan))
+    return View(camera, textures, mask, np.zeros_like(view.normals))
+
+
+def _covered(camera: Camera, rays: MeshRays) -> np.ndarray:
+    """(h, w) uint8: 1 where a camera sees the skin, and around it."""
+    hit = rays.cast_camera(camera).face.reshape(camera.height_px, camera.width_px) >= 0
+    kernel = np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8)
+    return np.asarray(cv2.dilate(hit.astype(np.uint8), kernel))
+
+
+def apart(mesh: Mesh, skin: Mesh) -> Mesh | None:
+    """The pieces of a mesh that lie off the skin and are large enough; None where none is."""
+    closest = ClosestPoints(skin.vertices, skin.triangles())
+    off = closest.query(mesh.vertices).distance_mm > OFF_SKIN_MM
+    faces = mesh.faces[off[mesh.faces].all(axis=1)]
+    if not len(faces):
+        return None
+    piece = connected(directed_edges(faces), len(mesh.vertices))[faces[:, 0]]
+    corners = mesh.vertices[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area_mm2 = np.bincount(piece, weights=0.5 * np.linalg.norm(across, axis=1))
+    faces = faces[area_mm2[piece] > 100 * LEAST_CM2]
+    if not len(faces):
+        return None
+    used, faces = np.unique(faces, return_inverse=True)
+    return Mesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32))

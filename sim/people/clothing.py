@@ -1,0 +1,116 @@
+"""Clothes on a simulated person: grey cloth that casts shadows and is no skin."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from lightstage.formats.mesh import Mesh
+from sim.errors import SimError
+from sim.people.subject import Subject
+
+AROUND = 120
+DOWN = 24
+CHIN = 8
+"""Number of the chin among the landmarks."""
+BELOW_CHIN_MM = 20.0
+"""Where a collar's upper edge lies."""
+SLICE_MM = 15.0
+"""Half the height of the part of the neck that a collar is fitted to."""
+CLEARANCE_MM = 8.0
+"""Between neck and collar."""
+COLLAR_MM = 30.0
+"""A collar's height; below it the shoulders begin."""
+SHOULDERS_MM = 90.0
+"""How far the shoulders reach out and down."""
+STRIP = 8
+"""Rows of texels that hold the cloth's colour."""
+CLOTH_ROUGHNESS = 0.5
+
+
+def collar(subject: Subject) -> Mesh:
+    """A standing collar and the shoulders below it, around a subject's own neck; mm, world.
+
+    Raises:
+        SimError: a subject without a neck.
+    """
+    to_head = subject.head_from_world
+    points = subject.mesh.vertices @ to_head[:, :3].T + to_head[:, 3]
+    chin = to_head[:, :3] @ subject.landmarks_mm[CHIN] + to_head[:, 3]
+    top_mm = chin[1] - BELOW_CHIN_MM
+    neck = points[np.abs(points[:, 1] - (top_mm - COLLAR_MM / 2)) < SLICE_MM]
+    # The face ends in front of the neck; what reaches farther forward is chin.
+    neck = neck[neck[:, 2] < chin[2] - 20]
+    if len(neck) < 30:
+        raise SimError(
+            f"subject {subject.name}",
+            found="no neck below the chin",
+            expected="a mesh that goes on below it",
+        )
+    middle = (neck.min(axis=0) + neck.max(axis=0)) / 2
+    off = neck - middle
+    turn = np.arctan2(off[:, 2], off[:, 0])
+    place = np.floor((turn / (2 * np.pi) % 1) * AROUND).astype(int)
+    radius = np.zeros(AROUND)
+    np.maximum.at(radius, place, np.hypot(off[:, 0], off[:, 2]))
+    empty = radius == 0
+    at = np.arange(AROUND)
+    radius = np.interp(at, at[~empty], radius[~empty], period=AROUND)
+    radius = gaussian_filter1d(radius, 3, mode="wrap") + CLEARANCE_MM
+    angle = 2 * np.pi * (at + 0.5) / AROUND
+    out = np.stack([np.cos(angle), np.zeros(AROUND), np.sin(angle)], axis=1)
+    rings = []
+    for down in np.linspace(0, 1, DOWN):
+        fallen = COLLAR_MM * min(2 * down, 1)
+        wide = SHOULDERS_MM * max(2 * down - 1, 0)
+        height = top_mm - fallen - 0.5 * wide
+        ring = (radius + wide)[:, None] * out + (middle[0], height, middle[2])
+        rings.append(ring)
+    vertices = (np.concatenate(rings) - to_head[:, 3]) @ to_head[:, :3]
+    above = (np.arange(DOWN - 1)[:, None] * AROUND + at).ravel()
+    beside = (np.arange(DOWN - 1)[:, None] * AROUND + (at + 1) % AROUND).ravel()
+    upper = np.stack([above, beside, beside + AROUND], axis=1)
+    lower = np.stack([above, beside + AROUND, above + AROUND], axis=1)
+    return Mesh(vertices, np.concatenate([upper, lower]).astype(np.int32))
+
+
+def dressed(subject: Subject, clothes: Mesh, albedo: tuple[float, float, float]) -> Subject:
+    """A subject that wears clothes: matt, of one colour, no skin.
+
+    Args:
+        subject: the person.
+        clothes: mm, world; triangles whose outside is seen.
+        albedo: linear.
+
+    Returns:
+        The subject with the clothes in its mesh, and a strip of texels for them below its textures.
+    """
+    mesh, rows = subject.mesh, len(subject.diffuse_albedo)
+    assert mesh.uvs is not None
+
+    def with_strip(image: np.ndarray, value: float | tuple[float, ...]) -> np.ndarray:
+        strip = np.zeros((STRIP, *image.shape[1:]), image.dtype)
+        strip[:] = value
+        return np.concatenate([image, strip])
+
+    triangles, count = clothes.triangles(), len(mesh.vertices)
+    faces = np.concatenate([mesh.triangles(), triangles + count]).astype(np.int32)
+    uvs = mesh.uvs.copy()
+    uvs[:, 1] = (uvs[:, 1] * rows + STRIP) / (rows + STRIP)
+    uvs = np.concatenate([uvs, [[0.5, STRIP / 2 / (rows + STRIP)]]])
+    of_cloth = np.full(triangles.shape, len(mesh.uvs))
+    face_uvs = np.concatenate([mesh.triangle_uvs(), of_cloth]).astype(np.int32)
+    stretched = subject.anisotropy
+    return dataclasses.replace(
+        subject,
+        mesh=Mesh(np.concatenate([mesh.vertices, clothes.vertices]), faces, uvs, face_uvs),
+        diffuse_albedo=with_strip(subject.diffuse_albedo, albedo),
+        specular_albedo=with_strip(subject.specular_albedo, 0.0),
+        roughness=with_strip(subject.roughness, CLOTH_ROUGHNESS),
+        normal=with_strip(subject.normal, 0.0),
+        translucency=with_strip(subject.translucency, 0.0),
+        skin=with_strip(subject.skin, False),
+        anisotropy=None if stretched is None else with_strip(stretched, 0.0),
+    )

@@ -1,0 +1,133 @@
+"""What else casts shadows, found in the pictures beside the skin."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightstage.commands import quiet
+from lightstage.formats.mesh import Mesh, read_ply
+from lightstage.formats.template import default_template_path
+from lightstage.rig import Rig, default_rig
+from processing.closest import ClosestPoints
+from processing.errors import ReconstructionError
+from processing.pipeline import PipelineConfig, run
+from processing.reconstruction.config import ReconstructConfig
+from processing.reconstruction.occluders import apart, found_occluders, nothing_beside
+from processing.reconstruction.views import View
+from sim.light.world import World
+from sim.people.clothing import collar, dressed
+from sim.people.subject import Subject
+from sim.people.subjects import load_subject
+from sim.session import SessionConfig, write_direct
+from tests.processing.test_given_meshes import ball_mesh, plate
+
+CAMERAS = default_rig().scaled(0.02).cameras[:3]
+
+
+def view_of(index: int) -> View:
+    """A view whose whole picture is foreground."""
+    camera = CAMERAS[index]
+    shape = (camera.height_px, camera.width_px)
+    return View(
+        camera, np.zeros((*shape, 4), np.float32), np.ones(shape, bool), np.ones((*shape, 3))
+    )
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts[:-1], strict=True)]
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    return Mesh(vertices, np.concatenate(faces).astype(np.int32))
+
+
+def test_what_the_skin_covers_is_not_matched_again() -> None:
+    skin, asked = ball_mesh(), []
+
+    def matched(views: Sequence[View], config: ReconstructConfig) -> Mesh:
+        asked.append((views, config))
+        return plate(150, 60)
+
+    views = [view_of(k) for k in range(3)]
+    found = found_occluders(views, skin, ReconstructConfig(), matched)
+    assert found is not None
+    np.testing.assert_array_equal(found.vertices, plate(150, 60).vertices)
+    (rest, config), *more = asked
+    assert not more
+    assert not config.look_again
+    assert config.splits == 0
+    for before, after in zip(views, rest, strict=True):
+        left = after.mask.mean()
+        assert 0.2 < left < 0.9
+        assert before.mask.all()
+        assert np.isnan(after.textures[~after.mask]).all()
+        assert np.isfinite(after.textures[after.mask]).all()
+        assert not after.normals.any()
+        middle = after.mask[after.mask.shape[0] // 2, after.mask.shape[1] // 2]
+        assert not middle
+
+
+def test_nothing_is_matched_where_the_skin_covers_all_and_a_failure_is_nothing() -> None:
+    def refused(*_: object) -> Mesh:
+        raise ReconstructionError("reconstruct", found="no points", expected="some")
+
+    def never(*_: object) -> Mesh:
+        raise AssertionError
+
+    views = [view_of(0), view_of(1)]
+    assert found_occluders(views, ball_mesh(), ReconstructConfig(), refused) is None
+    assert found_occluders(views, ball_mesh(400), ReconstructConfig(), never) is None
+    assert nothing_beside(ball_mesh()) is None
+
+
+def test_pieces_on_the_skin_and_small_ones_are_no_occluders() -> None:
+    skin, wall = ball_mesh(), plate(150, 60)
+    crumb = Mesh(plate(0, 5).vertices + np.array([0, 150, 0]), plate(0, 5).faces)
+    near = ball_mesh(96.0)
+    found = apart(joined(crumb, near, wall), skin)
+    assert found is not None
+    np.testing.assert_array_equal(found.vertices, wall.vertices)
+    assert apart(joined(crumb, near), skin) is None
+
+
+@pytest.fixture(scope="module")
+def small_rig() -> Rig:
+    """Five cameras of 240 x 360 pixels and every third light."""
+    rig = default_rig().scaled(360 / 6016)
+    return dataclasses.replace(rig, lights=rig.lights[::3], cameras=rig.cameras[:5])
+
+
+def photographed(subject: Subject, rig: Rig, root: Path) -> Path:
+    write_direct(World(subject, rig), root, SessionConfig(sequence="binary"), 3, quiet)
+    return root
+
+
+def test_a_grey_collar_is_found_and_is_no_part_of_the_skins_mesh(
+    tmp_path: Path, small_rig: Rig
+) -> None:
+    person = load_subject("parametric", 3, None, 384)
+    clothes = collar(person)
+    session = photographed(dressed(person, clothes, (0.2, 0.2, 0.2)), small_rig, tmp_path / "s")
+    out = tmp_path / "out"
+    config = dataclasses.replace(
+        PipelineConfig(), reconstruct=ReconstructConfig(splits=0, look_again=False)
+    )
+    report = run(session, out, default_template_path(), config, until="reconstruct")
+    faces = report["stages"]["reconstruct"]["occluder_faces"]
+    assert faces > 500
+    found = read_ply(out / "occluders.ply")
+    away = ClosestPoints(clothes.vertices, clothes.faces).query(found.vertices).distance_mm
+    assert np.median(away) < 1.5
+    assert np.percentile(away, 90) < 6
+    skin = read_ply(out / "base_mesh.ply")
+    near = ClosestPoints(clothes.vertices, clothes.faces).query(skin.vertices).distance_mm
+    assert (near < 1).mean() < 0.02
+    again = dataclasses.replace(
+        config, reconstruct=dataclasses.replace(config.reconstruct, find_occluders=False)
+    )
+    run(session, out, default_template_path(), again, until="reconstruct")
+    assert not (out / "occluders.ply").exists()
