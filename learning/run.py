@@ -437,9 +437,9 @@ def _check_same(checkpoint: Checkpoint, config: Any, store: Store) -> None:
         raise CheckpointError(
             where,
             field="data_fingerprint",
-            found=checkpoint.data_fingerprint[:12],
-            expected=f"{store.fingerprint[:12]}, of {store.path}",
-            hint="The run was trained on other data.",
+            found=f"{store.fingerprint[:12]} now, of {store.path}",
+            expected=f"{checkpoint.data_fingerprint[:12]}, as the run began",
+            hint="Resume with the --data that the run began with, or choose another --out.",
         )
 
 

@@ -26,6 +26,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.files import atomic_folder, write_json
+from processing.dataset.arrays import written_whole
 from processing.dataset.places import Layout, Place, clear_skin, places_of, size_that_shows, turned
 from processing.dataset.protection import DEFAULT_GAP, cannot_protect
 from processing.dataset.scan import DatasetError
@@ -239,9 +240,8 @@ def _create(
         dtype="float32" if name == "shape" else "float16",
         chunks=(1, size, size, channels),
         shards=(min(config.shard_patches, count), size, size, channels),
-        compressors=zarr.codecs.ZstdCodec(level=3),
-        fill_value=0,
         dimension_names=AXES,
+        **written_whole(),
     )
 
 

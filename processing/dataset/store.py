@@ -16,7 +16,6 @@ import hashlib
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import zarr
@@ -24,6 +23,7 @@ import zarr
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import LightstageError, one_error
 from lightstage.formats.files import atomic_folder, check_schema, read_json, write_json
+from processing.dataset.arrays import open_whole, read_part, written_whole
 from processing.dataset.scan import CHANNELS, DatasetError, ScanEntry, holds_scans, read_scan
 from processing.dataset.statistics import Statistics
 
@@ -95,9 +95,10 @@ class Store:
             (h, w, c) float32; normals and position in the head frame, zero where no surface is.
 
         Raises:
-            DatasetError: no such scan or map.
+            DatasetError: no such scan or map, or one that was damaged since it was written.
         """
-        return np.asarray(self._array(scan, name)[rows, columns], np.float32)
+        path = self._path(scan, name)
+        return np.asarray(read_part(_open_array(path), path, rows, columns), np.float32)
 
     def patch_origins(
         self, scan: int, size: int, stride: int, min_coverage: float
@@ -135,7 +136,7 @@ class Store:
             >= fewest
         ]
 
-    def _array(self, scan: int, name: str) -> Any:
+    def _path(self, scan: int, name: str) -> Path:
         if name not in CHANNELS or not 0 <= scan < len(self.scans):
             raise DatasetError(
                 self.path,
@@ -143,17 +144,10 @@ class Store:
                 found="no such thing",
                 expected=f"scans 0..{len(self.scans) - 1}, maps {', '.join(CHANNELS)}",
             )
-        return _open_array(self.path / "scans" / f"{scan:04d}" / name)
+        return self.path / "scans" / f"{scan:04d}" / name
 
 
-@functools.lru_cache(maxsize=1024)
-def _open_array(path: Path) -> Any:
-    try:
-        return zarr.open_array(path, mode="r")
-    except (FileNotFoundError, ValueError) as error:
-        raise DatasetError(
-            path, found=str(error), expected="a zarr array", hint="Build the store again."
-        ) from None
+_open_array = functools.lru_cache(maxsize=1024)(open_whole)
 
 
 def open_store(path: Path, not_published: str = NOT_FOR_TRAINING) -> Store:
@@ -358,7 +352,6 @@ def _write_scan(folder: Path, maps: dict[str, np.ndarray]) -> None:
             dtype="float32" if name == "position" else "float16",
             chunks=chunk,
             shards=(*shard, channels),
-            compressors=zarr.codecs.ZstdCodec(level=3),
-            fill_value=0,
+            **written_whole(),
         )
         array[:] = image.astype(array.dtype)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,14 @@ import pytest
 from lightstage.errors import LightstageError
 from lightstage.formats.exr import write_exr
 from lightstage.formats.processed import ProcessedFolder
-from processing.dataset import CHANNELS, build_store, open_store, without_people_files
+from processing.dataset import (
+    CHANNELS,
+    PublishConfig,
+    build_store,
+    open_store,
+    publish,
+    without_people_files,
+)
 
 Make = Callable[..., Path]
 ALL = slice(None)
@@ -281,6 +289,37 @@ def test_one_pseudonym_of_a_simulated_and_a_captured_person_is_refused(
         assert said in str(caught.value)
     assert list((tmp_path / "out").iterdir()) == []
     assert len(open_store(build_store([captured, smile], tmp_path / "out" / "store")).scans) == 2
+
+
+def test_a_store_that_lost_or_changed_a_part_is_told_and_not_read_as_zeros(
+    tmp_path: Path, make_processed: Make
+) -> None:
+    roots = [make_processed(tmp_path / name, subject=name, seed=k) for k, name in enumerate("abc")]
+    whole = build_store(roots, tmp_path / "store")
+    part = Path("scans") / "0001" / "diffuse_albedo" / "c" / "0" / "0" / "0"
+    data = (whole / part).read_bytes()
+    for changed, said in (
+        (None, r"diffuse_albedo: found 0 of its 1 parts"),
+        (data[:90] + bytes([data[90] ^ 1]) + data[91:], "bytes that are not those that were"),
+        (data[: len(data) // 2], "bytes that are not those that were written"),
+    ):
+        shutil.rmtree(tmp_path / "broken", ignore_errors=True)
+        broken = shutil.copytree(whole, tmp_path / "broken")
+        (broken / part).unlink()
+        if changed is not None:
+            (broken / part).write_bytes(changed)
+        store = open_store(broken)
+        assert store.read(0, "diffuse_albedo", slice(None), slice(None)).any()
+        with pytest.raises(LightstageError, match=said):
+            store.read(1, "diffuse_albedo", slice(None), slice(None))
+        with pytest.raises(LightstageError, match=said):
+            publish(store, tmp_path / "published", 0, PublishConfig(patch_px=8, drop=0.0))
+        assert not (tmp_path / "published").exists()
+    empty = np.zeros((96, 64), np.float32)
+    black = ProcessedFolder(roots[0]).write_atlas("specular_albedo", empty)
+    assert black.is_file()
+    store = open_store(build_store(roots, tmp_path / "black"))
+    assert not store.read(0, "specular_albedo", slice(None), slice(None)).any()
 
 
 def test_a_copy_of_a_scan_and_two_draws_of_one_pseudonym_are_refused(
