@@ -19,7 +19,7 @@ from learning.render.panorama import load_panorama, median_cut
 from learning.render.shading import ShadeOptions, shade
 from learning.render.view import render_view
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import ConfigError
+from lightstage.errors import ConfigError, FormatError
 from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import write_exr
 from lightstage.formats.panorama import SUFFIXES
@@ -49,6 +49,14 @@ def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
     """
     if not np.isfinite(rotate_deg):
         raise ConfigError("--rotate", found=str(rotate_deg), expected="degrees, a finite number")
+    if path.suffix.lower() not in (".json", *SUFFIXES):
+        raise FormatError(
+            path,
+            field="--environment",
+            found=f"suffix {path.suffix!r}",
+            expected=" or ".join([".json", *SUFFIXES]),
+            hint="Light has a wider range than the 8 bits of a PNG or JPEG: take its .exr or .hdr.",
+        )
     if path.suffix.lower() not in SUFFIXES:
         return turned_lights(read_lights(path), rotate_deg)
     found = median_cut(load_panorama(path), count, np.zeros(3))
