@@ -44,7 +44,8 @@ ShadowsOption = Annotated[
     str,
     typer.Option(
         help="Cast shadows: `baked` by rays; `table`, of our own template, in a hundredth of the "
-        "time; `network:FILE`, trained by `occlusion --network`; `none`."
+        "time; `table:FILE`, made by `occlusion --out`; `network:FILE`, trained by `occlusion "
+        "--network`; `none`."
     ),
 ]
 RigOption = Annotated[Path | None, typer.Option(help="rig.json; the default rig without it.")]

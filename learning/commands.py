@@ -94,7 +94,7 @@ class RenderRequest:
         mode: of shading.
         lights: that stand for a picture of light.
         rotate_deg: turns the light about +y.
-        shadows: `baked`, `table`, `none` or `network:FILE`.
+        shadows: of `learning.relight.SHADOWS`.
     """
 
     maps: Path

@@ -225,9 +225,11 @@ class PatchData:
             raise TrainingError(
                 store.path,
                 field=f"patches of {config.patch_px} texels",
-                found=f"none covered by {100 * config.min_coverage:.0f} %",
+                found=f"none covered by {100 * config.min_coverage:.0f} % on maps of "
+                f"{store.scans[0].rows} x {store.scans[0].columns}",
                 expected="at least one",
-                hint="Are the maps smaller than a patch, or is their confidence 0?",
+                hint="Set a smaller patch_px in [data] of --config, make maps of more rows, or see "
+                "whether their confidence is 0.",
             )
 
     def batch(self, places: list[tuple[int, int, int]], rng: np.random.Generator) -> Batch:

@@ -14,12 +14,12 @@ from learning.maps import TexturedHead, from_batch
 from learning.occlusion_run import occlusion_network_for
 from learning.render.environments import from_light_set
 from learning.render.occlusion import bake_environment
-from learning.render.occlusion_model import default_occlusion
+from learning.render.occlusion_model import default_occlusion, load_occlusion
 from learning.render.panorama import load_panorama, median_cut
 from learning.render.shading import ShadeOptions, shade
 from learning.render.view import render_view
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import ConfigError
+from lightstage.errors import ConfigError, FormatError
 from lightstage.formats.environment import LightSet, read_lights
 from lightstage.formats.exr import write_exr
 from lightstage.formats.panorama import SUFFIXES
@@ -30,9 +30,10 @@ from processing.colour import srgb_from_linear
 FAR_MM = 100_000.0
 """Lights of a picture stand this far away: a head turns them by less than 0.1 degrees."""
 
-NETWORK = "network:"
-SHADOWS = ("baked", "table", "none", f"{NETWORK}FILE")
-"""Cast shadows: rays to every light; the template's table of them; none; a network's."""
+NETWORK, TABLE = "network:", "table:"
+SHADOWS = ("baked", "table", "none", f"{TABLE}FILE", f"{NETWORK}FILE")
+"""Cast shadows: rays to every light; our template's table of them; none; another table's; a
+network's."""
 
 
 def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
@@ -49,6 +50,14 @@ def read_light(path: Path, count: int, rotate_deg: float = 0.0) -> LightSet:
     """
     if not np.isfinite(rotate_deg):
         raise ConfigError("--rotate", found=str(rotate_deg), expected="degrees, a finite number")
+    if path.suffix.lower() not in (".json", *SUFFIXES):
+        raise FormatError(
+            path,
+            field="--environment",
+            found=f"suffix {path.suffix!r}",
+            expected=" or ".join([".json", *SUFFIXES]),
+            hint="Light has a wider range than the 8 bits of a PNG or JPEG: take its .exr or .hdr.",
+        )
     if path.suffix.lower() not in SUFFIXES:
         return turned_lights(read_lights(path), rotate_deg)
     found = median_cut(load_panorama(path), count, np.zeros(3))
@@ -94,17 +103,18 @@ def shadows_of(
     Args:
         head: maps and mesh.
         lights: in the axes of the mesh.
-        how: of `SHADOWS`, FILE being a network's run folder or its checkpoint.json; the table fits
-            our own template's texture alone.
+        how: of `SHADOWS`, FILE being what `occlusion` wrote: a table, or a network's run folder or
+            its checkpoint.json. A table fits the texture of the template or head it was made of.
         head_from_world: (3, 4), for table and network; the mesh is in the head frame where None.
         progress: of the rays.
 
     Raises:
         ConfigError: none of `SHADOWS`.
-        CheckpointError, FormatError: a file that holds no network for this head and light.
+        CheckpointError, FormatError: a file that holds no network for this head and light, or no
+            table.
     """
-    named = how.removeprefix(NETWORK) if how.startswith(NETWORK) else ""
-    if not named and how not in SHADOWS[:-1]:
+    kind, _, named = how.partition(":")
+    if how not in SHADOWS[:3] and not (named and f"{kind}:" in (TABLE, NETWORK)):
         raise ConfigError("shadows", found=repr(how), expected=", ".join(SHADOWS))
     if how == "none" or not len(lights.rgb):
         return None
@@ -116,8 +126,9 @@ def shadows_of(
     pose = np.eye(3, 4) if head_from_world is None else head_from_world
     place = torch.from_numpy(lights.position_mm @ pose[:, :3].T + pose[:, 3]).float()
     size = (head.raster.covered.shape[0], head.raster.covered.shape[1])
-    if not named:
-        return default_occlusion().for_lights(place, size)[None]
+    if kind == "table":
+        table = load_occlusion(Path(named)) if named else default_occlusion()
+        return table.for_lights(place, size)[None]
     network = occlusion_network_for(Path(named), head.mesh, len(lights.rgb))
     with torch.inference_mode():
         return network.for_lights(place, torch.from_numpy(lights.rgb).float(), size)[None]

@@ -22,7 +22,7 @@ from learning.checkpoint import INDEX, Checkpoint, read_checkpoint, save_checkpo
 from learning.clock import NETWORK, Clock
 from learning.errors import CheckpointError, TrainingError
 from learning.event_file import EventFile
-from learning.guard import LEAP, WINDOW, Guard
+from learning.guard import LEAP, LEAP_FROM_FIRST, WINDOW, Guard
 from learning.processes import ALONE, Processes
 from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
@@ -160,7 +160,8 @@ class Run:
                         raise self._astray(learner, step, f"losses {losses}", "finite ones")
                     if guard.leapt(losses[learner.watched]):
                         found = (
-                            f"{learner.watched} {LEAP:g} times its lowest mean of {WINDOW} steps"
+                            f"{learner.watched} {LEAP:g} times its lowest mean of {WINDOW} steps, "
+                            f"or {LEAP_FROM_FIRST:g} times its first"
                         )
                         raise self._astray(learner, step, found, "a loss that falls")
                     if step % self.config.log_steps == 0:

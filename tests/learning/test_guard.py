@@ -53,6 +53,13 @@ def test_a_loss_that_rises_tenfold_and_stays_is_found_within_fifty_steps(
     assert when <= found < when + 50
 
 
+def test_a_rate_that_spoils_all_steps_but_the_first_is_found_after_fifty() -> None:
+    """As 250 times the learning rate of whole faces does, which begin with the mean person."""
+    losses = np.r_[0.016, np.random.default_rng(0).uniform(0.19, 0.33, 121)]
+    assert first_leap(losses) == 49
+    assert first_leap(np.r_[0.03, losses[1:]]) is None
+
+
 class Astray:
     """A network whose loss is `losses[number]`."""
 

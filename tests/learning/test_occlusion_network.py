@@ -380,7 +380,7 @@ def test_the_command_trains_beside_the_table_and_render_shades_with_the_network(
     assert not (tmp_path / "p.png").exists()
     base[base.index("--shadows") + 1] = "network:"
     assert run(monkeypatch, *base, "--maps", people[0].root / "atlas") == 2
-    assert "expected baked, table, none, network:FILE" in capsys.readouterr().err
+    assert "expected baked, table, none, table:FILE, network:FILE" in capsys.readouterr().err
 
 
 def test_shadows_are_those_of_the_lights_in_the_heads_frame(

@@ -12,6 +12,7 @@ from learning.__main__ import main
 from learning.errors import MapsError
 from learning.map_folders import require_texture_maps
 from learning.relight import about_y, turned_camera
+from learning.render.occlusion_model import default_occlusion
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
@@ -65,6 +66,14 @@ def test_render_takes_a_picture_of_light_turns_it_and_goes_round_the_head(
     assert redness(picture("left.exr", "--rotate", 180, *black)) < 0.7
     table = picture("table.exr", "--shadows", "table", "--mode", "ggx", *black)
     assert np.isfinite(table).all()
+    own = default_occlusion().save(tmp_path / "own.npz")
+    named = picture("named.exr", "--shadows", f"table:{own}", "--mode", "ggx", *black)
+    np.testing.assert_array_equal(named, table)
+    capsys.readouterr()
+    for wrong in ("table:", f"table:{tmp_path / 'none.npz'}", "table:own", "tables"):
+        assert run(monkeypatch, *base, "--out", tmp_path / "x.exr", "--shadows", wrong) == 2
+    assert "table:FILE" in capsys.readouterr().err
+    assert not (tmp_path / "x.exr").exists()
     assert run(monkeypatch, *base, "--out", tmp_path / "t.png", "--turntable", 3) == 0
     names = sorted(p.name for p in tmp_path.glob("t*.png"))
     assert names == ["t_000.png", "t_001.png", "t_002.png"]
