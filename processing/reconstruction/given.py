@@ -103,19 +103,20 @@ def given_mesh(path: Path, cameras: Sequence[Camera], points_mm: np.ndarray) -> 
     return Given(mesh, facts, warnings)
 
 
-def given_occluders(path: Path, skin: Mesh, cameras: Sequence[Camera]) -> Given:
-    """Read the mesh of what else casts shadows: clothes, hair, glasses, a headrest.
+def facts_of_occluders(
+    path: Path, occluders: Mesh, skin: Mesh, cameras: Sequence[Camera]
+) -> dict[str, Any]:
+    """What a given mesh of clothes, hair, glasses, a headrest hides; for the report, JSON-ready.
 
     Args:
-        path: .ply or .obj, mm, in the rig's axes.
+        path: where it was read from.
+        occluders: mm, world.
         skin: the head's mesh.
         cameras: of the session.
 
     Raises:
-        FormatError: no such file, or no mesh.
-        ReconstructionError: another unit, or a mesh that hides the face.
+        ReconstructionError: a mesh that hides the face.
     """
-    occluders = read_given(path)
     alone = MeshRays(skin.vertices, skin.triangles())
     both = MeshRays(skin.vertices, skin.triangles(), occluders)
     seen = left = 0
@@ -131,8 +132,7 @@ def given_occluders(path: Path, skin: Mesh, cameras: Sequence[Camera]) -> Given:
             expected=f"at most {MOST_HIDDEN:.0%}: what is not skin",
             hint="Cut the skin out of it; it lies in base_mesh.ply.",
         )
-    facts = {"occluders": path.name, "occluders_hide_share": round(hidden, 4)}
-    return Given(occluders, facts, [])
+    return {"occluders": path.name, "occluders_hide_share": round(hidden, 4)}
 
 
 def read_given(path: Path) -> Mesh:

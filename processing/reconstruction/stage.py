@@ -21,8 +21,8 @@ from processing.lighting.lights import PatternLights, pattern_lights
 from processing.reconstruction.colmap_folder import read_colmap, write_colmap
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import Holes, alone_share, boundary_loops
-from processing.reconstruction.given import given_mesh, given_occluders, read_given
-from processing.reconstruction.occluders import OthersBeside, found_occluders, nothing_beside
+from processing.reconstruction.given import facts_of_occluders, given_mesh, read_given
+from processing.reconstruction.occluders import OthersBeside, apart, found_occluders, nothing_beside
 from processing.reconstruction.pictures import coverage, write_pictures
 from processing.reconstruction.poses import (
     PoseReport,
@@ -104,10 +104,9 @@ def reconstruct(
     make = _given if config.mesh else _matched
     poses, found, warnings = make(session, out, config, progress, normals)
     mesh, holes, facts, shown, occluders = found
-    if config.occluders:
+    if config.occluders and occluders is not None:
         cameras = [session.rig.camera(name) for name in session.camera_ids()]
-        others = given_occluders(Path(config.occluders), mesh, cameras)
-        occluders, facts = others.mesh, {**facts, **others.facts}
+        facts |= facts_of_occluders(Path(config.occluders), occluders, mesh, cameras)
     folder = ProcessedFolder(out)
     if occluders is None:
         folder.occluders.unlink(missing_ok=True)  # those of an earlier run
@@ -178,6 +177,9 @@ def _matched(
             poses = checked.result()
     beside = others_beside(views, config, normals)
     found = reconstruct_views(views, config, progress, lights, beside)
+    if not config.occluders and found.occluders is not None:
+        # They were found beside the first mesh.
+        found = found._replace(occluders=apart(found.occluders, found.mesh))
     empty = [view.camera.id for view in views if not np.isfinite(view.textures).any()]
     warnings = [f"{camera} shows nothing and was not used" for camera in empty]
     warnings += [] if normals else [f"{', '.join(lights.patterns)}: {PICTURES_ALONE}"]

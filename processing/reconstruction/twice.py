@@ -15,7 +15,7 @@ from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import Points, consistent_points
 from processing.reconstruction.finer import finer
 from processing.reconstruction.fusion import fuse
-from processing.reconstruction.occluders import OthersBeside, apart, nothing_beside
+from processing.reconstruction.occluders import OthersBeside, nothing_beside
 from processing.reconstruction.shading import mended_normals
 from processing.reconstruction.slants import as_matched, without_normals
 from processing.reconstruction.stereo import sources_of
@@ -116,4 +116,4 @@ def twice(
         level = dataclasses.replace(level, normals=mended)
     again = level, depths, costs
     points, mesh = meshed(again, config)
-    return again, points, mesh, None if occluders is None else apart(occluders, mesh)
+    return again, points, mesh, occluders

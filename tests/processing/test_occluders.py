@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lightstage.commands import quiet
-from lightstage.formats.mesh import Mesh, read_ply
+from lightstage.formats.mesh import Mesh, read_ply, write_ply
 from lightstage.formats.template import default_template_path
 from lightstage.rig import Rig, default_rig
 from processing.closest import ClosestPoints
@@ -18,6 +18,7 @@ from processing.errors import ReconstructionError
 from processing.pipeline import PipelineConfig, run
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.occluders import apart, found_occluders, nothing_beside
+from processing.reconstruction.stage import others_beside
 from processing.reconstruction.views import View
 from sim.light.world import World
 from sim.people.clothing import collar, dressed
@@ -96,9 +97,9 @@ def test_pieces_on_the_skin_and_small_ones_are_no_occluders() -> None:
 
 @pytest.fixture(scope="module")
 def small_rig() -> Rig:
-    """Five cameras of 240 x 360 pixels and every third light."""
-    rig = default_rig().scaled(360 / 6016)
-    return dataclasses.replace(rig, lights=rig.lights[::3], cameras=rig.cameras[:5])
+    """Five cameras of 200 x 300 pixels and every fifth light."""
+    rig = default_rig().scaled(300 / 6016)
+    return dataclasses.replace(rig, lights=rig.lights[::5], cameras=rig.cameras[:5])
 
 
 def photographed(subject: Subject, rig: Rig, root: Path) -> Path:
@@ -126,8 +127,19 @@ def test_a_grey_collar_is_found_and_is_no_part_of_the_skins_mesh(
     skin = read_ply(out / "base_mesh.ply")
     near = ClosestPoints(clothes.vertices, clothes.faces).query(skin.vertices).distance_mm
     assert (near < 1).mean() < 0.02
-    again = dataclasses.replace(
-        config, reconstruct=dataclasses.replace(config.reconstruct, find_occluders=False)
-    )
-    run(session, out, default_template_path(), again, until="reconstruct")
-    assert not (out / "occluders.ply").exists()
+
+
+def test_nothing_is_looked_for_where_nothing_could_be_found_or_a_file_is_named(
+    tmp_path: Path,
+) -> None:
+    views, config = [view_of(0), view_of(1)], ReconstructConfig()
+    asked = dataclasses.replace(config, find_occluders=False)
+    assert others_beside(views, asked, True) is nothing_beside
+    assert others_beside(views, config, False) is nothing_beside  # all is in the mesh
+    assert others_beside(views[:1], config, True) is nothing_beside
+    assert others_beside(views, config, True) is not nothing_beside
+    wall = plate(150, 60)
+    named = dataclasses.replace(config, occluders=str(write_ply(wall, tmp_path / "wall.ply")))
+    found = others_beside([], named, True)(ball_mesh())
+    assert found is not None
+    np.testing.assert_allclose(found.vertices, wall.vertices)
