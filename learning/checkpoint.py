@@ -278,7 +278,14 @@ def of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
     checkpoint = read_checkpoint(path)
     where = checkpoint.folder / INDEX
     if checkpoint.family != family:
-        raise CheckpointError(where, field="family", found=checkpoint.family, expected=family)
+        raise CheckpointError(
+            where,
+            field="family",
+            found=checkpoint.family,
+            expected=family,
+            hint="`infer` takes networks of whole_face, patches and four_networks, `upscale` of "
+            "super_resolution, `--shadows network:` of occlusion.",
+        )
     return checkpoint, where
 
 

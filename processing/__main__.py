@@ -155,6 +155,9 @@ def _process(
             session, out, template, settings, until=until, only=only, bar=progress_bar
         )
     ran = report["ran"]
+    for warning in report["warnings"]:
+        if warning.partition(":")[0] in ran:
+            print(f"warning: {warning}", file=sys.stderr)
     seconds = sum(report["stages"][stage]["seconds"] for stage in ran)
     peak = max((report["stages"][stage]["peak_rss_mb"] for stage in ran), default=0.0)
     said = f"ran {' '.join(ran)} in {seconds:.1f} s, peak {peak:.0f} MB" if ran else "up to date"

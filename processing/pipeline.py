@@ -168,7 +168,7 @@ def run(
     """
     last = only or until
     if last not in STAGES:
-        raise ProcessingError("stage", found=repr(last), expected=", ".join(STAGES))
+        raise ProcessingError("--until", found=repr(last), expected=", ".join(STAGES))
     session = with_complements(load_session(session_path))
     problems = unmendable_frames(session) or changed_frames(session)
     if problems:

@@ -108,7 +108,14 @@ def read_lights(path: Path) -> LightSet:
             np.array([e["rgb"] for e in entries], float).reshape(-1, 3),
             np.array(value.get("ambient_rgb", [0, 0, 0]), float).reshape(3),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except KeyError as error:
+        raise FormatError(
+            path,
+            field="lights",
+            found=f"no {error.args[0]}",
+            expected="both position_mm and rgb",
+        ) from None
+    except (TypeError, ValueError, AttributeError) as error:
         raise FormatError(
             path, found=str(error), expected="lights of position_mm and rgb"
         ) from None

@@ -126,11 +126,15 @@ def load_session(root: Path) -> Session:
     """
     path = root / "session.json"
     if not path.is_file():
+        found = "no session.json" if root.is_dir() else "no such folder"
+        if (root / "report.json").is_file():
+            found = "a processed folder, or the truth of a simulated session"
         raise FormatError(
             root,
-            found="no session.json" if root.is_dir() else "no such folder",
+            found=found,
             expected="a session folder",
-            hint="A session is what `lightstage capture` or `lightstage import` wrote.",
+            hint="A session is what `lightstage capture`, `lightstage import` or `lightstage-sim "
+            "session` wrote.",
         )
     value = read_json(path, SCHEMA)
     try:

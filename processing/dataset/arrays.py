@@ -10,6 +10,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import zarr
 
 from processing.dataset.scan import DatasetError
@@ -64,14 +65,18 @@ def read_part(array: Any, path: Path, *place: slice) -> Any:
         place: rows and columns.
 
     Raises:
-        DatasetError: bytes that are not those that were written.
+        DatasetError: bytes that are not those that were written, or NaN, which none were.
     """
     try:
-        return array[place]
+        found = array[place]
+        fault = "" if np.isfinite(found).all() else "NaN or infinity"
     except (ValueError, RuntimeError) as error:
+        fault = str(error)
+    if fault:
         raise DatasetError(
             path,
-            found=f"bytes that are not those that were written ({error})",
+            found=f"bytes that are not those that were written ({fault})",
             expected="a map as `dataset build` wrote it",
             hint=LACKING,
-        ) from None
+        )
+    return found

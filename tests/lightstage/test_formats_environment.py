@@ -84,7 +84,8 @@ def test_a_light_set_survives_its_file(tmp_path):
     [
         ([{"position_mm": [0, 0, 0], "rgb": [1, 1, 1]}], "a light at the origin"),
         ([{"position_mm": [0, 0, 900], "rgb": [1, -1, 1]}], "NaN or negative"),
-        ([{"position_mm": [0, 0, 900]}], "rgb"),
+        ([{"position_mm": [0, 0, 900]}], "found no rgb, expected both"),
+        ([{"position": [0, 0, 900], "rgb": [1, 1, 1]}], "found no position_mm, expected both"),
         ([{"position_mm": [0, 900], "rgb": [1, 1, 1]}], "position_mm and rgb"),
     ],
 )

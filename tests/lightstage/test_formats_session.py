@@ -157,6 +157,10 @@ def test_a_folder_without_session_or_rig_is_refused(root):
     (root / "rig.json").unlink()
     with pytest.raises(FormatError, match=r"rig\.json: found no such file"):
         load_session(root)
+    (root / "session.json").unlink()
+    (root / "report.json").write_text("{}")
+    with pytest.raises(FormatError, match="found a processed folder, or .* lightstage-sim"):
+        load_session(root)
     shutil.rmtree(root)
     with pytest.raises(FormatError, match="found no such folder, expected a session folder"):
         load_session(root)

@@ -228,6 +228,8 @@ def test_a_run_takes_a_given_mesh_and_occluders_from_one_camera_alone(
         assert not out.exists()
     done = run_command("processing", *words, "--mesh", path, "--occluders", others)
     assert done.code == 0, done.err
+    # What a stage warns of is told when it ran, and not again.
+    assert "warning: reconstruct: whether ball.ply lies where the photographs" in done.err
     folder = ProcessedFolder(out)
     np.testing.assert_allclose(read_ply(folder.base_mesh).vertices, mesh.vertices)
     assert folder.occluders.is_file()
@@ -241,6 +243,9 @@ def test_a_run_takes_a_given_mesh_and_occluders_from_one_camera_alone(
     assert "could not be checked" in report
     again = run_command("processing", *words, "--mesh", path, "--occluders", others)
     assert "up to date" in again.out
+    assert "warning:" not in again.err
+    misspelt = run_command("processing", *words[:-1], "refin")
+    assert "--until: found 'refin', expected decode, separate" in misspelt.err
     write_ply(Mesh(wall.vertices + np.array([0, 0, 5]), wall.faces), others)
     words[-1] = "reconstruct"
     moved = run_command("processing", *words, "--mesh", path, "--occluders", others, "--json")
