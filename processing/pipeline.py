@@ -191,8 +191,8 @@ def run(
             clicked_landmarks(session)
     job = Job(session, out, config, template, template_hash, normals)
     # What these refuse is refused before the folder is made.
-    if "reconstruct" in _plan(job, last, only)[2]:
-        require_given(config.reconstruct)
+    require_given(config.reconstruct)
+    _plan(job, last, only)
     with locked(out / RUN_LOCK, _busy(out)):
         records, keys, planned = _plan(job, last, only)
         for stage in planned:
