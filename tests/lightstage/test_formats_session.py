@@ -159,7 +159,7 @@ def test_a_folder_without_session_or_rig_is_refused(root):
         load_session(root)
     (root / "session.json").unlink()
     (root / "report.json").write_text("{}")
-    with pytest.raises(FormatError, match="found a processed folder, or .*lightstage-sim"):
+    with pytest.raises(FormatError, match=r"found a processed folder, or .*lightstage-sim"):
         load_session(root)
     shutil.rmtree(root)
     with pytest.raises(FormatError, match="found no such folder, expected a session folder"):
