@@ -67,7 +67,7 @@ class PoseReport:
     tracks: int
     track_residual_px: float
     spread_mm: float
-    points_mm: np.ndarray
+    points_mm: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def tone_mapped(image: np.ndarray, mask: np.ndarray) -> np.ndarray:

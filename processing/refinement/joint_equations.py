@@ -180,16 +180,18 @@ def left_over(
     shade2 = spread.shade2
     total = 0.0
     for k in range(len(light)):
-        common = power = 0.0
+        own = common = power = 0.0
         for channel in range(3):
             w = _weight(rgb[k, channel], spread)
             shade = rho[channel] * diffuse[k, channel]
             left = rgb[k, channel] - shade - s * light[k, 4]
-            total += w * left * left
+            own += w * left * left
             common += w * shade * left
             power += w * shade * shade
         if shade2 > 0:
-            total -= shade2 / (1 + shade2 * power) * common * common
+            own -= shade2 / (1 + shade2 * power) * common * common
+        # Of readings a million times too bright, rounding leaves less than nothing.
+        total += max(own, 0.0)
     return total
 
 

@@ -116,7 +116,7 @@ def test_the_report_shows_the_distance_to_the_truth(
     out, truth = folders
     run(out, truth)
     assert not (out.root / "report.html").exists()  # of what no stage ran there is no report
-    write_pictures(out.root, [], [], read_ply(out.base_mesh))
+    write_pictures(out.root, {}, read_ply(out.base_mesh))
     write_json(out.root / "report.json", {"subject": "s", "expression": "neutral", "stages": {}})
     run(out, truth)
     assert "distance to the truth" in (out.root / "report.html").read_text()

@@ -331,6 +331,17 @@ def test_whatever_is_read_is_finite_or_zero(
     )
 
 
+def test_a_residual_that_rounding_eats_is_not_negative() -> None:
+    readings = np.zeros((1, 7, 3), np.float32)
+    readings.flat[[1, 10, 11, 17, 20]] = 1, 544402, 1e12, 8, 1
+    for interface in FAMILIES:
+        s = skin(0, 1, interface=interface)
+        bright = dataclasses.replace(
+            s, rgb=readings, roughness=np.array([1e-6]), specular=np.array([0.0])
+        )
+        both(bright)
+
+
 def test_pixels_that_hold_no_number_or_no_light_are_left_zero() -> None:
     s = skin(3, 4)
     rgb, start, roughness = s.rgb.copy(), s.start.copy(), s.roughness.copy()
