@@ -1,0 +1,1 @@
+"""People whose light and skin share no formula with `processing`: Mitsuba's own materials."""
