@@ -1,7 +1,8 @@
 """Maps of people whose skin another program made: Mitsuba's materials, with and without clothes.
 
 The simulator gives faces, cameras and lamps; what skin does with light is Mitsuba's. Nothing of it
-is known to `processing`, which takes skin for a layer below an interface. Seeds below 400 were
+is known to `processing`, which takes skin for a layer below an interface. Gloss is not scored: the
+truth's maps of it are the subject's, and a material has its own. Seeds below 400 were
 looked at while working; ``--unseen`` takes others.
 
 ``python -m benchmarks.foreign``; ``--rows 360 --skins light --kinds principled`` to try.
@@ -15,33 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.record import record
-from benchmarks.reflectance_clothes import CLOTH, PEOPLE, scores
-from lightstage.commands import quiet
+from benchmarks.reflectance_clothes import CLOTH, PEOPLE, errors, photographed, rig_of
 from lightstage.formats.template import default_template_path
-from lightstage.rig import default_rig
 from processing.pipeline import PipelineConfig, run
 from sim.foreign.materials import MATERIALS
 from sim.foreign.world import ForeignWorld
-from sim.light.world import World
 from sim.people.clothing import collar, dressed
 from sim.people.subjects import load_subject
-from sim.reference.config import ReferenceConfig
-from sim.session import SessionConfig, truth_path, write_direct
-from sim.truth import write_truth
 
 SEED, UNSEEN = 301, 401
-
-
-def photographed(skin: str, kind: str, clothed: bool, rows: int, seed: int, root: Path) -> Path:
-    """A session of a person of one material, with its truth; the session folder."""
-    person = load_subject("parametric", seed, None, 1536, PEOPLE[skin])
-    if clothed:
-        person = dressed(person, collar(person), CLOTH)
-    rig = default_rig().scaled(rows / default_rig().cameras[0].height_px)
-    world = ForeignWorld(person, rig, kind, config=ReferenceConfig(samples=4))
-    write_direct(world, root / "session", SessionConfig(sequence="binary"), seed, quiet)
-    write_truth(World(person, rig), truth_path(root / "session"))
-    return root / "session"
 
 
 def main() -> None:
@@ -54,11 +37,16 @@ def main() -> None:
     chosen = parser.parse_args()
     seed = UNSEEN if chosen.unseen else SEED
     rows: list[tuple[Any, ...]] = []
+    rig = rig_of(chosen.rows)
     for skin in chosen.skins.split(","):
         for kind in chosen.kinds.split(","):
             for clothed in (False, True):
                 with tempfile.TemporaryDirectory(prefix="lightstage-foreign-") as name:
-                    session = photographed(skin, kind, clothed, chosen.rows, seed, Path(name))
+                    person = load_subject("parametric", seed, None, 1536, PEOPLE[skin])
+                    if clothed:
+                        person = dressed(person, collar(person), CLOTH)
+                    world = ForeignWorld(person, rig, kind)
+                    session = photographed(person, rig, world, seed, Path(name))
                     cells = maps_of(session, Path(name) / "out")
                 rows.append((skin, kind, "collar" if clothed else "none", *cells))
                 print(*rows[-1], sep=" | ", flush=True)
@@ -80,7 +68,7 @@ def main() -> None:
 def maps_of(session: Path, out: Path) -> tuple[str, ...]:
     """Cells of the table for one session."""
     stages = run(session, out, default_template_path(), PipelineConfig(), until="refine")["stages"]
-    error, found = scores(out, session), stages["refine"]
+    error, found = errors(out, session), stages["refine"]
     return (
         " / ".join(f"{error[part]:.2f}" for part in ("all", "above", "below")),
         f"{error['albedo']:.4f} / {error['albedo_after_gain']:.4f}",

@@ -20,77 +20,82 @@ from typing import Any
 import numpy as np
 
 from benchmarks.record import record
+from benchmarks.reflectance_scores import (
+    STEEPEST_DEG,
+    joined,
+    read_maps,
+    rms,
+    scores,
+    sure_share,
+    true_view,
+    view_samples,
+)
 from lightstage.commands import quiet
 from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
-from lightstage.rig import default_rig
-from processing.evaluation.maps import angle_deg
+from lightstage.rig import Rig, default_rig
 from processing.pipeline import PipelineConfig, run
 from sim.light.world import World
 from sim.people.clothing import CHIN, collar, dressed
+from sim.people.subject import Subject
 from sim.people.subjects import load_subject
 from sim.people.traits import Traits
+from sim.reference.world import ReferenceWorld
 from sim.session import SessionConfig, truth_path, write_direct
 from sim.truth import write_truth
 
 SEED = 301
 PEOPLE = {"light": Traits("female", 33, 2), "dark": Traits("male", 41, 5)}
 CLOTH = (0.2, 0.2, 0.2)
-STEEPEST_DEG = 70.0
-SURE = 0.5
 
 
-def photographed(skin: str, rows: int, root: Path) -> None:
-    """A dressed person's session, its truth, and the true meshes of skin and clothes."""
-    person = load_subject("parametric", SEED, None, 1536, PEOPLE[skin])
-    clothes = collar(person)
-    rig = default_rig().scaled(rows / default_rig().cameras[0].height_px)
-    world = World(dressed(person, clothes, CLOTH), rig)
-    write_direct(world, root / "session", SessionConfig(sequence="binary"), SEED, quiet)
-    write_truth(world, truth_path(root / "session"))
-    write_ply(Mesh(person.mesh.vertices, person.mesh.triangles()), root / "skin.ply")
-    write_ply(clothes, root / "clothes.ply")
+def photographed(
+    person: Subject, rig: Rig, world: World | ReferenceWorld, seed: int, root: Path
+) -> Path:
+    """A session of what a world shows, with the truth of its person; the session folder."""
+    write_direct(world, root / "session", SessionConfig(sequence="binary"), seed, quiet)
+    write_truth(World(person, rig), truth_path(root / "session"))
+    return root / "session"
 
 
-def scores(out: Path, session_path: Path) -> dict[str, float]:
-    """Errors over all views' skin that is seen less steeply than 70 degrees."""
+def rig_of(rows: int) -> Rig:
+    """The default rig with pictures of so many rows."""
+    return default_rig().scaled(rows / default_rig().cameras[0].height_px)
+
+
+def errors(out: Path, session_path: Path) -> dict[str, float]:
+    """Errors over all views' skin that is seen less steeply than 70 degrees.
+
+    Returns:
+        Mean angle of the diffuse normals of all, above and below the chin; RMSE of the diffuse
+        albedo, as found and after the one factor that suits it best, since programs differ in
+        whether albedo is told inside or outside of the interface that mirrors; share of confidence
+        above .5.
+    """
     found, true = ProcessedFolder(out), ProcessedFolder(truth_path(session_path))
     chin_mm = read_points_mm(true.true_landmarks)[CHIN, 1]
-    rig, turned, off, above, sure = load_session(session_path).rig, [], [], [], []
-    true_albedo = []
-    for camera in rig.cameras:
-        skin, normal = true.read_mask(camera.id), true.read_view(camera.id, "diffuse_normal")
-        position = true.read_view(camera.id, "position")
-        toward = camera.centre_mm - position
-        cosine = (normal * toward).sum(axis=2) / np.linalg.norm(toward, axis=2)
-        some = skin & (cosine > np.cos(np.radians(STEEPEST_DEG)))
-        turned.append(angle_deg(found.read_view(camera.id, "diffuse_normal")[some], normal[some]))
-        albedo = found.read_view(camera.id, "diffuse_albedo")
-        true_albedo.append(true.read_view(camera.id, "diffuse_albedo")[some])
-        off.append(albedo[some] - true_albedo[-1])
-        above.append(position[some][:, 1] > chin_mm)
-        sure.append(found.read_view(camera.id, "confidence")[some] > SURE)
-    degrees, upper, wrong = np.concatenate(turned), np.concatenate(above), np.concatenate(off)
+    parts, upper, albedos, known = [], [], [], []
+    for camera in load_session(session_path).rig.cameras:
+        truth, maps = true_view(true, camera), read_maps(found, camera.id)
+        parts.append(view_samples(maps, truth))
+        upper.append(true.read_view(camera.id, "position")[truth.skin][:, 1] > chin_mm)
+        albedos.append(maps.diffuse_albedo[truth.skin])
+        known.append(truth.albedo)
+    samples, above = joined(parts), np.concatenate(upper)
+    albedo, exact = np.concatenate(albedos).astype(float), np.concatenate(known)
+    gain = float((albedo * exact).sum() / max(float((albedo**2).sum()), 1e-12))
+    every = scores(samples)
     return {
-        "all": float(degrees.mean()),
-        "above": float(degrees[upper].mean()),
-        "below": float(degrees[~upper].mean()),
-        "albedo": float(np.sqrt(np.mean(wrong**2))),
-        "albedo_after_gain": _after_gain(np.concatenate(true_albedo), wrong),
-        "sure": float(np.concatenate(sure).mean()),
+        "all": every["diffuse_normal_deg"],
+        "above": float(samples.diffuse_deg[above].mean()),
+        "below": float(samples.diffuse_deg[~above].mean()),
+        "albedo": every["albedo_rmse"],
+        "albedo_after_gain": rms(gain * albedo - exact),
+        "sure": sure_share(samples),
     }
-
-
-def _after_gain(true: np.ndarray, off: np.ndarray) -> float:
-    """RMSE of a found albedo after the one factor that suits it best: programs differ in whether
-    albedo is told inside or outside of the interface that mirrors.
-    """
-    found = (true + off).astype(float)
-    gain = float((found * true).sum() / max(float((found**2).sum()), 1e-12))
-    return float(np.sqrt(np.mean((gain * found - true) ** 2)))
 
 
 def main() -> None:
@@ -103,7 +108,12 @@ def main() -> None:
     for skin in chosen.skins.split(","):
         with tempfile.TemporaryDirectory(prefix="lightstage-clothes-") as name:
             root = Path(name)
-            photographed(skin, chosen.rows, root)
+            person = load_subject("parametric", SEED, None, 1536, PEOPLE[skin])
+            clothes, rig = collar(person), rig_of(chosen.rows)
+            wearing = dressed(person, clothes, CLOTH)
+            photographed(wearing, rig, World(wearing, rig), SEED, root)
+            write_ply(Mesh(person.mesh.vertices, person.mesh.triangles()), root / "skin.ply")
+            write_ply(clothes, root / "clothes.ply")
             rows += [(skin, *cells) for cells in compared(root)]
     record(
         "Reflectance: clothes that cast shadows",
@@ -135,7 +145,7 @@ def compared(root: Path) -> list[tuple[Any, ...]]:
             report = run(root / "session", out, default_template_path(), config, until="refine")[
                 "stages"
             ]
-            error = scores(out, root / "session")
+            error = errors(out, root / "session")
             degrees = " / ".join(f"{error[part]:.2f}" for part in ("all", "above", "below"))
             seconds = [f"{report[stage]['seconds']:.0f}" for stage in ("reconstruct", "refine")]
             albedo, sure = f"{error['albedo']:.4f}", f"{100 * error['sure']:.1f}"

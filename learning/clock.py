@@ -44,7 +44,7 @@ class Clock:
                 self._whole[name] += spent
 
     @property
-    def steps_seconds(self) -> float:
+    def step_seconds(self) -> float:
         """What the steps took in all."""
         return self._whole[NETWORK]
 
@@ -53,7 +53,7 @@ class Clock:
 
         Batches that are made meanwhile in another thread come on top of a step's own parts.
         """
-        steps = self.steps_seconds
+        steps = self.step_seconds
         if not steps > 0:
             return {}
         shares = {name: self.seconds[name] / steps for name in (DATA, RENDERING, NETWORK)}

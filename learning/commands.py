@@ -64,6 +64,7 @@ from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.files import others_in
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import MAPS, ProcessedFolder, write_map
 from lightstage.formats.template import default_template_path, load_template
@@ -438,14 +439,12 @@ def infer_command(
 
 def _require_own(out: Path) -> None:
     """Refuse a folder that holds anything but what `infer` writes, such as a dataset's store."""
-    own = {LIGHT, *(f"{name}.exr" for name in MAPS)}
-    there = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
-    other = [name for name in there if name not in own]
-    if other:
+    others = others_in(out, [LIGHT, *(f"{name}.exr" for name in MAPS)])
+    if others:
         raise MapsError(
             out,
             field="--out",
-            found=f"a folder that holds {other[0]}",
+            found=f"a folder that holds {others[0]}",
             expected="a new folder, or one with inferred maps, which are replaced",
             hint="Choose another --out.",
         )

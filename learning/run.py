@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import fnmatch
 import json
 import math
 import os
@@ -28,6 +27,7 @@ from learning.samples import Sample, write_samples
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.formats.config import as_dict
+from lightstage.formats.files import others_in
 from lightstage.formats.values import parse_json
 from lightstage.interrupts import first_signal_noted
 from processing.dataset import Store
@@ -222,7 +222,7 @@ class Run:
     def _save(self, learner: Learner, steps: int, about: dict[str, Any]) -> Path:
         if not self.processes.first:
             return self.out / INDEX
-        spent = self.spent + self.clock.steps_seconds
+        spent = self.spent + self.clock.step_seconds
         about = {**about, "step_seconds": round(spent, 2)}
         return save_checkpoint(self.out, steps, learner.tensors(), about)
 
@@ -266,7 +266,7 @@ class Run:
             steps,
             self.first,
             seconds,
-            self.clock.steps_seconds,
+            self.clock.step_seconds,
             examples,
             held_out,
             score,
@@ -368,12 +368,11 @@ def require_new(out: Path, hint: str) -> None:
             expected="an empty or a new folder",
             hint=hint,
         )
-    there = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
-    other = [name for name in there if not any(fnmatch.fnmatch(name, own) for own in OWN)]
-    if other:
+    others = others_in(out, OWN)
+    if others:
         raise CheckpointError(
             out,
-            found=f"{other[0]} and {len(there) - 1} more" if len(there) > 1 else other[0],
+            found=f"{others[0]} and {len(others) - 1} more" if len(others) > 1 else others[0],
             expected="an empty or a new folder",
             hint="A run has a folder of its own; choose another --out.",
         )

@@ -17,7 +17,7 @@ from lightstage.errors import FormatError, LightstageError, PatternError, one_er
 from lightstage.findings import Finding
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import fsync_path, sha256_file
-from lightstage.formats.landmarks import read_points_px, write_points_px
+from lightstage.formats.landmarks import LANDMARKS, read_points_px, write_points_px
 from lightstage.imported_light import Exposures, developed_findings
 from lightstage.opening import Opened, open_photograph
 from lightstage.patterns import SEQUENCES, pattern_levels
@@ -238,7 +238,7 @@ def import_session(
         finally:
             writer.close()
         if marks is not None:
-            write_points_px(marks, beside / "landmarks.json")
+            write_points_px(marks, beside / LANDMARKS)
         os.replace(beside, out)
         fsync_path(out.parent)
     finally:

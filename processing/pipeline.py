@@ -12,6 +12,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.files import sha256_file, write_json
+from lightstage.formats.landmarks import LANDMARKS
 from lightstage.formats.lock import locked
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
@@ -236,7 +237,7 @@ def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:
     for path in [session.root / name for name in named if isinstance(name, str)]:
         # Gains of single pixels lie beside the flats that name them.
         files += [path, *sorted(path.parent.glob(f"{path.stem}-*.npz"))]
-    landmarks = session.root / "landmarks.json"
+    landmarks = session.root / LANDMARKS
     before = hash_of(code_version(), [sha256_file(path) for path in files])
     keys = {}
     for stage in STAGES:

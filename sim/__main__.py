@@ -67,6 +67,7 @@ def session(
     """Photograph a simulated person in the light stage."""
     import numpy as np
 
+    from lightstage.formats.landmarks import LANDMARKS
     from lightstage.patterns import drive_levels, pattern_levels, sequence_patterns
     from lightstage.rig import default_rig, load_rig
     from lightstage.session import check_consent
@@ -82,7 +83,6 @@ def session(
     from sim.people.subjects import check_subject, load_subject
     from sim.reference.world import ReferenceWorld
     from sim.session import (
-        LANDMARKS,
         SessionConfig,
         require_new,
         truth_path,
@@ -344,8 +344,9 @@ def template(
 
 def _require_own(out: Path, *names: str) -> None:
     """Refuse to write into a folder that holds anything but what the same command made."""
-    there = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
-    foreign = [name for name in there if not name.startswith(names)]
+    from lightstage.formats.files import others_in
+
+    foreign = others_in(out, [f"{name}*" for name in names])
     if foreign:
         raise SimError(
             out,

@@ -13,7 +13,7 @@ import numpy as np
 from lightstage.commands import ProgressCallback
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file, write_json
-from lightstage.formats.landmarks import write_points_px
+from lightstage.formats.landmarks import LANDMARKS, write_points_px
 from lightstage.formats.session import Driven, Frame, SessionFile, save_session, session_id
 from lightstage.patterns import pattern_levels, sequence_patterns
 from lightstage.rig import save_rig
@@ -24,9 +24,6 @@ from sim.light.polarised import behind_polarisers, is_polarised
 from sim.light.world import World
 from sim.reference.world import ReferenceWorld
 from sim.truth import landmarks_px
-
-LANDMARKS = "landmarks.json"
-"""What a session calls its landmarks."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, LightstageError, one_error
 from lightstage.findings import Finding
 from lightstage.formats.exr import read_exr
-from lightstage.formats.landmarks import read_points_px
+from lightstage.formats.landmarks import LANDMARKS, read_points_px
 from lightstage.formats.session import (
     Frame,
     Session,
@@ -84,9 +84,9 @@ def check_session(
     has_journal = (root / JOURNAL).is_file()
     if has_journal:
         problems += disagreements(root, session.file)
-    if (root / "landmarks.json").exists():
+    if (root / LANDMARKS).exists():
         try:
-            read_points_px(root / "landmarks.json")
+            read_points_px(root / LANDMARKS)
         except FormatError as error:
             problems.append(error)
     of_others, findings = strangers(session)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fnmatch
 import hashlib
 import json
 import os
@@ -10,7 +11,7 @@ import re
 import secrets
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,17 @@ def leftovers(folder: Path, name: str) -> list[Path]:
     digits = "[0-9a-f]" * 2 * NAME_BYTES
     beside = f".{own.stem}.{digits}{own.suffix}"
     return sorted([*folder.glob(beside), *folder.glob(f"{beside}.old")])
+
+
+def others_in(folder: Path, own: Iterable[str]) -> list[str]:
+    """Names in an output folder that are of no file that its command makes, sorted.
+
+    Args:
+        folder: may be absent.
+        own: what the command makes, as globs of names.
+    """
+    there = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+    return [name for name in there if not any(fnmatch.fnmatch(name, each) for each in own)]
 
 
 def require_replaceable(path: Path, marker: str, kind: str | None = None) -> None:

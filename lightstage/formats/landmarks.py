@@ -10,6 +10,8 @@ from lightstage.errors import FormatError
 from lightstage.formats.files import read_json, write_json
 
 SCHEMA = "lightstage.landmarks/1"
+LANDMARKS = "landmarks.json"
+"""What a session calls its landmarks."""
 SCHEME = "ibug68"
 COUNT = 68
 

@@ -29,8 +29,8 @@ FARTHEST_MM = 3.0
 lie within .3."""
 SMALLEST_MM = 80.0
 """Largest side of a face's mesh, at least."""
-FEWEST_RAYS = 20_000
-"""So many pixels of each view tell which way the faces look, and what an occluder hides."""
+LOOK_PX = 20_000
+"""About so many pixels of each view tell which way faces look, and what an occluder hides."""
 MOST_HIDDEN = 0.5
 """Share of the skin that occluders may hide from the cameras."""
 FIT_ROUNDS = 60
@@ -157,9 +157,9 @@ def read_given(path: Path) -> Mesh:
 
 
 def _small(camera: Camera) -> Camera:
-    """The camera with about `FEWEST_RAYS` pixels."""
+    """The camera with about `LOOK_PX` pixels."""
     pixels = camera.width_px * camera.height_px
-    return camera.scaled(min(1.0, (FEWEST_RAYS / pixels) ** 0.5))
+    return camera.scaled(min(1.0, (LOOK_PX / pixels) ** 0.5))
 
 
 def _inside_out(path: Path, mesh: Mesh, cameras: Sequence[Camera]) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import write_json
+from lightstage.formats.landmarks import LANDMARKS
 from lightstage.formats.mesh import Mesh, read_ply, vertex_normals, write_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
@@ -144,7 +145,7 @@ def clicked_landmarks(session: Session) -> dict[str, np.ndarray]:
         FormatError: the file is not in its form.
         RegistrationError: no such file, or a camera that the rig lacks.
     """
-    path = session.root / "landmarks.json"
+    path = session.root / LANDMARKS
     if not path.is_file():
         raise RegistrationError(
             path,

@@ -55,8 +55,6 @@ def separate(
     method = chosen_method(lights, config)
     warnings += _warnings(lights, method)
 
-    reading: dict[str, float] = {}
-
     def one(camera_id: str) -> tuple[float, float, int]:
         frames = read_frames(out, camera_id)
         mask = read_foreground(out, camera_id)
@@ -65,8 +63,6 @@ def separate(
         write_maps(folder, camera_id, mask, maps)
         folder.write_mask(camera_id, mask)
         found = maps.confidence
-        shown = frames.brightest()[mask]
-        reading[camera_id] = float(np.median(shown)) if len(shown) else 0.0
         return float(found.mean()), float((found < 0.5).mean()), len(found)
 
     sizes = [session.rig.camera(c).width_px * session.rig.camera(c).height_px for c in cameras]
@@ -82,7 +78,7 @@ def separate(
     if share > MOST_ILL_POSED:
         worst = max(ill_posed, key=lambda camera: ill_posed[camera])
         found = f"{100 * share:.0f} % of the face ill-posed ({worst}: {ill_posed[worst]:.0%})"
-        dim = float(np.median(list(reading.values())))
+        dim = _face_reading(out, worst)
         fault = ProcessingError(
             out / "views",
             field="confidence",
@@ -112,6 +108,12 @@ def separate(
         "ill_posed_share": ill_posed,
         "warnings": warnings,
     }
+
+
+def _face_reading(out: Path, camera_id: str) -> float:
+    """Median of what one camera's face reads under its brightest pattern, 1 = white."""
+    shown = read_frames(out, camera_id).brightest()[read_foreground(out, camera_id)]
+    return float(np.median(shown)) if len(shown) else 0.0
 
 
 def _warnings(lights: PatternLights, method: str) -> list[str]:

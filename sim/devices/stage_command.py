@@ -44,6 +44,7 @@ def stage(
     ),
 ) -> None:
     """Let a simulated stage stand ready until Ctrl-C, and say how to capture it."""
+    from lightstage.formats.landmarks import LANDMARKS
     from lightstage.patterns import sequence_patterns
     from lightstage.rig import default_rig, load_rig
     from lightstage.sequence import plan_shots
@@ -52,7 +53,7 @@ def stage(
     from sim.devices.standing_stage import standing_stage
     from sim.light.world import World
     from sim.people.subjects import check_subject, load_subject
-    from sim.session import LANDMARKS, SessionConfig, write_landmarks
+    from sim.session import SessionConfig, write_landmarks
 
     check_subject(subject)
     story = Story() if faults is None else Story.read(faults)

@@ -34,8 +34,9 @@ class ForeignWorld(ReferenceWorld):
         subject: who sits in the stage.
         rig: cameras, and lights where `lamps` is None.
         kind: of `materials.MATERIALS`.
-        lamps: what really shines.
-        config: samples of a pixel; light goes nowhere but from lamp to skin to camera.
+        lamps: what really shines, from their centres.
+        samples: places of a pixel that are averaged, a square number; 1 is its centre.
+        variant: of Mitsuba; see `ReferenceConfig`.
     """
 
     def __init__(
@@ -44,9 +45,11 @@ class ForeignWorld(ReferenceWorld):
         rig: Rig,
         kind: str,
         lamps: Lamps | None = None,
-        config: ReferenceConfig | None = None,
+        samples: int = 4,
+        variant: str = "auto",
     ) -> None:
         """SimError where Mitsuba is absent or has no LLVM."""
+        config = ReferenceConfig(bounces=0, subsurface=False, samples=samples, variant=variant)
         super().__init__(subject, rig, lamps, config)
         if self.variant != LLVM:
             raise SimError(
@@ -58,7 +61,10 @@ class ForeignWorld(ReferenceWorld):
 
     def with_subject(self, subject: Subject) -> ForeignWorld:
         """The same stage with another subject, or the same one elsewhere."""
-        return ForeignWorld(subject, self.rig, self.kind, self.lamps, self.config)
+        config = self.config
+        return ForeignWorld(
+            subject, self.rig, self.kind, self.lamps, config.samples, config.variant
+        )
 
     def light_at(self, points: Points, weights: np.ndarray) -> np.ndarray:
         """(s, n, 3) float32 light leaving n points toward their view, under (s, m, 3) weights."""
@@ -85,10 +91,10 @@ class ForeignWorld(ReferenceWorld):
         start, context = vectors(mi.Point3f, points.start), mi.BSDFContext()
         for lamp in np.flatnonzero(weights.any(axis=(0, 2))):
             # A constant of the code would be compiled anew for each lamp.
-            place = mi.Point3f(
-                *(drjit.opaque(mi.Float, x) for x in lamps.positions_mm[lamp].tolist())
+            place, axis = (
+                mi.Vector3f(*(drjit.opaque(mi.Float, x) for x in values[lamp].tolist()))
+                for values in (lamps.positions_mm, lamps.axes)
             )
-            axis = mi.Vector3f(*(drjit.opaque(mi.Float, x) for x in lamps.axes[lamp].tolist()))
             toward = place - si.p
             far = drjit.norm(toward)
             toward /= far
