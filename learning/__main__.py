@@ -228,7 +228,7 @@ def train(
         typer.Option(
             help="`modern`: whole faces; `paper`: one network of patches; `avatarme`: four of "
             "them; `demo` and `avatarme-small`: these two, narrow, for minutes; `rcan`: "
-            "super-resolution; `rcan-small`: the same, narrow."
+            "super-resolution; `rcan-small`: the same, narrow; `mesostructure`: pores and folds."
         ),
     ] = "modern",
     config: Annotated[Path | None, typer.Option(help="TOML that overrides the preset.")] = None,
@@ -294,6 +294,13 @@ def infer(
             "textures take 5 to 20."
         ),
     ] = None,
+    mesostructure: Annotated[
+        str,
+        typer.Option(
+            help="Pores and folds of refined textures: run folder of a `mesostructure` training; "
+            "`shipped` weights; `none`, normals are the mesh's then."
+        ),
+    ] = "shipped",
     device: DeviceOption = "auto",
     as_json: bool = JsonFlag,
 ) -> None:
@@ -301,7 +308,9 @@ def infer(
     from learning.commands import infer_command
 
     with limited_access(group_of([texture.parent])), progress_bar("infer") as progress:
-        facts = infer_command(texture, mesh, checkpoint, out, head_pose, refine, progress, device)
+        facts = infer_command(
+            texture, mesh, checkpoint, out, head_pose, refine, progress, device, mesostructure
+        )
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels, "
         + (f"{facts['tiles']} tiles, " if facts["tiles"] > 1 else "")

@@ -26,6 +26,7 @@ from torch import Tensor, nn
 
 from learning.errors import CheckpointError
 from learning.limits import require_within
+from learning.mesostructure.network import Mesostructure, MesostructureConfig
 from learning.networks.generator import Generator, GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig, WholeFaceNetwork
 from learning.upscale.network import Rcan, RcanConfig
@@ -48,8 +49,8 @@ class Checkpoint:
 
     Attributes:
         folder: where its files lie.
-        family: of networks: `patches`, `four_networks`, `whole_face`, `super_resolution` or
-            `occlusion`.
+        family: of networks: `patches`, `four_networks`, `whole_face`, `super_resolution`,
+            `mesostructure` or `occlusion`.
         step: training steps done.
         config: the resolved configuration.
         data_fingerprint: of the store.
@@ -251,6 +252,11 @@ def load_super_resolution(path: Path) -> tuple[Rcan, Checkpoint]:
     return load_network(path, "super_resolution", "network", RcanConfig, Rcan)
 
 
+def load_mesostructure(path: Path) -> tuple[Mesostructure, Checkpoint]:
+    """The mesostructure network of a checkpoint; otherwise as `load_network`."""
+    return load_network(path, "mesostructure", "network", MesostructureConfig, Mesostructure)
+
+
 def unfilled(make: Callable[[], NetworkT]) -> NetworkT:
     """A network without the time to draw its weights, all of which are to be filled."""
     with torch.device("meta"):
@@ -273,6 +279,11 @@ def shipped_super_resolution() -> Path:
     return Path(__file__).parent / "data" / "upscale"
 
 
+def shipped_mesostructure() -> Path:
+    """The run folder of the mesostructure network that this package brings."""
+    return Path(__file__).parent / "data" / "mesostructure"
+
+
 def of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
     """A checkpoint and its index; CheckpointError where its networks are of another family."""
     checkpoint = read_checkpoint(path)
@@ -284,7 +295,8 @@ def of_family(path: Path, family: str) -> tuple[Checkpoint, Path]:
             found=checkpoint.family,
             expected=family,
             hint="`infer` takes networks of whole_face, patches and four_networks, `upscale` of "
-            "super_resolution, `--shadows network:` of occlusion.",
+            "super_resolution, `infer --mesostructure` of mesostructure, `--shadows network:` of "
+            "occlusion.",
         )
     return checkpoint, where
 

@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from learning.checkpoint import (
     load_generator,
+    load_mesostructure,
     load_super_resolution,
     load_whole_face,
     read_checkpoint,
+    shipped_mesostructure,
     shipped_super_resolution,
     shipped_weights,
 )
@@ -30,6 +33,7 @@ from learning.infer import infer
 from learning.limits import require_within
 from learning.map_folders import require_texture_maps
 from learning.maps import TexturedHead, load_head
+from learning.mesostructure.infer import TrainedMesostructure
 from learning.occlusion_run import (
     Head,
     bake_heads,
@@ -56,7 +60,6 @@ from learning.resample import resampled_texture
 from learning.run import not_better, require_new
 from learning.train import train
 from learning.upscale.infer import upscale
-from learning.upscale.score import UpscaleScore
 from learning.whole.infer import infer_whole_face
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
@@ -73,6 +76,8 @@ from processing.dataset import open_store, read_head_pose
 
 DEFAULT_RIG_SCALE = 1080 / 6016
 """Without a rig, pictures are 720 x 1080 pixels."""
+SHIPPED, NONE = "shipped", "none"
+"""For `infer --mesostructure`, beside a run's folder."""
 REFINE_SECONDS = 60.0
 """Of `infer`, at most, where nothing else is asked for; most textures take less."""
 LIGHT = "light.json"
@@ -322,7 +327,7 @@ def train_command(
         "examples": result.examples,
         "held_out": ", ".join(result.held_out),
         **dataclasses.asdict(result.score),
-        "scored": "textures" if isinstance(result.score, UpscaleScore) else "diffuse albedo",
+        "scored": result.score.scored,
         "said": result.score.sentence(),
         "device": str(device),
         "processes": processes.count,
@@ -368,6 +373,7 @@ def infer_command(
     refine: float | None,
     progress: ProgressCallback,
     device_name: str = "auto",
+    mesostructure: str = SHIPPED,
 ) -> dict[str, Any]:
     """Infer the maps of a texture, with the shipped weights where none are named; the facts."""
     began = time.monotonic()
@@ -395,7 +401,14 @@ def infer_command(
         seconds = REFINE_SECONDS if refine is None else refine
         with memory_of(device, texture, ON_CPU):
             found = infer_whole_face(
-                network, image, shape, pose, named, refine_seconds=seconds, device=device
+                network,
+                image,
+                shape,
+                pose,
+                named,
+                refine_seconds=seconds,
+                device=device,
+                mesostructure=_mesostructure(mesostructure, device),
             )
     else:
         if refine:
@@ -435,6 +448,15 @@ def infer_command(
         "notes": [*notes, *found.notes],
         "seconds": time.monotonic() - began,
     }
+
+
+def _mesostructure(asked: str, device: torch.device) -> TrainedMesostructure | None:
+    """The network of `--mesostructure`, which finds pores and folds; None where none is asked."""
+    if asked == NONE:
+        return None
+    folder = shipped_mesostructure() if asked == SHIPPED else Path(asked)
+    network, about = load_mesostructure(folder)
+    return TrainedMesostructure(network, about.texture_rows, device)
 
 
 def _require_own(out: Path) -> None:

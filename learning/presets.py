@@ -7,6 +7,7 @@ from typing import Any
 from learning.config import TrainingConfig
 from learning.four.config import FourTrainConfig
 from learning.limits import require_within
+from learning.mesostructure.config import MesostructureTrainConfig
 from learning.patch_config import TrainConfig
 from learning.upscale.config import UpscaleTrainConfig
 from learning.whole.config import WholeTrainConfig
@@ -21,8 +22,10 @@ FAMILIES: dict[str, type[TrainingConfig]] = {
     "avatarme-small": FourTrainConfig,
     "rcan": UpscaleTrainConfig,
     "rcan-small": UpscaleTrainConfig,
+    "mesostructure": MesostructureTrainConfig,
 }
-"""What each preset trains: whole faces, patches by one network or by four, or super-resolution."""
+"""What each preset trains: whole faces, patches by one network or by four, super-resolution, or
+pores and folds."""
 # For minutes on two cores: narrower networks, on patches of an atlas of 1536 rows that show as much
 # of the face as 512 of 6144; the texture's contrast goes around the network. A higher rate and the
 # maps' own L1 replace 200 epochs. Features and verdicts of young discriminators leave spots and the
@@ -76,6 +79,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "learning_rate": 2e-3,
         "rates": 6,
     },
+    "mesostructure": {},
 }
 
 

@@ -68,6 +68,8 @@ class Scored(Protocol):
     """Figures of the people held out: a dataclass of floats."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
+    scored: ClassVar[str]
+    """What the figures are of."""
 
     def sentence(self) -> str:
         """The figures that matter, for the command's last line."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -42,6 +43,7 @@ class Score:
         specular_normal_deg: mean angle.
     """
 
+    scored: ClassVar[str] = "diffuse albedo"
     psnr_db: float
     psnr_input_db: float
     psnr_mean_db: float

@@ -13,6 +13,8 @@ from learning.devices import CPU
 from learning.four.config import FourTrainConfig
 from learning.four.train import FourTrainer
 from learning.limits import require_within
+from learning.mesostructure.config import MesostructureTrainConfig
+from learning.mesostructure.train import MesostructureTrainer, mesostructure_task
 from learning.patch_config import TrainConfig
 from learning.patch_run import patch_task
 from learning.patch_train import PatchTrainer
@@ -31,6 +33,7 @@ TRAINERS: dict[str, tuple[type[Trainer[Any, Any]], Callable[..., Task[Any, Any]]
     FourTrainConfig.family: (FourTrainer, patch_task),
     WholeTrainConfig.family: (WholeFaceTrainer, face_task),
     UpscaleTrainConfig.family: (UpscaleTrainer, upscale_task),
+    MesostructureTrainConfig.family: (MesostructureTrainer, mesostructure_task),
 }
 """Of each family, its trainer, and what makes its task of that trainer, the store, people trained
 on, people held out, and the run that has begun."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -68,6 +69,7 @@ class UpscaleScore:
         correlation_lanczos: the same.
     """
 
+    scored: ClassVar[str] = "textures"
     psnr_db: float
     psnr_bicubic_db: float
     psnr_lanczos_db: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from learning.encoding import shrink
 from learning.maps import from_batch, to_batch, typical_texel_mm
 from learning.networks.whole_face import KnownPeople, WholeFaceConfig, face_input
 from learning.render.environments import (
+    Environment,
     RandomLightConfig,
     random_environment,
     random_lights,
@@ -91,6 +93,10 @@ class LargePair:
         skin: (rows, columns) share of captured skin.
         small: (1, 3, h, w), the texture at the network's size.
         inputs: (1, 10, h, w), see `face_input`.
+        skin_maps: that were lit, in this complexion.
+        shape_normal: (1, 3, rows, columns), of the shape.
+        environment: in which they were lit.
+        visibility: (1, L, rows, columns), the share of each light that a texel sees.
     """
 
     texture: np.ndarray
@@ -99,6 +105,27 @@ class LargePair:
     skin: np.ndarray
     small: Tensor
     inputs: Tensor
+    skin_maps: SkinMaps
+    shape_normal: Tensor
+    environment: Environment
+    visibility: Tensor
+
+
+@dataclasses.dataclass(frozen=True)
+class LitFaces:
+    """Faces of one size in random light and complexion.
+
+    Attributes:
+        texture: (B, 3, h, w) linear.
+        skin: a batch.
+        environments: of each.
+        visibility: of each, (1, L, h, w).
+    """
+
+    texture: Tensor
+    skin: SkinMaps
+    environments: list[Environment]
+    visibility: list[Tensor]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -196,16 +223,16 @@ class Faces:
     def _batch(
         self, faces: list[Face], rngs: list[np.random.Generator], texel_mm: float
     ) -> FaceBatch:
-        texture, skin = self._lit(faces, rngs, texel_mm)
+        lit = self._lit(faces, rngs, texel_mm)
         normal = torch.cat([face.maps["shape_normal"] for face in faces])
         captured = torch.cat([face.skin for face in faces])
-        return self._photographed(texture, skin, normal, captured, rngs)
+        return self._photographed(lit.texture, lit.skin, normal, captured, rngs)
 
     def draw_large(self, rng: np.random.Generator) -> LargePair:
         """A random scan, lit at its texture's own size (at most `LARGEST_ROWS`)."""
-        return self.large(int(rng.integers(len(self.faces))), 1, rng)[0]
+        return next(self.large(int(rng.integers(len(self.faces))), 1, rng))
 
-    def large(self, index: int, count: int, rng: np.random.Generator) -> list[LargePair]:
+    def large(self, index: int, count: int, rng: np.random.Generator) -> Iterator[LargePair]:
         """One scan `count` times, each in other light and complexion, as `draw_large`."""
         small, scan = self.faces[index], self._scans[index]
         rows = min(scan.rows, LARGEST_ROWS)
@@ -215,42 +242,41 @@ class Faces:
         tensors, texel_mm, surface = _tensors(maps)
         openness = small.maps["ambient_occlusion"]
         tensors["ambient_occlusion"] = functional.interpolate(openness, size, mode="bilinear")
-        pairs = []
         for _ in range(count):
             chosen = int(rng.integers(len(small.light_position_mm)))
             seen = _enlarged_shadows(small.visibility[chosen], size)
             lights = [small.light_position_mm[chosen]]
             face = Face(tensors, to_batch(captured), texel_mm, lights, [seen])
-            pairs.append(self._large_pair(face, surface.area_mm2 > 0, captured, rng))
-        return pairs
+            yield self._large_pair(face, surface.area_mm2 > 0, captured, rng)
 
     def _large_pair(
         self, face: Face, covered: np.ndarray, captured: np.ndarray, rng: np.random.Generator
     ) -> LargePair:
-        texture, skin = self._lit([face], [rng], face.texel_mm)
-        low = shrink(texture, self._size)
+        lit = self._lit([face], [rng], face.texel_mm)
+        low = shrink(lit.texture, self._size)
         there = torch.ones_like(low[:, :1])
         normal = unit(shrink(face.maps["shape_normal"], self._size))
-        position = shrink(skin.position_mm, self._size)
+        position = shrink(lit.skin.position_mm, self._size)
         return LargePair(
-            from_batch(texture),
-            from_batch(skin.diffuse_albedo),
+            from_batch(lit.texture),
+            from_batch(lit.skin.diffuse_albedo),
             covered,
             captured,
             low,
             face_input(low, normal, position, there),
+            lit.skin,
+            face.maps["shape_normal"],
+            lit.environments[0],
+            lit.visibility[0],
         )
 
-    def _lit(
-        self, faces: list[Face], rngs: list[np.random.Generator], texel_mm: float
-    ) -> tuple[Tensor, SkinMaps]:
-        """Faces of one size in random light and complexion: (B, 3, h, w), and their skins."""
+    def _lit(self, faces: list[Face], rngs: list[np.random.Generator], texel_mm: float) -> LitFaces:
         environments, shadows, skins, modes = [], [], [], []
         for face, rng in zip(faces, rngs, strict=True):
             chosen = int(rng.integers(len(face.light_position_mm)))
             lights, multiplies = face.light_position_mm[chosen], self._options.mode == "paper"
             environments.append(random_environment(rng, self._lights, lights, multiplies))
-            shadows.append(face.visibility[chosen])
+            shadows.append(face.visibility[chosen][None].float() / 255)
             skins.append(_skin_maps(face, augment.draw(rng, self._variation)))
             facets = rng.random() < self._config.ggx_share
             modes.append("ggx" if facets else self._options.mode)
@@ -263,7 +289,7 @@ class Faces:
             some = skin if len(here) == len(faces) else _joined([skins[i] for i in here], texel_mm)
             with torch.no_grad(), self._clock.part(RENDERING):
                 texture[here] = shade(some, light, ShadeOptions(mode), seen).clamp_min(0)
-        return texture, skin
+        return LitFaces(texture, skin, environments, shadows)
 
     def _photographed(
         self,
@@ -401,7 +427,6 @@ def _joined(skins: list[SkinMaps], texel_mm: float) -> SkinMaps:
 
 
 def _padded(visibility: Tensor, lights: int) -> Tensor:
-    """(n, h, w) uint8 to (1, lights, h, w) of 0..1; lights that are not there are seen."""
-    missing = lights - len(visibility)
-    seen = visibility[None].float() / 255
-    return functional.pad(seen, (0, 0, 0, 0, 0, missing), value=1.0)
+    """(1, n, h, w) with more lights: those that are not there are seen."""
+    missing = lights - visibility.shape[1]
+    return functional.pad(visibility, (0, 0, 0, 0, 0, missing), value=1.0)

@@ -24,6 +24,7 @@ from learning.infer_checks import (
     require_upright,
 )
 from learning.maps import to_batch
+from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
 from learning.render.uv import rasterise
@@ -56,6 +57,7 @@ def infer_whole_face(
     shares: list[float] | None = None,
     refine_seconds: float = 0.0,
     device: torch.device = CPU,
+    mesostructure: TrainedMesostructure | None = None,
 ) -> Inferred:
     """Infer a texture's reflectance.
 
@@ -71,12 +73,13 @@ def infer_whole_face(
         refine_seconds: time to find the texture's light and refine the answer by it (see
             `learning.whole.refine`); 0 for the network's answer.
         device: where the network runs, as a copy; all else is the processor's.
+        mesostructure: with refinement, finds pores and folds.
 
     Returns:
-        Maps of the texture's size in the mesh's axes; zero where no surface is. Both normals are
-        the mesh's own: what this network knows of finer ones is nothing. Confidence follows from
-        the error that the network expects (a half at an error of `DISAGREEMENT` in sRGB); it is 0
-        where the texture is black.
+        Maps of the texture's size in the mesh's axes; zero where no surface is. Normals are the
+        mesh's own, and where `mesostructure` told of pores and folds, with these. Confidence
+        follows from the error that the network expects (a half at an error of `DISAGREEMENT` in
+        sRGB); it is 0 where the texture is black.
 
     Raises:
         MapsError: a texture too small, black or badly exposed; a mesh that is flat, not of a head's
@@ -119,7 +122,8 @@ def infer_whole_face(
         answer = Answer(_image(small), _image(shown)[..., 0] > 0, log_albedo, low_specular, trust)
         placed = mesh.vertices @ head_from_mesh[:, :3].T + head_from_mesh[:, 3]
         head = dataclasses.replace(mesh, vertices=placed)
-        found = refine(network, answer, texture, photographed, head, raster, refine_seconds)
+        asked = (texture, photographed, head, raster, refine_seconds, mesostructure)
+        found = refine(network, answer, *asked)
         if isinstance(found, str):
             notes = [*notes, f"{named[0]} was not refined, the network's answer stands: {found}"]
         else:
@@ -135,11 +139,14 @@ def infer_whole_face(
     deviation = enlarged(_image(said.deviation)[..., 0], rows, columns)
     if refined is not None:
         deviation *= np.where(refined.known, np.float32(1), np.float32(GAP_ERROR))
+    normals = (normal, normal)
+    if refined is not None and refined.normals is not None:
+        normals = tuple(turned @ head_from_mesh[:, :3] for turned in refined.normals)
     maps = {
         "diffuse_albedo": diffuse * covered[..., None],
         "specular_albedo": specular * covered,
-        "diffuse_normal": normal,
-        "specular_normal": normal,
+        "diffuse_normal": normals[0],
+        "specular_normal": normals[1],
         "confidence": photographed * _trust(deviation),
     }
     return Inferred({n: m.astype(np.float32) for n, m in maps.items()}, 1, tuple(notes), light)

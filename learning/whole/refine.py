@@ -16,12 +16,15 @@ import numpy as np
 
 from learning.encoding import shrink
 from learning.maps import SHININESS, from_batch, to_batch
+from learning.mesostructure.evidence import frame_of, slope_of
+from learning.mesostructure.infer import Found, TrainedMesostructure, find
 from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged
 from learning.whole.gaps import sides_mirror, without_gaps
 from learning.whole.light import Light, LightFit, LitSurface
 from learning.whole.together import Explained, KnownSkin, explain
+from learning.whole.unlit import light_edges, lit_enough, matt, misplaced, over_light
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
 
@@ -45,20 +48,6 @@ SHININESS_RANGE = (6.0, 120.0)
 LARGEST_MISFIT = 1.7
 """Of a light that explains a texture: our people's have 0.2 to 0.6, a scanned head's 0.8 to 1.5
 (refinement is nearer to the truth than the network under each of six lights), a wrong one's 2."""
-DARK_LIGHT = 0.02
-"""Irradiance below which nothing is divided by it."""
-LEAST_LIGHT = 0.15
-"""Share of the median irradiance below which a texel's own albedo is not told by the texture."""
-MOST_SHINE = 0.35
-"""Share of a texture's value, in any channel, above which a highlight hides the skin."""
-EDGE_SHARE = 1 / 384
-"""Distance within which light must not change, of a texture's rows: 4 of 1536."""
-STEEP = 1.35
-"""Ratio of irradiance within that distance that is an edge."""
-NEAR_SHARE = 1 / 96
-"""Distance from such an edge, of a texture's rows, within which the real edge may lie."""
-MISPLACED = 1.4
-"""Ratio to the skin found so far, near an edge, that is the edge's place in error and no mark."""
 LARGEST_ROWS = 1536
 """Light is followed at so many rows at most, and enlarged for larger textures."""
 
@@ -72,11 +61,14 @@ class Refined:
         known: (rows, columns) bool, where the texture told of it; elsewhere it was continued from
             around and from the face's other side.
         light: lamps and light from everywhere, in the head frame.
+        normals: (rows, columns, 3) unit of the diffuse and of the specular light, head frame; None
+            where nothing finer than the shape's was sought.
     """
 
     diffuse_albedo: np.ndarray
     known: np.ndarray
     light: LightSet
+    normals: tuple[np.ndarray, np.ndarray] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,6 +98,7 @@ def refine(
     mesh: Mesh,
     raster: UvRaster,
     seconds: float,
+    mesostructure: TrainedMesostructure | None = None,
 ) -> Refined | str:
     """Take the light out of a texture, beginning with a network's answer.
 
@@ -117,6 +110,7 @@ def refine(
         mesh: in the head frame.
         raster: the texture's.
         seconds: to search, at most; what is found by then is used.
+        mesostructure: finds pores and folds in the texture's detail; all detail is skin where None.
 
     Returns:
         The light and the skin, or why there are none, in words.
@@ -146,12 +140,16 @@ def refine(
     low_albedo = np.exp(answer.log_albedo)
     low_albedo[here] = skin.albedo(found.along)
     answer = dataclasses.replace(answer, specular=found.gloss * answer.specular)
-    unlit, known = _without_light(
-        texture, photographed, mesh, raster, light, answer, low_albedo, fit, here
-    )
+    followed = _Followed(mesh, raster, light, fit, here)
+    unlit, known = followed.taken_out(texture, photographed, answer.specular, low_albedo)
+    normals = None
+    if mesostructure is not None and mesostructure.knows(len(texture)):
+        found_there = find(mesostructure, unlit, known, followed.slope(), followed.level)
+        unlit = np.clip(unlit * np.exp(-found_there.shading), DARKEST, 1.0)
+        normals = _tilted(mesh, raster, found_there)
     sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
     albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides)
-    return Refined(albedo, known, _light_set(light))
+    return Refined(albedo, known, _light_set(light), normals)
 
 
 def _explained(
@@ -201,43 +199,73 @@ def known_skin(
     )
 
 
-def _without_light(
-    texture: np.ndarray,
-    photographed: np.ndarray,
-    mesh: Mesh,
-    raster: UvRaster,
-    light: Light,
-    answer: Answer,
-    low_albedo: np.ndarray,
-    fit: LightFit,
-    here: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(rows, columns, 3) a texture over its light, and where that says something of the skin."""
-    rows, columns = photographed.shape
-    if rows > LARGEST_ROWS:
-        raster = rasterise(mesh, LARGEST_ROWS, round(columns * LARGEST_ROWS / rows))
-    size = raster.covered.shape
-    surface = LitSurface(mesh, raster, CAMERA_MM)
-    given, lobes = surface.under(np.array(light.lamps_mm).reshape(-1, 3), fit.shininess)
-    openness = np.zeros(here.shape)
-    openness[here] = fit.openness
-    openness = enlarged(openness, *size)[raster.covered]
-    irradiance, lobe = np.zeros((*size, 3)), np.zeros((*size, 3))
-    irradiance[raster.covered] = given @ light.rgb[:-1] + openness[:, None] * light.rgb[-1]
-    lobe[raster.covered] = lobes @ light.rgb[:-1]
-    level = irradiance.mean(axis=2).astype(np.float32)
-    steep = _steep(level, raster.covered)
-    known = raster.covered & ~steep & (level > LEAST_LIGHT * np.median(level[raster.covered]))
-    if size != (rows, columns):
-        irradiance, lobe = (enlarged(image, rows, columns) for image in (irradiance, lobe))
-        known = enlarged(known.astype(np.float32), rows, columns) > 0.999
-    shine = enlarged(answer.specular, rows, columns)[..., None] * lobe
-    unlit = np.clip((texture - shine) / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0)
-    unlit = unlit.astype(np.float32)
-    matt = (shine < MOST_SHINE * texture).all(axis=2)
-    skin = np.exp(enlarged(np.log(low_albedo), rows, columns))
-    known &= photographed & matt
-    return unlit, known & ~_misplaced(unlit / skin, steep, known)
+class _Followed:
+    """A light in a texture's texels, in `LARGEST_ROWS` at most."""
+
+    def __init__(
+        self, mesh: Mesh, raster: UvRaster, light: Light, fit: LightFit, here: np.ndarray
+    ) -> None:
+        rows, columns = raster.covered.shape
+        if rows > LARGEST_ROWS:
+            raster = rasterise(mesh, LARGEST_ROWS, round(columns * LARGEST_ROWS / rows))
+        self._mesh, self._raster, self._light = mesh, raster, light
+        covered, self._lamps_mm = raster.covered, np.array(light.lamps_mm).reshape(-1, 3)
+        surface = LitSurface(mesh, raster, CAMERA_MM)
+        self._seen = surface.seen(self._lamps_mm)
+        given, lobes = surface.under(self._lamps_mm, fit.shininess, self._seen)
+        openness = np.zeros(here.shape)
+        openness[here] = fit.openness
+        openness = enlarged(openness, *covered.shape)[covered]
+        self._irradiance, self._lobe = (np.zeros((*covered.shape, 3)) for _ in range(2))
+        self._irradiance[covered] = given @ light.rgb[:-1] + openness[:, None] * light.rgb[-1]
+        self._lobe[covered] = lobes @ light.rgb[:-1]
+        self.level = self._irradiance.mean(axis=2).astype(np.float32)
+
+    def taken_out(
+        self,
+        texture: np.ndarray,
+        photographed: np.ndarray,
+        specular: np.ndarray,
+        low_albedo: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(rows, columns, 3) a texture over its light, and where that says something of the skin.
+
+        Args:
+            texture: (rows, columns, 3) linear.
+            photographed: (rows, columns) bool.
+            specular: (h, w) albedo.
+            low_albedo: (h, w, 3) diffuse albedo found so far.
+        """
+        rows, columns = photographed.shape
+        covered = self._raster.covered
+        edges = light_edges(self.level, covered)
+        known = lit_enough(self.level, covered) & ~edges
+        irradiance, lobe = self._irradiance, self._lobe
+        if covered.shape != (rows, columns):
+            irradiance, lobe = (enlarged(image, rows, columns) for image in (irradiance, lobe))
+            known = enlarged(known.astype(np.float32), rows, columns) > 0.999
+        shine = enlarged(specular, rows, columns)[..., None] * lobe
+        unlit = over_light(texture, irradiance, shine)
+        skin = np.exp(enlarged(np.log(low_albedo), rows, columns))
+        known &= photographed & matt(texture, shine)
+        return unlit, known & ~misplaced(unlit / skin, edges, known)
+
+    def slope(self) -> np.ndarray:
+        """How the light changes with a tilt, see `slope_of`."""
+        covered = self._raster.covered
+        seen = np.zeros((len(self._seen), *covered.shape), np.float32)
+        seen[:, covered] = self._seen
+        position_mm = self._raster.interpolate(self._mesh.vertices)
+        frame = frame_of(self._raster.normals(self._mesh), position_mm, covered)
+        strength = self._light.rgb[:-1].mean(axis=1)
+        return slope_of(frame, position_mm, self._lamps_mm, strength, seen, self.level)
+
+
+def _tilted(mesh: Mesh, raster: UvRaster, found: Found) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, columns, 3) unit normals of the diffuse and of the specular light."""
+    position_mm = raster.interpolate(mesh.vertices)
+    frame = frame_of(raster.normals(mesh), position_mm, raster.covered)
+    return frame.tilted(found.diffuse_tilt), frame.tilted(found.specular_tilt)
 
 
 def _with_marks(
@@ -271,36 +299,6 @@ def _marks(beside: np.ndarray, known: np.ndarray) -> np.ndarray:
     wide = cv2.GaussianBlur((beside * weight[..., None]).astype(np.float32), (0, 0), sigma)
     spread = cv2.GaussianBlur(weight, (0, 0), sigma)
     found: np.ndarray = (beside - wide / np.maximum(spread, 1e-3)[..., None]) * weight[..., None]
-    return found
-
-
-def _steep(level: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Where light changes within a few texels: edges of shadows, which are never quite in place."""
-    reach = max(1, round(EDGE_SHARE * level.shape[0]))
-    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    most = cv2.dilate(np.where(covered, level, 0), kernel)
-    least = cv2.erode(np.where(covered, level, np.float32(np.inf)), kernel)
-    found: np.ndarray = most > STEEP * np.maximum(least, DARK_LIGHT)
-    return found
-
-
-def _misplaced(ratio: np.ndarray, steep: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Near edges, where a texture over its light is far from the skin: lit here, in shadow there.
-
-    Args:
-        ratio: (rows, columns, 3) of the texture over its light to the skin found so far.
-        steep: (h, w) bool, edges, of as many texels or fewer.
-        known: (rows, columns) bool, where the ratio says something. Its median there is the
-            person's tone.
-    """
-    rows, columns = ratio.shape[:2]
-    reach = max(1, round(NEAR_SHARE * steep.shape[0]))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    near = cv2.resize(cv2.dilate(steep.astype(np.uint8), disc), (columns, rows)) > 0
-    # Over a few texels, so that single hairs and pores stay.
-    off = cv2.GaussianBlur(np.log(ratio).mean(axis=2), (0, 0), max(1.0, rows / 768))
-    tone = np.median(off[known]) if known.any() else 0.0
-    found: np.ndarray = near & (np.abs(off - tone) > np.log(MISPLACED))
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -32,6 +33,7 @@ class FaceScore:
             it can be trusted.
     """
 
+    scored: ClassVar[str] = "diffuse albedo"
     psnr_db: float
     psnr_gain_db: float
     psnr_input_db: float

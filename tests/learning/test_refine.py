@@ -14,7 +14,7 @@ from learning.infer import Inferred
 from learning.maps import load_head
 from learning.relight import lit_texture, shadows_of
 from learning.whole.infer import infer_whole_face
-from learning.whole.refine import _marks, _misplaced, _steep
+from learning.whole.refine import _marks
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder
@@ -57,7 +57,7 @@ def test_refinement_takes_a_hard_lamps_shadows_out_and_finds_the_lamp(
         mesh, texture, true, skin = photographed(person)
         alone = infer_whole_face(network, texture, mesh)
         plain = alone.maps["diffuse_albedo"]
-        found = infer_whole_face(network, texture, mesh, refine_seconds=60)
+        found = infer_whole_face(network, texture, mesh, refine_seconds=600)
         refined = found.maps["diffuse_albedo"]
         both = (refined, plain)
         gains.append(np.subtract(*(psnr_db(x, true, skin, True) for x in both)))
@@ -84,7 +84,7 @@ def test_a_head_that_is_moved_gives_the_same_albedo_and_its_light_moves_with_it(
     moved = dataclasses.replace(mesh, vertices=mesh.vertices @ turn.T + [300, -20, 50])
 
     def found(shape: Mesh) -> Inferred:
-        return infer_whole_face(network, texture, shape, refine_seconds=60)
+        return infer_whole_face(network, texture, shape, refine_seconds=600)
 
     here, there = found(mesh), found(moved)
     difference = np.abs(here.maps["diffuse_albedo"] - there.maps["diffuse_albedo"])[skin]
@@ -132,7 +132,7 @@ def test_where_no_light_explains_a_texture_the_networks_answer_stays_and_is_told
     mesh, _, true, _ = photographed(people[0])
     stripes = (np.arange(192) // 8 % 2)[:, None, None] * 0.9 + 0.05
     texture = (stripes * np.ones_like(true)).astype(np.float32)
-    found = infer_whole_face(network, texture, mesh, refine_seconds=60)
+    found = infer_whole_face(network, texture, mesh, refine_seconds=600)
     assert found.light is None
     assert "no light explains it" in found.notes[-1]
     plain = infer_whole_face(network, texture, mesh)
@@ -148,47 +148,3 @@ def test_a_mark_is_skin_and_a_slope_over_the_face_is_light() -> None:
     assert np.abs(_marks(slope, known)[24:-24]).max() < 0.1
     nothing = _marks(slope, np.zeros((96, 64), bool))
     assert not nothing.any()
-
-
-def test_an_edge_of_a_shadow_is_left_out_and_a_slow_fall_is_not() -> None:
-    level = np.linspace(1.0, 0.5, 384, dtype=np.float32)[:, None] * np.ones((1, 256), np.float32)
-    covered = np.ones(level.shape, bool)
-    assert not _steep(level, covered).any()
-    level[:, 100:] *= 0.3
-    found = _steep(level, covered)
-    assert found[:, 99:101].all()
-    assert not found[:, :96].any()
-    assert not found[:, 104:].any()
-
-
-def test_a_lit_patch_where_shadow_was_expected_is_no_mark_and_a_mole_is() -> None:
-    """Near a shadow's edge what differs much is its place in error; far from it, a mark."""
-    rows, columns = 384, 256
-    steep = np.zeros((rows, columns), bool)
-    steep[200:203, :128] = True
-    ratio = np.ones((rows, columns, 3), np.float32)
-    ratio[196:200, 20:100] = 0.2
-    ratio[300:312, 180:192] = 0.2
-    ratio[201, 60] = 0.5
-    everywhere = np.ones((rows, columns), bool)
-    found = _misplaced(ratio, steep, everywhere)
-    assert found[197:199, 24:96].all()
-    assert not found[290:320].any()
-    assert not found[:, 140:].any()
-    # A smaller difference is detail, near an edge too.
-    assert not _misplaced(np.full_like(ratio, 1.3), steep, everywhere).any()
-    # And so is a person who is lighter than was thought.
-    assert np.array_equal(_misplaced(2 * ratio, steep, everywhere), found)
-
-
-@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
-def test_edges_in_light_of_any_strength_leave_a_mask(scale: float) -> None:
-    level = np.full((96, 64), scale, np.float32)
-    level[:, 32:] = 0
-    steep = _steep(level, np.ones((96, 64), bool))
-    ratio = np.full((96, 64, 3), scale, np.float32)
-    assert not _misplaced(ratio, steep, ~steep).any()
-    nothing_known = _misplaced(ratio, steep, np.zeros((96, 64), bool))
-    # Light that is dark everywhere has no edges.
-    assert nothing_known.any() == (scale > 1)
-    assert not nothing_known[:, 48:].any()

@@ -15,10 +15,12 @@ import torch
 
 from learning.checkpoint import (
     INDEX,
+    load_mesostructure,
     load_super_resolution,
     load_tensors,
     load_whole_face,
     read_checkpoint,
+    shipped_mesostructure,
     shipped_super_resolution,
     shipped_weights,
 )
@@ -53,13 +55,14 @@ def test_every_preset_has_a_trainer_and_shares_one_configuration() -> None:
     [
         (shipped_weights(), load_whole_face),
         (shipped_super_resolution(), load_super_resolution),
+        (shipped_mesostructure(), load_mesostructure),
     ],
 )
 def test_shipped_weights_load_and_their_configuration_is_taken_as_it_stands(
     folder: Path, load: Any
 ) -> None:
     network, checkpoint = load(folder)
-    assert sum(weight.numel() for weight in network.parameters()) > 1e5
+    assert sum(weight.numel() for weight in network.parameters()) > 5e4
     then = checkpoint.config
     config = make_config(CONFIGS[checkpoint.family], then, folder)
     require_within(config, folder)

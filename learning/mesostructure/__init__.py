@@ -1,0 +1,1 @@
+"""Pores and folds: how they tilt the surface beside the mesh, told by their shading."""

@@ -1,0 +1,85 @@
+"""A texture over its own light, and where that says something of the skin.
+
+It says nothing in the dark, at edges of shadows, which are never quite in place, and where a
+highlight hides the skin.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from learning.networks.whole_face import DARKEST
+
+DARK_LIGHT = 0.02
+"""Irradiance below which nothing is divided by it."""
+LEAST_LIGHT = 0.15
+"""Share of the median irradiance below which a texel's own albedo is not told by the texture."""
+MOST_SHINE = 0.35
+"""Share of a texture's value, in any channel, above which a highlight hides the skin."""
+EDGE_SHARE = 1 / 384
+"""Distance within which light must not change, of a texture's rows: 4 of 1536."""
+STEEP = 1.35
+"""Ratio of irradiance within that distance that is an edge."""
+NEAR_SHARE = 1 / 96
+"""Distance from such an edge, of a texture's rows, within which the real edge may lie."""
+MISPLACED = 1.4
+"""Ratio to the skin found so far, near an edge, that is the edge's place in error and no mark."""
+
+
+def over_light(texture: np.ndarray, irradiance: np.ndarray, shine: np.ndarray) -> np.ndarray:
+    """Divide a texture by its light.
+
+    Args:
+        texture: (rows, columns, 3) linear.
+        irradiance: the same, of diffuse light.
+        shine: the same, what is mirrored.
+
+    Returns:
+        (rows, columns, 3) float32, `DARKEST` to 1.
+    """
+    unlit = np.clip((texture - shine) / np.maximum(irradiance, DARK_LIGHT), DARKEST, 1.0)
+    return unlit.astype(np.float32)
+
+
+def matt(texture: np.ndarray, shine: np.ndarray) -> np.ndarray:
+    """(rows, columns) bool, where no highlight hides the skin; arguments as `over_light`."""
+    return np.asarray((shine < MOST_SHINE * texture).all(axis=2))
+
+
+def lit_enough(level: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """(rows, columns) bool, where irradiance, of (rows, columns), is not too dark to divide by."""
+    if not covered.any():
+        return covered
+    found: np.ndarray = covered & (level > LEAST_LIGHT * np.median(level[covered]))
+    return found
+
+
+def light_edges(level: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """(rows, columns) bool, where irradiance changes within a few texels: edges of shadows."""
+    reach = max(1, round(EDGE_SHARE * level.shape[0]))
+    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    most = cv2.dilate(np.where(covered, level, 0).astype(np.float32), kernel)
+    least = cv2.erode(np.where(covered, level, np.inf).astype(np.float32), kernel)
+    found: np.ndarray = most / STEEP > np.maximum(least, DARK_LIGHT)
+    return found
+
+
+def misplaced(ratio: np.ndarray, edges: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Near edges, where a texture over its light is far from the skin: lit here, in shadow there.
+
+    Args:
+        ratio: (rows, columns, 3) of the texture over its light to the skin found so far.
+        edges: (h, w) bool, see `light_edges`, of as many texels or fewer.
+        known: (rows, columns) bool, where the ratio says something. Its median there is the
+            person's tone.
+    """
+    rows, columns = ratio.shape[:2]
+    reach = max(1, round(NEAR_SHARE * edges.shape[0]))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    near = cv2.resize(cv2.dilate(edges.astype(np.uint8), disc), (columns, rows)) > 0
+    # Over a few texels, so that single hairs and pores stay.
+    off = cv2.GaussianBlur(np.log(ratio).mean(axis=2), (0, 0), max(1.0, rows / 768))
+    tone = np.median(off[known]) if known.any() else 0.0
+    found: np.ndarray = near & (np.abs(off - tone) > np.log(MISPLACED))
+    return found

@@ -1,0 +1,52 @@
+"""Where a texture over its light tells of the skin, and where it does not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from learning.whole.unlit import light_edges, misplaced
+
+
+def test_an_edge_of_a_shadow_is_left_out_and_a_slow_fall_is_not() -> None:
+    level = np.linspace(1.0, 0.5, 384, dtype=np.float32)[:, None] * np.ones((1, 256), np.float32)
+    covered = np.ones(level.shape, bool)
+    assert not light_edges(level, covered).any()
+    level[:, 100:] *= 0.3
+    found = light_edges(level, covered)
+    assert found[:, 99:101].all()
+    assert not found[:, :96].any()
+    assert not found[:, 104:].any()
+
+
+def test_a_lit_patch_where_shadow_was_expected_is_no_mark_and_a_mole_is() -> None:
+    """Near a shadow's edge what differs much is its place in error; far from it, a mark."""
+    rows, columns = 384, 256
+    edges = np.zeros((rows, columns), bool)
+    edges[200:203, :128] = True
+    ratio = np.ones((rows, columns, 3), np.float32)
+    ratio[196:200, 20:100] = 0.2
+    ratio[300:312, 180:192] = 0.2
+    ratio[201, 60] = 0.5
+    everywhere = np.ones((rows, columns), bool)
+    found = misplaced(ratio, edges, everywhere)
+    assert found[197:199, 24:96].all()
+    assert not found[290:320].any()
+    assert not found[:, 140:].any()
+    # A smaller difference is detail, near an edge too.
+    assert not misplaced(np.full_like(ratio, 1.3), edges, everywhere).any()
+    # And so is a person who is lighter than was thought.
+    assert np.array_equal(misplaced(2 * ratio, edges, everywhere), found)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_edges_in_light_of_any_strength_leave_a_mask(scale: float) -> None:
+    level = np.full((96, 64), scale, np.float32)
+    level[:, 32:] = 0
+    edges = light_edges(level, np.ones((96, 64), bool))
+    ratio = np.full((96, 64, 3), scale, np.float32)
+    assert not misplaced(ratio, edges, ~edges).any()
+    nothing_known = misplaced(ratio, edges, np.zeros((96, 64), bool))
+    # Light that is dark everywhere has no edges.
+    assert nothing_known.any() == (scale > 1)
+    assert not nothing_known[:, 48:].any()
