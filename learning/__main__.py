@@ -1,4 +1,4 @@
-"""Commands of the learning package: train, infer, upscale, render, bake, occlusion."""
+"""Commands of the learning package: train, infer, upscale, render, bake, export, occlusion."""
 
 from __future__ import annotations
 
@@ -162,6 +162,51 @@ def bake(
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels, {counted(facts['lights'], 'light')}, "
         f"{facts['seconds']:.1f} s" + "".join(f"; {note}" for note in facts["notes"]),
+        facts,
+        as_json,
+    )
+
+
+@app.command()
+def export(
+    maps: Annotated[
+        Path,
+        typer.Argument(
+            help="Processed folder, whose atlas and registered mesh are taken; or a folder of "
+            "maps, such as `infer` writes."
+        ),
+    ],
+    out: Annotated[Path, output_folder("--out", help="Folder to make.")],
+    mesh: Annotated[
+        Path | None,
+        typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
+    ] = None,
+    formats: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="Some of, with commas: `gltf` (head.glb), `obj` (with head.mtl), `maps` (16-bit "
+            "PNG and OpenEXR, with a recipe for Blender and Unreal), `usd` (needs the extra usd).",
+        ),
+    ] = "gltf,obj,maps",
+    template: Annotated[
+        Path | None,
+        typer.Option(
+            help="Template whose expressions become morph targets under ARKit's names, and whose "
+            "shininess stands for a map of roughness that is missing."
+        ),
+    ] = None,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Write a head for artists, engines and researchers: glTF, OBJ, maps, USD."""
+    from learning.export.command import export_command
+
+    with limited_access(group_of([maps])), progress_bar("export") as progress:
+        facts = export_command(maps, mesh, formats, out, template, progress)
+    finish(
+        f"{out}: {', '.join(facts['formats'])}; {facts['rows']} x {facts['columns']} texels, "
+        f"{facts['bytes'] / 1e6:.1f} MB, {facts['seconds']:.1f} s"
+        + "".join(f"; {note}" for note in facts["notes"]),
         facts,
         as_json,
     )
