@@ -62,7 +62,10 @@ TemplateOption = Annotated[
 ]
 ModeOption = Annotated[
     str,
-    typer.Option(help="`physical`; `paper`: the formulas as printed; `ggx`: facets with Fresnel."),
+    typer.Option(
+        help="`dielectric`: facets with exact Fresnel over a diffuse layer; `physical`: "
+        "Blinn-Phong; `paper`: the formulas as printed; `ggx`: facets with Schlick's Fresnel."
+    ),
 ]
 
 
@@ -85,7 +88,7 @@ def render(
     rig: RigOption = None,
     camera: CameraOption = "cam0",
     template: TemplateOption = None,
-    mode: ModeOption = "physical",
+    mode: ModeOption = "dielectric",
     background: Annotated[str, typer.Option(help="`white` or `black`.")] = "white",
     captured_only: Annotated[
         bool, typer.Option("--captured-only", help="Leave out texels of confidence 0.")
@@ -145,7 +148,7 @@ def bake(
     rig: RigOption = None,
     camera: CameraOption = "cam0",
     template: TemplateOption = None,
-    mode: ModeOption = "physical",
+    mode: ModeOption = "dielectric",
     lights: CountOption = 64,
     rotate: RotateOption = 0.0,
     shadows: ShadowsOption = "baked",
