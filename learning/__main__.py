@@ -189,7 +189,8 @@ def export(
         typer.Option(
             "--format",
             help="Some of, with commas: `gltf` (head.glb), `obj` (with head.mtl), `maps` (16-bit "
-            "PNG and OpenEXR, with a recipe for Blender and Unreal), `usd` (needs the extra usd).",
+            "PNG and OpenEXR, with a recipe for Blender and Unreal), `usd` (needs the extra usd), "
+            "`page` (page.html, which opens in a browser from the disk).",
         ),
     ] = "gltf,obj,maps",
     template: Annotated[
@@ -199,13 +200,19 @@ def export(
             "shininess stands for a map of roughness that is missing."
         ),
     ] = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option(
+            help="Inferred maps of the same mesh: the page has a slider between them and MAPS."
+        ),
+    ] = None,
     as_json: bool = JsonFlag,
 ) -> None:
-    """Write a head for artists, engines and researchers: glTF, OBJ, maps, USD."""
+    """Write a head for artists, engines and researchers: glTF, OBJ, maps, USD, a web page."""
     from learning.export.command import export_command
 
     with limited_access(group_of([maps])), progress_bar("export") as progress:
-        facts = export_command(maps, mesh, formats, out, template, progress)
+        facts = export_command(maps, mesh, formats, out, template, compare, progress)
     finish(
         f"{out}: {', '.join(facts['formats'])}; {facts['rows']} x {facts['columns']} texels, "
         f"{facts['bytes'] / 1e6:.1f} MB, {facts['seconds']:.1f} s"

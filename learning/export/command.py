@@ -13,6 +13,7 @@ from learning.export.gltf import write_glb
 from learning.export.maps import write_maps
 from learning.export.morphs import morph_targets
 from learning.export.obj import write_obj_material, write_pictures
+from learning.export.page import write_page
 from learning.export.pictures import Pictures
 from learning.export.recipe import readme
 from learning.export.source import Source, read_source
@@ -23,7 +24,8 @@ from lightstage.formats.files import atomic_folder, write_text
 from lightstage.formats.processed import ProcessedFolder
 from processing.dataset import read_head_pose
 
-FORMATS = ("gltf", "obj", "maps", "usd")
+FORMATS = ("gltf", "obj", "maps", "usd", "page")
+PAGE = "page.html"
 README = "README.txt"
 
 
@@ -48,6 +50,7 @@ def export_command(
     formats: str,
     out: Path,
     template: Path | None,
+    compare: Path | None,
     progress: ProgressCallback,
 ) -> dict[str, Any]:
     """Export a head; returns the facts.
@@ -59,6 +62,7 @@ def export_command(
         out: folder to make.
         template: whose expressions become morph targets, and whose exponents stand for a map of
             roughness that is missing.
+        compare: other maps of the same mesh, such as inferred ones, for the page's slider.
         progress: of the formats.
 
     Raises:
@@ -76,10 +80,18 @@ def export_command(
             expected="a new folder",
             hint="Choose another --out, or remove that one first.",
         )
+    if compare is not None and "page" not in chosen:
+        raise ConfigError("--compare", found="without page in --format", expected="page")
     source = read_source(maps, mesh, template)
+    sides = {"captured" if compare else "head": (source, Pictures(source))}
+    if compare is not None:
+        place = ProcessedFolder(source.folder.parent).registered_mesh if mesh is None else mesh
+        other = read_source(compare, place, template)
+        sides = {"inferred": (other, Pictures(other)), **sides}
     morphs, notes = _morphs(source, template)
     notes = [*source.notes, *notes]
-    pictures, written = Pictures(source), []
+    pictures: Pictures = list(sides.values())[-1][1]
+    written: list[tuple[str, str, str]] = []
     with atomic_folder(out, README) as folder:
         if "gltf" in chosen:
             write_glb(folder / "head.glb", source, pictures, morphs)
@@ -95,6 +107,9 @@ def export_command(
         if "usd" in chosen:
             write_usd(folder / "head.usda", source, paths)
             progress(1 + chosen.index("usd"), len(chosen))
+        if "page" in chosen:
+            write_page(folder / PAGE, sides)
+            progress(1 + chosen.index("page"), len(chosen))
         text = readme(chosen, source.size, written, notes, list(morphs), "roughness" in source.maps)
         write_text(folder / README, text)
         size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

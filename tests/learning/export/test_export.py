@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import base64
 import dataclasses
 import io
 import json
 import os
+import re
 import shutil
 import struct
 import subprocess
@@ -381,7 +383,7 @@ def test_a_place_that_is_taken_and_a_format_that_is_unknown_are_refused(
     assert "expected a new folder" in capsys.readouterr().err
     assert (exported / "head.glb").read_bytes() == before
     assert run(monkeypatch, "export", person, "--out", exported / "new", "--format", "fbx") == 2
-    assert "some of gltf, obj, maps, usd" in capsys.readouterr().err
+    assert "some of gltf, obj, maps, usd, page" in capsys.readouterr().err
     assert not (exported / "new").exists()
 
 
@@ -486,3 +488,41 @@ def test_usd_names_the_inputs_of_both_materials_and_their_pictures(
     assert surface.GetIdAttr().Get() == "ND_standard_surface_surfaceshader"
     connected = {i.GetBaseName() for i in surface.GetInputs() if i.HasConnectedSource()}
     assert {"base_color", "specular", "specular_roughness", "normal"} <= connected
+
+
+def test_a_page_holds_mesh_pictures_and_library_and_asks_no_server_for_anything(
+    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("--format", "page", "--compare", person)
+    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 0
+    text = (tmp_path / "out" / "page.html").read_text()
+    assert "MIT License" in text
+    assert "three.js 0.187.0" in text
+    assert not re.findall(r"<[^>]+ (?:src|href)=", text.split("<script", 1)[0])
+    assert not any(mark in text for mark in ("@DATA@", "@THREE@", "@CORE@", "@LICENCE@"))
+    data = json.loads(re.findall(r'id="data">(.*?)</script>', text, re.S)[0])
+    assert [side["name"] for side in data["sides"]] == ["inferred", "captured"]
+    mesh = read_obj(ProcessedFolder(person).registered_mesh)
+    place = np.frombuffer(base64.b64decode(data["mesh"]["position"]), "<f4").reshape(-1, 3)
+    index = np.frombuffer(base64.b64decode(data["mesh"]["index"]), "<u4").reshape(-1, 3)
+    np.testing.assert_allclose(place[index], mesh.vertices[mesh.triangles()] / 1000, atol=1e-6)
+    kind, packed = data["sides"][0]["specular"].split(",")
+    assert kind == "data:image/png;base64"
+    pixels = cv2.imdecode(np.frombuffer(base64.b64decode(packed), np.uint8), -1)
+    skin = read_source(person).covered
+    albedo = ProcessedFolder(person).read_atlas("specular_albedo")[skin]
+    np.testing.assert_allclose(pixels[skin][:, 3] / 255, np.minimum(albedo / F0, 1), atol=0.002)
+    # The element that holds a part is ended by the page alone.
+    assert text.count("</script>") == 4
+
+
+def test_a_comparison_without_a_page_is_refused(
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ("--format", "gltf", "--compare", person)
+    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 2
+    assert "--compare" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
