@@ -110,12 +110,12 @@ def _side(name: str, source: Source, pictures: Pictures) -> dict[str, Any]:
 
 def _small(data: bytes) -> np.ndarray:
     """A PNG's pixels in OpenCV's order, of at most `MOST_ROWS` rows."""
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    image = np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
     rows, columns = image.shape[:2]
     if rows > MOST_ROWS:
         size = (max(1, columns * MOST_ROWS // rows), MOST_ROWS)
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(image)
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+    return image
 
 
 def _jpeg(data: bytes, quality: int) -> str:

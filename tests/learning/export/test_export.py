@@ -526,3 +526,15 @@ def test_a_comparison_without_a_page_is_refused(
     assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 2
     assert "--compare" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_page_that_would_be_too_large_is_refused_and_its_folder_is_not_left(
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("learning.export.page.MOST_BYTES", 1_000_000)
+    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", "--format", "page") == 2
+    assert "expected at most 1 MB" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
