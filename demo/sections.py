@@ -339,9 +339,8 @@ def relit_section(demo: Demo) -> Section:
     parts: list[str | Picture] = [
         "The purpose of it all: the captured head under light in which it was never photographed, "
         "drawn by the project's renderer from the captured maps, beside the picture that the "
-        "simulator makes of the true head by other code. The renderer's highlight is the published "
-        "Blinn-Phong one, which knows no Fresnel reflection: where light comes from behind and "
-        "grazes temples and cheeks, it shines too little."
+        "simulator makes of the true head by other code. Both show skin's surface as a rough "
+        "dielectric with Fresnel's reflection."
     ]
     for relit in demo.relit:
         mask = relit.mask[crop]

@@ -1,4 +1,4 @@
-"""Commands of the learning package: train, infer, upscale, render, bake, occlusion."""
+"""Commands of the learning package: train, infer, upscale, render, bake, export, occlusion."""
 
 from __future__ import annotations
 
@@ -62,7 +62,10 @@ TemplateOption = Annotated[
 ]
 ModeOption = Annotated[
     str,
-    typer.Option(help="`physical`; `paper`: the formulas as printed; `ggx`: facets with Fresnel."),
+    typer.Option(
+        help="`dielectric`: facets with exact Fresnel over a diffuse layer; `physical`: "
+        "Blinn-Phong; `paper`: the formulas as printed; `ggx`: facets with Schlick's Fresnel."
+    ),
 ]
 
 
@@ -85,7 +88,7 @@ def render(
     rig: RigOption = None,
     camera: CameraOption = "cam0",
     template: TemplateOption = None,
-    mode: ModeOption = "physical",
+    mode: ModeOption = "dielectric",
     background: Annotated[str, typer.Option(help="`white` or `black`.")] = "white",
     captured_only: Annotated[
         bool, typer.Option("--captured-only", help="Leave out texels of confidence 0.")
@@ -145,7 +148,7 @@ def bake(
     rig: RigOption = None,
     camera: CameraOption = "cam0",
     template: TemplateOption = None,
-    mode: ModeOption = "physical",
+    mode: ModeOption = "dielectric",
     lights: CountOption = 64,
     rotate: RotateOption = 0.0,
     shadows: ShadowsOption = "baked",
@@ -162,6 +165,58 @@ def bake(
     finish(
         f"{out}: {facts['rows']} x {facts['columns']} texels, {counted(facts['lights'], 'light')}, "
         f"{facts['seconds']:.1f} s" + "".join(f"; {note}" for note in facts["notes"]),
+        facts,
+        as_json,
+    )
+
+
+@app.command()
+def export(
+    maps: Annotated[
+        Path,
+        typer.Argument(
+            help="Processed folder, whose atlas and registered mesh are taken; or a folder of "
+            "maps, such as `infer` writes."
+        ),
+    ],
+    out: Annotated[Path, output_folder("--out", help="Folder to make.")],
+    mesh: Annotated[
+        Path | None,
+        typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
+    ] = None,
+    formats: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="Some of, with commas: `gltf` (head.glb), `obj` (with head.mtl), `maps` (16-bit "
+            "PNG and OpenEXR, with a recipe for Blender and Unreal), `usd` (needs the extra usd), "
+            "`page` (page.html, which opens in a browser from the disk).",
+        ),
+    ] = "gltf,obj,maps",
+    template: Annotated[
+        Path | None,
+        typer.Option(
+            help="Template whose expressions become morph targets under ARKit's names, and whose "
+            "shininess stands for a map of roughness that is missing."
+        ),
+    ] = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option(
+            help="Inferred maps of the same mesh: the page has a slider between them and MAPS."
+        ),
+    ] = None,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Write a head for artists, engines and researchers: glTF, OBJ, maps, USD, a web page."""
+    from learning.export.command import export_command
+
+    with limited_access(group_of([maps])), progress_bar("export") as progress:
+        facts = export_command(maps, mesh, formats, out, template, compare, progress)
+    finish(
+        f"{out}: {', '.join(facts['formats'])}; {facts['rows']} x {facts['columns']} texels, "
+        f"{facts['bytes'] / 1e6:.1f} MB, {facts['seconds']:.1f} s"
+        + "".join(f"; {note}" for note in facts["notes"]),
         facts,
         as_json,
     )

@@ -20,6 +20,8 @@ from lightstage.formats.template import Template
 
 SHININESS = 32.0
 """Blinn-Phong's exponent where no map says: Beckmann m = 0.25, skin's middle."""
+ROUGHNESS_RANGE = (0.05, 0.95)
+"""Of Beckmann's m that is taken from a map: the exponents 798 and 0.2."""
 TRANSLUCENCY = 0.5
 """Translucency where no map says."""
 
@@ -62,7 +64,7 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
     """
     names = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
     maps = {name: read_map(folder / f"{name}.exr", name) for name in names}
-    for name in ("ambient_occlusion", "confidence"):
+    for name in ("ambient_occlusion", "confidence", "roughness"):
         if (folder / f"{name}.exr").exists():
             maps[name] = read_map(folder / f"{name}.exr", name)
     rows, columns = maps["diffuse_albedo"].shape[:2]
@@ -87,10 +89,16 @@ def load_head(folder: Path, mesh: Mesh, template: Template | None = None) -> Tex
     ones = np.ones((rows, columns), np.float32)
     captured = raster.covered & (maps.get("confidence", ones) > 0)
     skin_maps = template.maps if template else {}
+    shininess = _resized(skin_maps.get("shininess"), rows, columns, SHININESS)
+    if "roughness" in maps:
+        # What was measured goes before what a template says; texels without stay as they were.
+        known = maps["roughness"] > 0
+        m = np.clip(maps["roughness"], *ROUGHNESS_RANGE)
+        shininess = np.where(known, 2 / m**2 - 2, shininess).astype(np.float32)
     skin = skin_maps_from(
         {**maps, "position": position},
         raster.covered,
-        _resized(skin_maps.get("shininess"), rows, columns, SHININESS),
+        shininess,
         _resized(skin_maps.get("translucency"), rows, columns, TRANSLUCENCY),
     )
     return TexturedHead(mesh, raster, skin, captured, notes)

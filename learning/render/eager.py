@@ -13,6 +13,13 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from learning.render.dielectric import (
+    let_through,
+    mean_through,
+    mirror_lobe,
+    mirrored,
+    roughness_of,
+)
 from learning.render.environments import Environment
 from learning.render.texel_blocks import NARROWEST, NEAREST_MM, SHORTEST
 
@@ -73,7 +80,7 @@ def sums(texels: TexelFields, environment: Environment, mode: str) -> tuple[Tens
     distance2 = square - near * (2 * (light @ position) - _dot(position, position))
     least = near * (NEAREST_MM**2 - 1e-12) + 1e-12
     inverse = torch.maximum(distance2, least).rsqrt()
-    diffuse = toward_light(unit(texels.diffuse_normal)) * inverse
+    diffuse = diffuse_cosine = toward_light(unit(texels.diffuse_normal)) * inverse
     incidence = toward_light(normal) * inverse
     toward_view = _dot(normal, view)
     view_light = toward_light(view) * inverse
@@ -85,7 +92,13 @@ def sums(texels: TexelFields, environment: Environment, mode: str) -> tuple[Tens
         diffuse = diffuse.clamp_min(0) * reach
         incidence = incidence.clamp_min(0)
     rim = None
-    if mode == "ggx":
+    if mode == "dielectric":
+        through = mirrored(roughness_of(shininess))
+        leaving = let_through(through, _dot(unit(texels.diffuse_normal), view))
+        diffuse = diffuse * let_through(through, diffuse_cosine) * leaving / mean_through(through)
+        view_half = ((1 + view_light) * half_length).clamp(0.0, 1.0)
+        specular = mirror_lobe(half, incidence, toward_view, view_half, shininess) * reach
+    elif mode == "ggx":
         facets = ggx(half, incidence, toward_view.clamp_min(0), shininess) * reach
         beside = (1 - (1 + view_light) * half_length).clamp_min(0) ** 5
         specular, rim = facets * (1 - beside), facets * beside
@@ -101,6 +114,8 @@ def sums(texels: TexelFields, environment: Environment, mode: str) -> tuple[Tens
     if paper:
         return irradiance, lobe, nothing
     irradiance = irradiance + ambient * texels.occlusion
+    if mode == "dielectric":
+        return irradiance, lobe, nothing
     if rim is not None:
         return irradiance, lobe, colour @ rim
     return irradiance, lobe * lobe_norm(shininess), nothing

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from learning.render.kernel_backward import LIGHT_SUMS, Asked, Gradients, Shaded, backward
+from learning.render.kernel_facets import forward_facets
 from learning.render.kernel_forward import forward, pack_lights
 from learning.render.texel_blocks import NEAREST_MM, Lights, Skins, tasks_of
 
@@ -55,6 +56,35 @@ def can_fuse(reference: Tensor) -> bool:
     return reference.device.type == "cpu" and reference.dtype in (torch.float32, torch.float64)
 
 
+def fused_facets(given: Inputs) -> tuple[Tensor, Tensor]:
+    """As `FusedLight` for mode `dielectric`; what comes back has no gradient."""
+    skins, lights = _arrays(given)
+    batch, _, texels = skins.position.shape
+    kind = skins.position.dtype
+    irradiance = np.empty((batch, 3, texels), kind)
+    lobes = np.empty((batch, 3, texels), kind)
+    forward_facets(skins, lights, array_of(given.glossy), irradiance, lobes)
+    return torch.from_numpy(irradiance), torch.from_numpy(lobes)
+
+
+def wants_gradient(given: Inputs) -> bool:
+    """Whether any of the tensors is to be differentiated."""
+    tensors = [value for value in given if isinstance(value, Tensor)]
+    return torch.is_grad_enabled() and any(value.requires_grad for value in tensors)
+
+
+def _arrays(of: Inputs) -> tuple[Skins, Lights]:
+    """The inputs as compiled code takes them."""
+    maps = (of.position, of.diffuse_normal, of.specular_normal, of.shininess, of.occlusion)
+    skins = Skins(*(array_of(field) for field in (*maps, of.valid)))
+    batch, _, texels = skins.position.shape
+    kind = skins.position.dtype
+    visible = np.zeros((batch, 0, texels), kind) if of.seen is None else array_of(of.seen)
+    light_mm, rgb, distant = (array_of(x) for x in (of.light_mm, of.rgb, of.distant))
+    packed = pack_lights(light_mm, rgb, distant, NEAREST_MM)
+    return skins, Lights(packed, visible, array_of(of.ambient), array_of(of.camera))
+
+
 class FusedLight(torch.autograd.Function):
     """`shading.direct` on a processor: sums over lights of the diffuse and the specular part."""
 
@@ -63,15 +93,11 @@ class FusedLight(torch.autograd.Function):
         """Of `Inputs`: irradiance and lobes, (B, 3, n) each."""
         of = Inputs(*given)
         maps = (of.position, of.diffuse_normal, of.specular_normal, of.shininess, of.occlusion)
-        skins = Skins(*(array_of(field) for field in (*maps, of.valid)))
+        skins, lights = _arrays(of)
         batch, _, texels = skins.position.shape
         kind = skins.position.dtype
-        visible = np.zeros((batch, 0, texels), kind) if of.seen is None else array_of(of.seen)
-        light_mm, rgb, distant = (array_of(x) for x in (of.light_mm, of.rgb, of.distant))
-        packed = pack_lights(light_mm, rgb, distant, NEAREST_MM)
         irradiance = np.empty((batch, 3, texels), kind)
         lobes = np.empty((batch, 3, texels), kind)
-        lights = Lights(packed, visible, array_of(of.ambient), array_of(of.camera))
         forward(skins, lights, array_of(of.glossy), of.paper, irradiance, lobes)
         found = torch.from_numpy(irradiance), torch.from_numpy(lobes)
         # Kept so that torch notices when one is changed before the gradient is asked for.

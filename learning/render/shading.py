@@ -1,11 +1,12 @@
 """Shading in texture space: Lambert, Blinn-Phong and subsurface scattering [Lattas2021].
 
-Three modes. `physical` is on the scale of light: diffuse light is clamped at the horizon, ambient
-light is added, the specular lobe carries the cosine of incidence and Giesen's normalisation, so
-that specular albedo is a reflectance and no skin sends back more than arrives. `paper` is
-AvatarMe++ as printed: no clamp on the diffuse dot product, the ambient intensity multiplies the sum
-(so 0 is black), no fall-off, no normalisation. `ggx` has facets with Fresnel's rise at grazing
-angles.
+Four modes. `dielectric` is skin under a rough dielectric surface: facets with exact Fresnel, and
+only what they do not mirror reaches the diffuse layer (see `dielectric`). `physical` is on the
+scale of light: diffuse light is clamped at the horizon, ambient light is added, the specular lobe
+carries the cosine of incidence and Giesen's normalisation, so that specular albedo is a reflectance
+and no skin sends back more than arrives. `paper` is AvatarMe++ as printed: no clamp on the diffuse
+dot product, the ambient intensity multiplies the sum (so 0 is black), no fall-off, no
+normalisation. `ggx` has facets with Fresnel's rise at grazing angles by Schlick.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from learning.render.eager import TexelFields, compiled_sums, sums, unit
 from learning.render.environments import Environment
-from learning.render.fused import FusedLight, Inputs, can_fuse
+from learning.render.fused import FusedLight, Inputs, can_fuse, fused_facets, wants_gradient
 from learning.render.skin import Mode, ShadeOptions, SkinMaps, wide_enough
 from learning.render.subsurface import scatter, scatter_paper
 
@@ -121,6 +122,8 @@ def direct(
     valid = (maps.area > 0).flatten(1).expand(batch, -1)
     paper = options.mode == "paper"
     rim = None
+    facets = options.mode == "dielectric"
+    given = None
     if options.engine == "auto" and options.mode != "ggx" and can_fuse(texels.position_mm):
         glossy = valid
         if not maps.specular_albedo.requires_grad:
@@ -141,6 +144,9 @@ def direct(
             valid,
             paper,
         )
+    if given is not None and facets and not wants_gradient(given):
+        irradiance, lobe = fused_facets(given)
+    elif given is not None and not facets:
         irradiance, lobe = FusedLight.apply(*given)
     else:
         irradiance, lobe, high = _in_torch(texels, lights, options)

@@ -81,7 +81,7 @@ CHANNELS = {
 }
 
 
-Mode = Literal["physical", "paper", "ggx"]
+Mode = Literal["dielectric", "physical", "paper", "ggx"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,8 +89,9 @@ class ShadeOptions:
     """How to shade.
 
     Attributes:
-        mode: `physical`; `paper` for the formulas as printed; `ggx` for facets with Fresnel, as
-            other renderers draw them.
+        mode: `dielectric` for facets with exact Fresnel over a diffuse layer, what relighting
+            takes; `physical`; `paper` for the formulas as printed; `ggx` for facets with Schlick's
+            Fresnel, as other renderers draw them.
         subsurface_mm: the diffusion kernel's standard deviation on the skin; 0 for none. The
             paper's 1.4 mm, 21 px of its 6144 x 4096 texture, is read as a standard deviation.
         fade_normals: let the light of a normal shorter than 1 fade with its length, as that of

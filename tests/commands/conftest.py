@@ -16,6 +16,7 @@ from learning.checkpoint import save_checkpoint
 from learning.networks.generator import Generator
 from learning.patch_config import TrainConfig
 from learning.presets import preset
+from learning.render.uv import rasterise
 from learning.upscale.config import UpscaleTrainConfig
 from learning.upscale.network import Rcan
 from lightstage.formats.config import as_dict
@@ -23,6 +24,7 @@ from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import write_exr
 from lightstage.formats.files import write_json
 from lightstage.formats.mesh import Mesh, write_obj
+from lightstage.formats.processed import ProcessedFolder
 from lightstage.importing import import_session
 from lightstage.rig import default_rig, save_rig
 from processing.dataset import build_store
@@ -122,6 +124,13 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     square = np.array([[0, 1, 2, 3]], np.int32)
     mesh = Mesh(60 * corners, square, (corners[:, :2] + 1) / 2, square)
     at["mesh"] = write_obj(mesh, folder / "mesh.obj")
+    face = ProcessedFolder(folder / "face")
+    raster = rasterise(mesh, 24, 16)
+    for name in ("diffuse_normal", "specular_normal"):
+        face.write_atlas(name, raster.normals(mesh))
+    face.write_atlas("diffuse_albedo", rng.random((24, 16, 3)))
+    face.write_atlas("specular_albedo", np.full((24, 16), 0.03))
+    at["mesh's maps"] = face.root / "atlas"
     points = {"scheme": "ibug68", "points_mm": [[float(i), 0.0, 0.0] for i in range(68)]}
     at["points"] = write_json(folder / "points.json", points)
     lights = LightSet("key", np.array([[0.0, 0, 900]]), np.ones((1, 3)), np.zeros(3))
@@ -172,6 +181,7 @@ RUNNABLE = {
         "learning", "occlusion", "--head", "{mesh}", "--directions", "8", "--out", "{new}.npz",
         "--network", "{new} network", "--config", "{quick training}",
     ),
+    "export": ("learning", "export", "{mesh's maps}", "--mesh", "{mesh}", "--out", "{new}"),
     "infer": (
         "learning", "infer", "--texture", "{texture}", "--mesh", "{mesh}", "--checkpoint", "{run}",
         "--out", "{new}",

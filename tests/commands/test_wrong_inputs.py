@@ -38,6 +38,7 @@ RIGHT: dict[str, dict[str, str]] = {
         "--maps": "maps", "--environment": "lights", "--out": NEW, "--mesh": "mesh",
     },
     "learning bake": {"--maps": "maps", "--mesh": "mesh", "--environment": "lights", "--out": NEW},
+    "learning export": {"maps": "mesh's maps", "--mesh": "mesh", "--out": NEW},
     "learning occlusion": {"--out": NEW},
     "learning train": {"--data": "store", "--out": NEW},
     "learning infer": {
@@ -74,6 +75,7 @@ RIGHT_TOO = {
 CHOICES = {
     "kind", "--drive", "--do", "--mode", "--background", "--shadows", "--light", "--until",
     "--sequence", "sequence", "--preset", "--flaws", "--people", "--camera",
+    "--format",
 }  # fmt: skip
 """Options that take one of some words."""
 

@@ -1,0 +1,251 @@
+"""What is exported: a mesh with UV and the maps in its texture, looked through before anything."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from learning.errors import MapsError
+from learning.map_checks import require_albedo, require_millimetres
+from learning.map_folders import MARK, require_texture_maps
+from lightstage.formats.exr import read_half_exr
+from lightstage.formats.mesh import Mesh, read_mesh, vertex_normals
+from lightstage.formats.processed import MAPS, ProcessedFolder
+from lightstage.formats.template import load_template
+from processing.atlas.raster import Raster, rasterise
+from processing.atlas.tangents import TangentFrames, tangent_frames, to_tangent_space
+
+NEEDED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
+OPTIONAL = ("roughness", "ambient_occlusion", "confidence")
+FARTHEST_MM = 5.0
+"""Median distance at which a map of positions is another head's or another template's."""
+FARTHEST_DEG = 60.0
+"""Median angle to the mesh's normals at which maps are another template's, or in other axes."""
+CHECKED = 20_000
+"""Texels that are compared with the mesh."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """A mesh and the maps in its texture.
+
+    Attributes:
+        mesh: mm, in its own axes, with UV.
+        normals: (n, 3) unit, of its vertices; zero where all its triangles are degenerate.
+        frames: MikkTSpace's tangents of its corners.
+        raster: of the texture.
+        nearest: (rows, columns) int32, the covered texel, as a flat index, whose value a texel
+            shows; outside of the surface the nearest one, so that filtering shows no seam.
+        folder: of the maps.
+        maps: by name, (rows, columns) or (rows, columns, 3) float16, finite.
+        notes: what a user should know.
+    """
+
+    mesh: Mesh
+    normals: np.ndarray
+    frames: TangentFrames
+    raster: Raster
+    nearest: np.ndarray
+    folder: Path
+    maps: dict[str, np.ndarray]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of the maps."""
+        rows, columns = self.nearest.shape
+        return rows, columns
+
+    @property
+    def covered(self) -> np.ndarray:
+        """(rows, columns) bool, where the mesh lies."""
+        return self.raster.face >= 0
+
+    def spread(self, image: np.ndarray) -> np.ndarray:
+        """A map whose texels beside the surface show the nearest one on it."""
+        flat = image.reshape(len(self.nearest.ravel()), -1)
+        return flat[self.nearest.ravel()].reshape(image.shape)
+
+    def tangent(self, name: str) -> np.ndarray:
+        """(rows, columns, 3) float32 normals of a map in MikkTSpace's frame, spread.
+
+        A texel without a normal shows the mesh's: (0, 0, 1).
+        """
+        texels = np.flatnonzero(self.raster.face.ravel() >= 0)
+        world = self.maps[name].reshape(-1, 3)[texels].astype(np.float32)
+        found = to_tangent_space(
+            world, self.raster, texels, self.mesh.triangles(), self.normals, self.frames
+        )
+        found[np.einsum("kc,kc->k", world, world) < 1e-6] = (0, 0, 1)
+        out = np.empty((self.nearest.size, 3), np.float32)
+        out[texels] = found
+        return out[self.nearest.ravel()].reshape(*self.nearest.shape, 3)
+
+
+def maps_folder(given: Path) -> Path:
+    """The folder of maps that is meant: of a processed folder its atlas.
+
+    Raises:
+        MapsError: none, several, or one camera's (see `require_texture_maps`).
+    """
+    atlas = given / "atlas"
+    if not (given / MARK).is_file() and (atlas / MARK).is_file():
+        return atlas
+    require_texture_maps(given)
+    return given
+
+
+def read_source(given: Path, mesh: Path | None = None, template: Path | None = None) -> Source:
+    """Read a processed folder, or a folder of maps and the mesh that they lie on.
+
+    Args:
+        given: a processed folder (its atlas is taken), its atlas, or maps of `infer`.
+        mesh: with the maps' UV, in the axes of their normals; registered_mesh.obj beside the maps
+            where None.
+        template: whose exponents tell the roughness where no map does.
+
+    Raises:
+        MapsError: no mesh, one without UV or not in mm; maps that are missing, of other sizes,
+            negative, or of another template.
+        FormatError: a file that cannot be read, or that has NaN.
+    """
+    folder = maps_folder(given)
+    place = ProcessedFolder(folder.parent).registered_mesh if mesh is None else mesh
+    if not place.exists():
+        raise MapsError(
+            place,
+            field="--mesh",
+            found="no such file",
+            expected="the mesh of the maps",
+            hint="Name it by --mesh; the atlas of a capture has its registered_mesh.obj one folder "
+            "up.",
+        )
+    shape = read_mesh(place)
+    _require_shape(shape, place)
+    maps = _read_maps(folder)
+    rows, columns = maps["diffuse_albedo"].shape[:2]
+    triangles, corners = shape.triangles(), shape.triangle_uvs()
+    assert shape.uvs is not None  # _require_shape
+    raster = rasterise(shape.uvs, corners, rows, columns)
+    if not (raster.face >= 0).any():
+        raise MapsError(place, field="uv", found="no texel covered", expected="UV in 0..1")
+    normals = vertex_normals(shape.vertices, triangles)
+    _require_same(shape, normals, raster, maps, folder, place)
+    notes = []
+    if "roughness" not in maps and template is not None:
+        shininess = load_template(template).maps.get("shininess")
+        if shininess is not None:
+            # The lobe of this exponent is as wide as Beckmann's of this m [Walter2007].
+            root = np.sqrt(2 / (cv2.resize(shininess, (columns, rows)) + 2))
+            maps["roughness"] = root.astype(np.float16)
+    if "roughness" not in maps:
+        notes.append("no map of roughness: one number stands for the whole face")
+    if not np.any(maps["specular_albedo"]):
+        notes.append("specular_albedo is 0 everywhere: nothing shines")
+    frames = tangent_frames(shape.vertices, triangles, shape.uvs, corners, normals)
+    maps = {name: image for name, image in maps.items() if name != "position"}
+    nearest = _nearest(raster.face >= 0)
+    return Source(shape, normals, frames, raster, nearest, folder, maps, tuple(notes))
+
+
+def _require_shape(mesh: Mesh, where: Path) -> None:
+    if mesh.uvs is None or mesh.face_uvs is None:
+        raise MapsError(
+            where,
+            field="uv",
+            found="none",
+            expected="the maps' texture coordinates",
+            hint="Give the mesh that the maps were made on; a base mesh has no UV.",
+        )
+    if mesh.uvs.min() < -1e-6 or mesh.uvs.max() > 1 + 1e-6:
+        raise MapsError(
+            where,
+            field="uv",
+            found=f"UV from {mesh.uvs.min():.3g} to {mesh.uvs.max():.3g}",
+            expected="one tile, 0..1",
+        )
+    require_millimetres(mesh, str(where))
+
+
+def _read_maps(folder: Path) -> dict[str, np.ndarray]:
+    """The maps that are exported, and the one of positions, which tells whose they are."""
+    maps: dict[str, np.ndarray] = {}
+    for name in (*NEEDED, *OPTIONAL, "position"):
+        path = folder / f"{name}.exr"
+        if name not in NEEDED and not path.exists():
+            continue
+        image = read_half_exr(path)
+        found, expected = (1 if image.ndim == 2 else image.shape[2]), MAPS[name].channels
+        if found != expected:
+            raise MapsError(
+                path, found=f"{found} channels", expected=f"{expected}, as a map of this name has"
+            )
+        first = maps.get(NEEDED[0], image)
+        if image.shape[:2] != first.shape[:2]:
+            raise MapsError(
+                path,
+                found=f"{image.shape[0]} x {image.shape[1]} texels",
+                expected=f"{first.shape[0]} x {first.shape[1]}, as diffuse_albedo",
+                hint="Maps of one folder belong to one atlas; make them again together.",
+            )
+        if not name.endswith("_normal") and name != "position":
+            require_albedo(image, path)
+        maps[name] = image
+    return maps
+
+
+def _require_same(
+    mesh: Mesh,
+    normals: np.ndarray,
+    raster: Raster,
+    maps: dict[str, np.ndarray],
+    folder: Path,
+    where: Path,
+) -> None:
+    """Refuse maps that were made on another mesh: compared where both tell something."""
+    texels = np.flatnonzero(raster.face.ravel() >= 0)
+    texels = texels[:: max(1, len(texels) // CHECKED)]
+    triangles = mesh.triangles()
+    hint = "Give the mesh that the maps were made on, or the maps of this one."
+    if "position" in maps:
+        told = maps["position"].reshape(-1, 3)[texels].astype(np.float64)
+        here = raster.at(mesh.vertices, triangles, texels)
+        known = (told != 0).any(axis=1)
+        off = np.linalg.norm(told - here, axis=1)[known]
+        if off.size and np.median(off) > FARTHEST_MM:
+            raise MapsError(
+                folder / "position.exr",
+                found=f"positions {np.median(off):.0f} mm from {where}, in the median",
+                expected=f"the mesh's own, within {FARTHEST_MM:g} mm",
+                hint=hint,
+            )
+    there = raster.at(normals, triangles, texels)
+    for name in ("diffuse_normal", "specular_normal"):
+        told = maps[name].reshape(-1, 3)[texels].astype(np.float64)
+        length = np.linalg.norm(told, axis=1)
+        known = length > 1e-3
+        if not known.any():
+            continue
+        cosine = np.einsum("kc,kc->k", told, there)[known] / length[known]
+        off_deg = float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))))
+        if off_deg > FARTHEST_DEG:
+            raise MapsError(
+                folder / f"{name}.exr",
+                found=f"normals {off_deg:.0f} degrees from those of {where}, in the median",
+                expected=f"at most {FARTHEST_DEG:g}: maps of the mesh's own template, in its axes",
+                hint=hint,
+            )
+
+
+def _nearest(covered: np.ndarray) -> np.ndarray:
+    """(rows, columns) int32 flat index of each texel's nearest covered one."""
+    _, label = cv2.distanceTransformWithLabels(
+        (~covered).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    owner = np.zeros(int(label.max()) + 1, np.int32)
+    owner[label[covered]] = np.flatnonzero(covered)
+    nearest: np.ndarray = owner[label]
+    return nearest

@@ -1,0 +1,540 @@
+from __future__ import annotations
+
+import base64
+import dataclasses
+import io
+import json
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from learning.__main__ import main
+from learning.export.encode import F0, SPECULAR_WHITE
+from learning.export.morphs import ARKIT, arkit_name
+from learning.export.source import read_source
+from learning.render.uv import rasterise
+from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.files import write_json
+from lightstage.formats.mesh import Mesh, read_mesh, read_obj, write_obj
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.srgb import linear_from_srgb
+from lightstage.formats.template import Modes, Template, save_template
+
+ROOT = Path(__file__).resolve().parents[3]
+NPM = ROOT / "build" / "npm"
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["lightstage-learning", *map(str, words)])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return int(stopped.value.code or 0)
+
+
+@pytest.fixture(scope="session")
+def person(people: list[ProcessedFolder], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ball with rough and smooth skin, fine normals and a reflectance above that of n = 1.4.
+
+    Its texture leaves a border free.
+    """
+    root = tmp_path_factory.mktemp("export") / "person"
+    shutil.copytree(people[0].root, root)
+    folder = ProcessedFolder(root)
+    rng = np.random.default_rng(5)
+    mesh = read_obj(folder.registered_mesh)
+    assert mesh.uvs is not None
+    mesh = dataclasses.replace(mesh, uvs=0.1 + 0.8 * mesh.uvs)
+    write_obj(mesh, folder.registered_mesh)
+    shape = folder.read_atlas("diffuse_albedo").shape
+    raster = rasterise(mesh, *shape[:2])
+    folder.write_atlas("position", raster.interpolate(mesh.vertices))
+    smooth = raster.normals(mesh)
+    folder.write_atlas("diffuse_normal", smooth)
+    normal = smooth + 0.2 * rng.normal(size=shape)
+    folder.write_atlas("specular_normal", normal / np.linalg.norm(normal, axis=2, keepdims=True))
+    folder.write_atlas("diffuse_albedo", rng.uniform(0, 1, shape))
+    folder.write_atlas("specular_albedo", rng.uniform(0, 0.07, shape[:2]))
+    folder.write_atlas("roughness", rng.uniform(0.1, 0.5, shape[:2]))
+    folder.write_atlas("ambient_occlusion", rng.uniform(0, 1, shape[:2]))
+    return root
+
+
+@pytest.fixture(scope="session")
+def exported(person: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("exported") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        assert run(patch, "export", person, "--out", out) == 0
+    return out
+
+
+@pytest.fixture(scope="session")
+def glb(exported: Path) -> tuple[dict[str, Any], bytes]:
+    """The document and the binary part of head.glb, read by hand."""
+    data = (exported / "head.glb").read_bytes()
+    length = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def picture(glb: tuple[dict[str, Any], bytes], texture: int) -> np.ndarray:
+    """An embedded picture, red first, 0..1."""
+    document, binary = glb
+    image = document["images"][document["textures"][texture]["source"]]
+    return decoded(binary, document["bufferViews"][image["bufferView"]])
+
+
+def decoded(binary: bytes, view: dict[str, int]) -> np.ndarray:
+    data = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+    found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    order = {3: [2, 1, 0], 4: [2, 1, 0, 3]}
+    found = found[..., order[found.shape[2]]] if found.ndim == 3 else found
+    return np.asarray(found / np.iinfo(found.dtype).max)
+
+
+def read_png(path: Path) -> np.ndarray:
+    data = path.read_bytes()
+    return decoded(data, {"byteOffset": 0, "byteLength": len(data)})
+
+
+def accessor(glb: tuple[dict[str, Any], bytes], index: int) -> np.ndarray:
+    document, binary = glb
+    told = document["accessors"][index]
+    view = document["bufferViews"][told["bufferView"]]
+    data = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+    if told["type"] == "SCALAR":
+        return np.frombuffer(data, "<u4").reshape(-1, 3)
+    return np.frombuffer(data, "<f4").reshape(told["count"], int(told["type"][-1]))
+
+
+def test_a_glb_read_by_trimesh_is_the_mesh_in_metres_with_its_texture_coordinates(
+    person: Path, exported: Path
+) -> None:
+    mesh = read_obj(ProcessedFolder(person).registered_mesh)
+    loaded = trimesh.load(io.BytesIO((exported / "head.glb").read_bytes()), file_type="glb")
+    (found,) = loaded.geometry.values()
+    assert len(found.faces) == len(mesh.triangles())
+    assert mesh.uvs is not None
+    there = found.vertices[found.faces]
+    np.testing.assert_allclose(there, 0.001 * mesh.vertices[mesh.triangles()], atol=1e-7)
+    # Trimesh turns glTF's v upward again.
+    uv = np.asarray(found.visual.uv)[found.faces]
+    np.testing.assert_allclose(uv, mesh.uvs[mesh.triangle_uvs()], atol=1e-6)
+
+
+def test_the_pictures_of_a_glb_are_the_maps_within_a_step_of_eight_bits(
+    person: Path, glb: tuple[dict[str, Any], bytes]
+) -> None:
+    folder, (document, _) = ProcessedFolder(person), glb
+    skin = read_source(person).covered
+    material = document["materials"][0]
+    rough = material["pbrMetallicRoughness"]
+    step = 0.5 / 255 + 1e-6
+    base = picture(glb, rough["baseColorTexture"]["index"])
+    albedo = folder.read_atlas("diffuse_albedo")[skin].astype(float)
+    np.testing.assert_allclose(linear_from_srgb(base[skin]), albedo, atol=2.4 * step)
+    packed = picture(glb, rough["metallicRoughnessTexture"]["index"])
+    assert material["occlusionTexture"]["index"] == rough["metallicRoughnessTexture"]["index"]
+    np.testing.assert_allclose(
+        packed[..., 1][skin], np.sqrt(folder.read_atlas("roughness")[skin]), atol=step
+    )
+    openness = folder.read_atlas("ambient_occlusion")[skin]
+    np.testing.assert_allclose(packed[..., 0][skin], openness, atol=step)
+    assert not packed[..., 2].any()
+
+
+def test_the_specular_extension_reflects_the_specular_albedo_and_mirrors_no_more_than_all(
+    person: Path, glb: tuple[dict[str, Any], bytes]
+) -> None:
+    extensions = glb[0]["materials"][0]["extensions"]
+    assert extensions["KHR_materials_ior"]["ior"] == 1.4
+    told = extensions["KHR_materials_specular"]
+    pixels = picture(glb, told["specularTexture"]["index"])
+    factor = np.array(told["specularColorFactor"])
+    # The extension's own formula: F0 of the index, times colour, at most 1, times specular.
+    f0 = np.minimum(F0 * factor * linear_from_srgb(pixels[..., :3]), 1) * pixels[..., 3:]
+    skin = read_source(person).covered
+    albedo = ProcessedFolder(person).read_atlas("specular_albedo")[skin]
+    assert albedo.max() > 2 * F0
+    assert albedo.min() < 0.1 * F0
+    for k in range(3):
+        # A step of the sRGB colour is at most 2.4 / 255 of its white.
+        np.testing.assert_allclose(f0[skin][:, k], albedo, atol=0.5 * 2.4 / 255 * F0 * factor[0])
+    np.testing.assert_allclose(
+        pixels[..., 3][skin], np.minimum(albedo / F0, 1), atol=0.5 / 255 + 1e-6
+    )
+
+
+def test_gltfs_own_frame_turns_the_normal_map_back_into_the_normals_of_the_skin(
+    person: Path, glb: tuple[dict[str, Any], bytes]
+) -> None:
+    document = glb[0]
+    primitive = document["meshes"][0]["primitives"][0]
+    normal, tangent = (
+        accessor(glb, primitive["attributes"][name]).astype(float) for name in ("NORMAL", "TANGENT")
+    )
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(tangent[:, :3], axis=1), 1, atol=1e-5)
+    triangles = accessor(glb, primitive["indices"])
+    source = read_source(person)
+    skin = source.covered
+    faces = triangles[source.raster.face[skin]]
+    second = source.raster.barycentric[skin].astype(float)
+    weights = np.column_stack([1 - second.sum(axis=1), second])
+    n = np.einsum("kc,kcd->kd", weights, normal[faces])
+    t = np.einsum("kc,kcd->kd", weights, tangent[faces][..., :3])
+    b = np.cross(n, t) * tangent[faces][:, :1, 3]
+    shown = 2 * picture(glb, document["materials"][0]["normalTexture"]["index"])[skin] - 1
+    world = shown[:, :1] * t + shown[:, 1:2] * b + shown[:, 2:] * n
+    world /= np.linalg.norm(world, axis=1, keepdims=True)
+    truth = ProcessedFolder(person).read_atlas("specular_normal")[skin].astype(float)
+    truth /= np.linalg.norm(truth, axis=1, keepdims=True)
+    # At the ball's poles, where all columns meet, tangents turn within a triangle.
+    place = ProcessedFolder(person).read_atlas("position")[skin]
+    some = abs(place[:, 1]) < 0.9 * np.linalg.norm(place, axis=1)
+    off = np.degrees(np.arccos(np.clip(np.einsum("kd,kd->k", world, truth)[some], -1, 1)))
+    assert off.max() < 0.6
+
+
+def test_the_sixteen_bit_pictures_are_the_maps_within_a_step(person: Path, exported: Path) -> None:
+    folder, skin = ProcessedFolder(person), read_source(person).covered
+    step = 1 / 65535
+
+    def stored(name: str) -> np.ndarray:
+        return read_png(exported / "maps" / f"{name}.png")[skin]
+
+    def given(name: str) -> np.ndarray:
+        return folder.read_atlas(name)[skin].astype(float)
+
+    albedo = given("diffuse_albedo")
+    np.testing.assert_allclose(linear_from_srgb(stored("diffuse_albedo")), albedo, atol=2.4 * step)
+    shown = SPECULAR_WHITE * stored("specular_albedo")
+    np.testing.assert_allclose(shown, given("specular_albedo"), atol=SPECULAR_WHITE * step)
+    np.testing.assert_allclose(stored("roughness") ** 2, given("roughness"), atol=2 * step)
+    np.testing.assert_allclose(stored("confidence"), given("confidence"), atol=step)
+    for name in ("diffuse_albedo", "specular_albedo", "roughness"):
+        np.testing.assert_array_equal(
+            read_exr(exported / "maps" / f"{name}.exr"), folder.read_atlas(name)
+        )
+    tangent = read_exr(exported / "maps" / "normal_specular.exr")[skin]
+    np.testing.assert_allclose(2 * stored("normal_specular") - 1, tangent, atol=6e-4)
+
+
+def test_beside_the_surface_a_picture_shows_the_nearest_skin(person: Path, exported: Path) -> None:
+    source = read_source(person)
+    beside = ~source.covered
+    assert beside.any()
+    shown = read_png(exported / "textures" / "base_color.png")
+    assert (shown[beside].max(axis=1) > 0).mean() > 0.99
+
+
+def test_the_obj_is_the_mesh_as_it_was_and_its_material_names_pictures_that_are_there(
+    person: Path, exported: Path
+) -> None:
+    before = read_mesh(ProcessedFolder(person).registered_mesh)
+    after = read_mesh(exported / "head.obj")
+    np.testing.assert_array_equal(after.faces, before.faces)
+    np.testing.assert_allclose(after.vertices, before.vertices, atol=1e-6)
+    lines = (exported / "head.mtl").read_text().splitlines()
+    named = [line.split()[1] for line in lines if line.startswith(("map_", "norm"))]
+    assert len(named) == 4
+    assert all((exported / name).is_file() for name in named)
+    assert "mtllib head.mtl" in (exported / "head.obj").read_text()
+
+
+def test_the_recipe_names_units_colour_spaces_and_every_file(exported: Path) -> None:
+    text = (exported / "README.txt").read_text()
+    for path in (exported / "maps").iterdir():
+        assert path.stem in text
+    for word in ("metres", "mm", "sRGB", "Principled BSDF", "Unreal", "IOR", "Beckmann"):
+        assert word in text
+
+
+def node_validator() -> str | None:
+    """Why the official validator cannot run; None where it can."""
+    if shutil.which("node") is None:
+        return "node is not installed"
+    here = {**os.environ, "NODE_PATH": f"{NPM / 'node_modules'}:{os.environ.get('NODE_PATH', '')}"}
+    words = ["node", "-e", "require.resolve('gltf-validator')"]
+    if subprocess.run(words, env=here, capture_output=True, check=False).returncode:
+        return (
+            "the package gltf-validator is missing: npm install --prefix build/npm gltf-validator"
+        )
+    return None
+
+
+def test_the_official_validator_finds_no_error_and_no_warning(exported: Path) -> None:
+    missing = node_validator()
+    if missing:
+        pytest.skip(missing)
+    script = (
+        "const fs = require('fs');"
+        "require('gltf-validator').validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])))"
+        ".then(r => console.log(JSON.stringify(r.issues)))"
+    )
+    here = {**os.environ, "NODE_PATH": f"{NPM / 'node_modules'}:{os.environ.get('NODE_PATH', '')}"}
+    ended = subprocess.run(
+        ["node", "-e", script, str(exported / "head.glb")],
+        env=here,
+        capture_output=True,
+        check=True,
+        text=True,
+    )
+    issues = json.loads(ended.stdout)
+    assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"]
+
+
+def copied(person: Path, folder: Path) -> ProcessedFolder:
+    shutil.copytree(person, folder / "copy")
+    return ProcessedFolder(folder / "copy")
+
+
+def without_a_map(folder: ProcessedFolder) -> None:
+    folder.atlas_path("specular_albedo").unlink()
+
+
+def of_another_size(folder: ProcessedFolder) -> None:
+    folder.write_atlas("roughness", np.full((48, 32), 0.3))
+
+
+def with_nan(folder: ProcessedFolder) -> None:
+    image = folder.read_atlas("diffuse_albedo")
+    image[5, 5] = np.nan
+    write_exr(folder.atlas_path("diffuse_albedo"), image)
+
+
+def negative(folder: ProcessedFolder) -> None:
+    folder.write_atlas("specular_albedo", -folder.read_atlas("specular_albedo"))
+
+
+def of_another_head(folder: ProcessedFolder) -> None:
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(mesh.with_vertices(mesh.vertices + np.array([30, 0, 0])), folder.registered_mesh)
+
+
+def in_other_axes(folder: ProcessedFolder) -> None:
+    folder.atlas_path("position").unlink()
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(mesh.with_vertices(mesh.vertices[:, [2, 0, 1]]), folder.registered_mesh)
+
+
+def without_uv(folder: ProcessedFolder) -> None:
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(Mesh(mesh.vertices, mesh.faces), folder.registered_mesh)
+
+
+def in_metres(folder: ProcessedFolder) -> None:
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(mesh.with_vertices(mesh.vertices / 1000), folder.registered_mesh)
+
+
+def without_mesh(folder: ProcessedFolder) -> None:
+    folder.registered_mesh.unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (without_a_map, "specular_albedo.exr"),
+        (of_another_size, "expected 96 x 64, as diffuse_albedo"),
+        (with_nan, "diffuse_albedo.exr"),
+        (negative, "negative"),
+        (of_another_head, "position.exr"),
+        (in_other_axes, "maps of the mesh's own template, in its axes"),
+        (without_uv, "uv: found none"),
+        (in_metres, "Multiply it by 1000"),
+        (without_mesh, "Name it by --mesh"),
+    ],
+)
+def test_bad_input_is_one_message_that_names_it_and_nothing_is_written(
+    spoil: Any,
+    said: str,
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = copied(person, tmp_path)
+    spoil(folder)
+    before = sorted(tmp_path.iterdir())
+    assert run(monkeypatch, "export", folder.root, "--out", tmp_path / "out") == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert "Traceback" not in err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_place_that_is_taken_and_a_format_that_is_unknown_are_refused(
+    person: Path,
+    exported: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = (exported / "head.glb").read_bytes()
+    assert run(monkeypatch, "export", person, "--out", exported) == 2
+    assert "expected a new folder" in capsys.readouterr().err
+    assert (exported / "head.glb").read_bytes() == before
+    assert run(monkeypatch, "export", person, "--out", exported / "new", "--format", "fbx") == 2
+    assert "some of gltf, obj, maps, usd, page" in capsys.readouterr().err
+    assert not (exported / "new").exists()
+
+
+def test_maps_without_a_processed_folder_take_the_mesh_that_is_named_and_a_constant_roughness(
+    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    for name in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal"):
+        shutil.copy(ProcessedFolder(person).atlas_path(name), maps)
+    words = ("--mesh", ProcessedFolder(person).registered_mesh, "--format", "gltf")
+    assert run(monkeypatch, "export", maps, "--out", tmp_path / "out", *words) == 0
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["README.txt", "head.glb"]
+    data = (tmp_path / "out" / "head.glb").read_bytes()
+    material = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["materials"][0]
+    rough = material["pbrMetallicRoughness"]
+    assert "metallicRoughnessTexture" not in rough
+    # The renderer's exponent of 32: alpha^2 = 2 / 34, and glTF's roughness squared is alpha.
+    np.testing.assert_allclose(rough["roughnessFactor"] ** 4, 2 / 34)
+    assert "0.243" in (tmp_path / "out" / "README.txt").read_text()
+
+
+def test_expressions_have_arkits_names_or_none() -> None:
+    assert len(set(ARKIT)) == 52
+    assert arkit_name("eyeBlink_L") == "eyeBlinkLeft"
+    assert arkit_name("jawOpen") == arkit_name("jaw_open") == "jawOpen"
+    assert arkit_name("browInnerUp_L") == arkit_name("browInnerUp_R") == "browInnerUp"
+    assert arkit_name("jawLeft") == "jawLeft"
+    assert arkit_name("smile") is None
+    assert arkit_name("PupilDilate_L") is None
+
+
+def test_a_templates_expressions_are_morph_targets_in_metres_and_in_the_meshs_axes(
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = copied(person, tmp_path)
+    mesh = read_obj(folder.registered_mesh)
+    rng = np.random.default_rng(1)
+    offsets = rng.normal(size=(3, len(mesh.vertices), 3))
+    modes = Modes(
+        np.zeros((1, len(mesh.vertices), 3)), offsets, ("jawOpen", "eyeBlink_L", "surprise")
+    )
+    template = Template("ball", mesh, np.arange(68), {}, "CC0", "test", modes)
+    save_template(template, tmp_path / "template")
+    # A quarter turn about +z: the head's x is the world's y.
+    pose = [[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 5]]
+    write_json(folder.head_pose, {"head_from_world": pose})
+    words = ("--format", "gltf", "--template", tmp_path / "template", "--json")
+    assert run(monkeypatch, "export", folder.root, "--out", tmp_path / "out", *words) == 0
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert facts["morph_targets"] == ["jawOpen", "eyeBlinkLeft"]
+    assert "surprise" in " ".join(facts["notes"])
+    data = (tmp_path / "out" / "head.glb").read_bytes()
+    length = struct.unpack_from("<I", data, 12)[0]
+    document = json.loads(data[20 : 20 + length])
+    read = (document, data[28 + length :])
+    primitive = document["meshes"][0]["primitives"][0]
+    assert document["meshes"][0]["extras"]["targetNames"] == ["jawOpen", "eyeBlinkLeft"]
+    triangles = accessor(read, primitive["indices"])
+    expected = offsets[0] @ np.array(pose)[:, :3] / 1000
+    moved = accessor(read, primitive["targets"][0]["POSITION"])
+    np.testing.assert_allclose(moved[triangles], expected[mesh.triangles()], atol=1e-6)
+
+
+def test_another_templates_expressions_are_refused(
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ("--out", tmp_path / "out", "--template", ROOT / "lightstage" / "data" / "template")
+    assert run(monkeypatch, "export", person, *words) == 2
+    assert "Give the template that the head was registered to" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_usd_names_the_inputs_of_both_materials_and_their_pictures(
+    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pxr = pytest.importorskip("pxr", reason="usd-core is not installed: pip install -e '.[usd]'")
+    from pxr import Usd, UsdGeom, UsdShade
+
+    assert pxr
+    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", "--format", "usd") == 0
+    stage = Usd.Stage.Open(str(tmp_path / "out" / "head.usda"))
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 0.001
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/head/mesh"))
+    shape = read_obj(ProcessedFolder(person).registered_mesh)
+    np.testing.assert_allclose(mesh.GetPointsAttr().Get(), shape.vertices, atol=1e-4)
+    preview = UsdShade.Shader(stage.GetPrimAtPath("/head/skin/preview"))
+    inputs = {i.GetBaseName(): i for i in preview.GetInputs()}
+    assert inputs["ior"].Get() == pytest.approx(1.4)
+    assert inputs["useSpecularWorkflow"].Get() == 1
+    for name in ("diffuseColor", "specularColor", "roughness", "normal", "occlusion"):
+        source = inputs[name].GetConnectedSource()[0]
+        file = UsdShade.Shader(source.GetPrim()).GetInput("file").Get()
+        assert file.resolvedPath.endswith(".png")
+    surface = UsdShade.Shader(stage.GetPrimAtPath("/head/skin/mtlx_surface"))
+    assert surface.GetIdAttr().Get() == "ND_standard_surface_surfaceshader"
+    connected = {i.GetBaseName() for i in surface.GetInputs() if i.HasConnectedSource()}
+    assert {"base_color", "specular", "specular_roughness", "normal"} <= connected
+
+
+def test_a_page_holds_mesh_pictures_and_library_and_asks_no_server_for_anything(
+    person: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("--format", "page", "--compare", person)
+    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 0
+    text = (tmp_path / "out" / "page.html").read_text()
+    assert "MIT License" in text
+    assert "three.js 0.187.0" in text
+    assert not re.findall(r"<[^>]+ (?:src|href)=", text.split("<script", 1)[0])
+    assert not any(mark in text for mark in ("@DATA@", "@THREE@", "@CORE@", "@LICENCE@"))
+    data = json.loads(re.findall(r'id="data">(.*?)</script>', text, re.S)[0])
+    assert [side["name"] for side in data["sides"]] == ["inferred", "captured"]
+    mesh = read_obj(ProcessedFolder(person).registered_mesh)
+    place = np.frombuffer(base64.b64decode(data["mesh"]["position"]), "<f4").reshape(-1, 3)
+    index = np.frombuffer(base64.b64decode(data["mesh"]["index"]), "<u4").reshape(-1, 3)
+    np.testing.assert_allclose(place[index], mesh.vertices[mesh.triangles()] / 1000, atol=1e-6)
+    kind, packed = data["sides"][0]["specular"].split(",")
+    assert kind == "data:image/png;base64"
+    pixels = cv2.imdecode(np.frombuffer(base64.b64decode(packed), np.uint8), -1)
+    skin = read_source(person).covered
+    albedo = ProcessedFolder(person).read_atlas("specular_albedo")[skin]
+    np.testing.assert_allclose(pixels[skin][:, 3] / 255, np.minimum(albedo / F0, 1), atol=0.002)
+    # The element that holds a part is ended by the page alone.
+    assert text.count("</script>") == 4
+
+
+def test_a_comparison_without_a_page_is_refused(
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ("--format", "gltf", "--compare", person)
+    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", *words) == 2
+    assert "--compare" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_page_that_would_be_too_large_is_refused_and_its_folder_is_not_left(
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("learning.export.page.MOST_BYTES", 1_000_000)
+    assert run(monkeypatch, "export", person, "--out", tmp_path / "out", "--format", "page") == 2
+    assert "expected at most 1 MB" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
