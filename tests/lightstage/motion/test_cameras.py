@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shutil
 import subprocess
@@ -23,7 +22,8 @@ from lightstage.formats.template import default_template_path, load_template
 from lightstage.motion import solving
 from lightstage.motion.cameras import FoundCameras, find_cameras
 from lightstage.motion.lengths import Length
-from lightstage.motion.pictures import read_grey
+from lightstage.motion.lenses import exif_focal_px, shared_lenses
+from lightstage.motion.pictures import GreyPicture, read_grey
 from lightstage.motion.points import read_clicks
 from lightstage.motion.world import turn_between, turned_by_landmarks
 from lightstage.rig import default_rig
@@ -174,10 +174,10 @@ def test_what_ends_colmap_is_told_in_one_message(
     pictures = {name: read_grey(path) for name, path in shots.items()}
     told = dict.fromkeys(pictures, Exif())
 
-    def without_job(group: object, exif: object) -> dict[str, object]:
-        return {"focal_px": "wide", "cx_px": None, "cy_px": None}
+    def without_job(lens: object, picture: object) -> dict[str, object]:
+        return {"cameras": [], "focal_px": "wide", "open": True, "centre_px": [None, None]}
 
-    monkeypatch.setattr(solving, "_group", without_job)
+    monkeypatch.setattr(solving, "_job", without_job)
     with pytest.raises(MotionError, match="COLMAP ended with 1") as caught:
         solving.solve(pictures, told)
     assert "Traceback" not in str(caught.value)
@@ -185,15 +185,14 @@ def test_what_ends_colmap_is_told_in_one_message(
 
 
 def test_a_focal_length_is_begun_with_what_exif_says() -> None:
-    picture = solving.GreyPicture(np.zeros((100, 150), np.uint8), np.zeros((100, 150), bool), 4,
-                                  600, 400)  # fmt: skip
-    assert solving._focal_px(picture, Exif()) is None
-    assert solving._focal_px(picture, Exif(focal_35mm_mm=72.0)) == 1200.0
+    picture = GreyPicture(np.zeros((100, 150), np.uint8), np.zeros((100, 150), bool), 4, 600, 400)
+    assert exif_focal_px(picture, Exif()) is None
+    assert exif_focal_px(picture, Exif(focal_35mm_mm=72.0)) == 1200.0
     both = Exif(focal_mm=50.0, focal_plane_px_per_mm=30.0, focal_35mm_mm=72.0)
-    assert solving._focal_px(picture, both) == 1500.0
-    assert solving._group(picture, both) == {"focal_px": 375.0, "cx_px": 75.0, "cy_px": 50.0}
-    one = solving._group_key(picture, both)
-    assert one != solving._group_key(picture, dataclasses.replace(both, focal_mm=85.0))
+    assert exif_focal_px(picture, both) == 1500.0
+    (lens,) = shared_lenses({"a": picture}, {"a": both})
+    told = {"cameras": ("a",), "focal_px": 375.0, "open": False, "centre_px": [75.0, 50.0]}
+    assert solving._job(lens, picture) == told
 
 
 def test_the_command_refuses_a_rig_together_with_a_length(tmp_path: Path) -> None:
