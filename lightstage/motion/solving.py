@@ -45,6 +45,12 @@ class Doubted:
     told_px: float
     apart_px: float
 
+    @property
+    def odd(self) -> list[Lens]:
+        """All but the one that most cameras share."""
+        largest = max(self.lenses, key=lambda lens: len(lens.cameras))
+        return [lens for lens in self.lenses if lens is not largest]
+
 
 @dataclasses.dataclass(frozen=True)
 class Solved:
@@ -122,10 +128,11 @@ def solve(
             matches[name] += count
             best[name] = max(best[name], count)
     found = result["cameras"]
-    _refuse(names, best, found, pictures)
+    times = max(picture.times for picture in pictures.values())
+    doubted = _doubted(result.get("doubted"), times)
+    _refuse(names, best, found, pictures, doubted)
     cameras = {name: _camera(name, pictures[name], told[name], found[name]) for name in names}
     by = {name: lens.by for lens in begun for name in lens.cameras}
-    times = max(picture.times for picture in pictures.values())
     return Solved(
         cameras,
         np.array(result["points"], float).reshape(-1, 3),
@@ -139,7 +146,7 @@ def solve(
         ],
         result["bent"],
         None if result["together_px"] is None else times * result["together_px"],
-        _doubted(result["doubted"], times),
+        doubted,
     )
 
 
@@ -159,6 +166,7 @@ def _refuse(
     best: Mapping[str, int],
     found: Mapping[str, Any],
     pictures: Mapping[str, GreyPicture],
+    doubted: Doubted | None,
 ) -> None:
     problems: list[LightstageError] = []
 
@@ -195,10 +203,21 @@ def _refuse(
                     name,
                     f"points {picture.times * found[name]['residual_px']:.1f} px off (mean)",
                     f"at most {picture.times * limit:.1f} px",
-                    "Did the subject move between the photographs?",
+                    _own_lens(name, doubted) or "Did the subject move between the photographs?",
                 )
     if problems:
         raise one_error(problems)
+
+
+def _own_lens(name: str, doubted: Doubted | None) -> str:
+    """What to do where a camera does not share the lens that it is told to share; else empty."""
+    for lens in () if doubted is None else doubted.odd:
+        if name in lens.cameras:
+            return (
+                f"It bends the others: it does not share the focal length that EXIF or --lenses "
+                f"tells, but fits with {lens.focal_px:.0f} px. Tell the lenses in --lenses FILE."
+            )
+    return ""
 
 
 def _put(folder: Path, name: str, picture: GreyPicture) -> None:

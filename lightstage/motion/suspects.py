@@ -28,7 +28,7 @@ def _of_groups(solved: Solved) -> list[str]:
         )
     if solved.doubted is not None:
         doubted = solved.doubted
-        odd = ", ".join(name for lens in _all_but_largest(doubted.lenses) for name in lens.cameras)
+        odd = ", ".join(name for lens in doubted.odd for name in lens.cameras)
         found.append(
             f"{odd}: bends the others, sharing the focal length that EXIF or --lenses tells. The "
             f"photographs fit better ({doubted.apart_px:.2f} px in place of "
@@ -72,8 +72,3 @@ def _of_lengths(solved: Solved) -> list[str]:
 
 def _listed(lenses: Sequence[Lens]) -> str:
     return "; ".join(f"{lens.focal_px:.0f} px by {', '.join(lens.cameras)}" for lens in lenses)
-
-
-def _all_but_largest(lenses: Sequence[Lens]) -> list[Lens]:
-    largest = max(lenses, key=lambda lens: len(lens.cameras))
-    return [lens for lens in lenses if lens is not largest]

@@ -19,9 +19,9 @@ from lightstage.formats.exr import write_exr
 from lightstage.motion.cameras import FoundCameras, find_cameras
 from lightstage.motion.grouping import BETTER, JobLens, Outcome, apart, best, parted
 from lightstage.motion.lengths import Length
-from lightstage.motion.lenses import TypedLens, read_lenses, shared_lenses
+from lightstage.motion.lenses import Lens, TypedLens, read_lenses, shared_lenses
 from lightstage.motion.pictures import GreyPicture
-from lightstage.motion.solving import Solved
+from lightstage.motion.solving import Doubted, Solved
 from lightstage.motion.suspects import lens_warnings
 from lightstage.motion.world import turn_between
 from lightstage.rig import Camera, default_rig
@@ -130,11 +130,8 @@ def test_a_camera_that_bends_the_others_is_named(
     light: dict[str, np.ndarray], tmp_path: Path
 ) -> None:
     """EXIF tells one focal length of all, which is wrong."""
-    found = find(with_exif(tmp_path, light, lambda _: 155))
-    assert off_mm(found)[ODD] > 100
-    (said,) = found.warnings
-    assert said.startswith(f"{ODD}: bends the others")
-    assert f"px by {ODD}; " in said
+    with pytest.raises(MotionError, match=rf"camera {ODD}: .*bends the others.*with 130\d px"):
+        find(with_exif(tmp_path, light, lambda _: 155))
 
 
 def test_a_lens_that_is_none_is_named_and_not_taken(tmp_path: Path) -> None:
@@ -260,3 +257,10 @@ def test_implausible_focal_lengths_are_named() -> None:
     assert said[0].startswith("cam0: the focal length came out as")
     assert "+76 % off the 1000 px" in said[0]
     assert said[1].startswith("cam1: a focal length of 0.083 times")
+
+
+def test_lenses_that_fit_better_than_those_told_are_a_warning() -> None:
+    odd, most = Lens(("cam1",), 1300.0, "found"), Lens(("cam0", "cam2"), 1760.0, "found")
+    (said, *_) = lens_warnings(solved(doubted=Doubted([odd, most], 0.26, 0.17)))
+    assert said.startswith("cam1: bends the others")
+    assert "(0.17 px in place of 0.26 px) with 1300 px by cam1; 1760 px by cam0, cam2" in said
