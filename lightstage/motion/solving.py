@@ -28,6 +28,8 @@ MIN_CAMERAS = 3
 MIN_MATCHES = 15
 """Verified matches that a camera must have with another one."""
 MIN_POINTS = 20
+FLAT, NEAREST = 0.02, 0.9
+"""Of a scene's extent: a thinner one is flat; and the share of its points that is looked at."""
 MAX_RESIDUAL_SHARE = 0.002
 """Of a picture's longer side: mean residual of a camera's points above which it is refused."""
 
@@ -131,11 +133,13 @@ def solve(
     times = max(picture.times for picture in pictures.values())
     doubted = _doubted(result.get("doubted"), times)
     _refuse(names, best, found, pictures, doubted)
+    points = np.array(result["points"], float).reshape(-1, 3)
+    _refuse_flat(points)
     cameras = {name: _camera(name, pictures[name], told[name], found[name]) for name in names}
     by = {name: lens.by for lens in begun for name in lens.cameras}
     return Solved(
         cameras,
-        np.array(result["points"], float).reshape(-1, 3),
+        points,
         {name: pictures[name].times * found[name]["residual_px"] for name in names},
         {name: found[name]["points"] for name in names},
         matches,
@@ -207,6 +211,22 @@ def _refuse(
                 )
     if problems:
         raise one_error(problems)
+
+
+def _refuse_flat(points: np.ndarray) -> None:
+    """MotionError where points (n, 3) lie in a plane, which tells no focal length."""
+    off = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    most = points[off <= np.quantile(off, NEAREST)]
+    extent = np.linalg.svd(most - most.mean(axis=0), compute_uv=False)
+    if extent[2] < FLAT * extent[0]:
+        raise MotionError(
+            "cameras",
+            found="photographs of something flat, such as a wall: its points lie within "
+            f"{100 * extent[2] / extent[0]:.1f} % of their extent from a plane",
+            expected=f"a subject with depth, {100 * FLAT:.0f} % at least",
+            hint="What is flat does not tell focal lengths. Photograph a person or a thing, and "
+            "keep the background dark: what is lit counts.",
+        )
 
 
 def _own_lens(name: str, doubted: Doubted | None) -> str:

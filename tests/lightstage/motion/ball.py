@@ -44,6 +44,20 @@ def photograph(
         root = along**2 - (from_it @ from_it - radius**2)
         here = -along - np.sqrt(np.maximum(root, 0))
         distance = np.where((root > 0) & (along < 0), np.minimum(distance, here), distance)
+    return _textured(camera, distance, seed, noise)
+
+
+def wall(camera: Camera, seed: int = 3, noise: float = 0.001) -> np.ndarray:
+    """The same of a wall 300 mm wide and high in the plane z = 0."""
+    origin, rays = camera.pixel_rays()
+    distance = -origin[2] / np.where(rays[..., 2] < 0, rays[..., 2], -np.inf)
+    there = origin + rays * distance[..., None]
+    inside = (np.abs(there[..., :2]) < 150).all(axis=-1)
+    return _textured(camera, np.where(inside, distance, np.inf), seed, noise)
+
+
+def _textured(camera: Camera, distance: np.ndarray, seed: int, noise: float) -> np.ndarray:
+    origin, rays = camera.pixel_rays()
     hit = np.isfinite(distance)
     points = origin + rays * np.where(hit, distance, 0)[..., None]
     rng = np.random.default_rng(seed)

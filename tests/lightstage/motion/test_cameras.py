@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lightstage.errors import LightstageError, MotionError
@@ -166,6 +168,28 @@ def test_what_cannot_be_solved_is_refused(
         shots["cam2"].write_bytes(b"\x76\x2f\x31\x01" + b"\0" * 50)
     with pytest.raises(LightstageError, match=said):
         find_cameras(shots, LIGHTS, lengths, front=front)
+
+
+def test_photographs_of_a_wall_are_refused(tmp_path: Path) -> None:
+    shots = {}
+    for camera in ball.cameras((0, 1, 2, 5)):
+        shots[camera.id] = put_other(tmp_path / f"{camera.id}.exr", ball.wall(camera))
+    with pytest.raises(MotionError, match="photographs of something flat, such as a wall"):
+        find_cameras(shots, LIGHTS, [base()])
+
+
+@given(st.floats(-3, 3), st.floats(0.05, 1.0), st.floats(1e-3, 1e3), st.integers(0, 2**32 - 1))
+def test_a_plane_is_flat_and_a_head_is_not(
+    tilt: float, depth: float, size: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    turn = Rotation.from_euler("xy", [tilt, -tilt]).as_matrix()
+    cube = size * rng.uniform(-1, 1, (200, 3))
+    solving._refuse_flat(cube * [1, 1, 2 * depth] @ turn.T + size)
+    wall = cube * [1, 1, 0.005] @ turn.T + size
+    wall[:5] += 3 * size  # false matches
+    with pytest.raises(MotionError, match="flat"):
+        solving._refuse_flat(wall)
 
 
 def test_what_ends_colmap_is_told_in_one_message(
