@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 
 GAPS = (1.03, 1.08, 1.2)
 """Ratios of neighbouring focal lengths at which cameras are parted into lenses; each is tried."""
-BETTER = 0.95
-"""More lenses are taken where their cost is below this share of that with fewer."""
+BETTER = 0.985
+"""More lenses are taken where their cost is below this share of that with fewer: a camera at the
+side, whose own focal length is a quarter less, lowers the cost of all by 3 % alone."""
 FEWER_POINTS = 0.9
 """Cameras that are placed by fewer observations than this share of another try's are no rival."""
 

@@ -129,14 +129,52 @@ def _several(folder: Path, features: Path, first: _Try, count: int) -> list[_Try
         dataclasses.replace(lens, focal_px=known.get(lens.cameras[0], lens.focal_px))
         for lens in apart(first.lenses)
     ]
-    free = _tried(folder, features, begun, count)
-    if free is None:
-        return []
-    tries = (
-        _tried(folder, features, lenses, count)
-        for lenses in parted(first.lenses, _focal_lengths(free.scene))
-    )
-    return [each for each in tries if each is not None]
+    free = _tried(folder, features, begun, count) or first
+    if free.scene.num_reg_images() < first.scene.num_reg_images():
+        free = _relensed(first.scene, begun)
+    lengths = _focal_lengths(free.scene)
+    tries = []
+    for lenses in parted(first.lenses, lengths):
+        mapped = _tried(folder, features, lenses, count)
+        if mapped is None or mapped.scene.num_reg_images() < first.scene.num_reg_images():
+            mapped = _relensed(first.scene, lenses)
+        tries.append(mapped)
+    return tries
+
+
+def _relensed(scene: pycolmap.Reconstruction, lenses: list[JobLens]) -> _Try:
+    """The same scene adjusted with other lenses, each from its focal length or the scene's.
+
+    Where mapping anew leaves cameras out, these give way from where other lenses have put them.
+    """
+    made = pycolmap.Reconstruction()
+    placed = {Path(scene.images[i].name).stem: scene.images[i] for i in scene.reg_image_ids()}
+    for number, lens in enumerate(lenses, 1):
+        images = [placed[name] for name in lens.cameras if name in placed]
+        if not images:
+            continue
+        old = scene.cameras[images[0].camera_id]
+        made.add_camera_with_trivial_rig(
+            pycolmap.Camera(
+                model="SIMPLE_RADIAL",
+                width=old.width,
+                height=old.height,
+                params=[lens.focal_px or old.params[0], *old.params[1:]],
+                camera_id=number,
+            )
+        )
+        for image in images:
+            features = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+            made.add_image_with_trivial_frame(
+                pycolmap.Image(
+                    name=image.name, keypoints=features, camera_id=number, image_id=image.image_id
+                ),
+                image.cam_from_world(),
+            )
+    for point in scene.points3D.values():
+        made.add_point3D(point.xyz, point.track)
+    _adjust(made, distorted=False, rounds=200)
+    return _Try(lenses, made)
 
 
 def _focal_lengths(scene: pycolmap.Reconstruction) -> dict[str, float]:

@@ -56,7 +56,7 @@ def drive_levels(
     """
     driven = emitter_mask(rig, emitters)
     levels = _all_emitters(name, rig, drive, own, driven)
-    if name.startswith("olat-") and not (levels * driven).any():
+    if name.startswith("olat-") and levels.any() and not (levels * driven).any():
         raise PatternError(
             f"pattern {name}",
             found="a light of another colour",
