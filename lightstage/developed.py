@@ -227,7 +227,7 @@ def _colours(pixels: np.ndarray, path: Path, *, opaque: bool) -> np.ndarray:
         if clear.any():
             raise _refused(
                 path,
-                f"a picture that is transparent in {100 * float(clear.mean()):.2g} % of its pixels",
+                f"a picture that is transparent in {100 * float(clear.mean()):.3g} % of its pixels",
                 "What lies behind is not told: flatten the picture, or take the one before it "
                 "was cut out.",
             )

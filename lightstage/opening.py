@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+from lightstage.counting import counted
 from lightstage.developed import Developed, developed_kind, read_developed
 from lightstage.errors import FormatError, unreadable_file
 from lightstage.formats.exr import read_exr
@@ -16,6 +17,8 @@ from lightstage.formats.orientation import of_libraw
 from lightstage.photograph import identify_file
 
 LEAST_PX = 8
+LEAST_BITS_PER_PX = 0.02
+"""No compression keeps counts in less; LibRaw gives zeros for what a cut RAW does not hold."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +86,14 @@ def _raw_size(path: Path) -> tuple[int, int]:
             rows, columns = of_libraw(raw.sizes.flip).shape((raw.sizes.height, raw.sizes.width))
     except (rawpy.LibRawError, ValueError, OSError, NotImplementedError) as error:
         raise unreadable_raw(path, error) from None
+    size = path.stat().st_size
+    if 8 * size < LEAST_BITS_PER_PX * columns * rows:
+        raise FormatError(
+            path,
+            found=f"{counted(size, 'byte')} for {columns} x {rows} pixels",
+            expected="the pixels' counts too",
+            hint="The file is truncated; download or copy it again.",
+        )
     if colours != 3 or set(letters) - set("RGB") or counts.size == 0:
         raise FormatError(
             path,

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import rawpy
 
+from lightstage.counting import counted
 from lightstage.errors import FormatError, unreadable_file
 from lightstage.photograph import identify_file
 
+SHORT = 1 << 16
+"""A camera's own RAW of fewer bytes is a part of one: LibRaw calls its format unknown."""
 LIBRAW = ".".join(map(str, rawpy.libraw_version))
 
 
@@ -31,11 +34,19 @@ def unreadable_raw(path: Path, error: Exception) -> FormatError:
     text = error.args[0] if error.args else error
     said = text.decode(errors="replace") if isinstance(text, bytes) else str(text)
     unknown = (rawpy.LibRawFileUnsupportedError, rawpy.NotSupportedError, NotImplementedError)
+    name = kind.suffix.removeprefix(".").upper()
+    size = path.stat().st_size
+    if isinstance(error, unknown) and size < SHORT and kind.suffix not in (".dng", ".tif"):
+        return FormatError(
+            path,
+            found=f"a {name} of {counted(size, 'byte')}, of which LibRaw {LIBRAW} reads nothing",
+            expected="a whole one, which is larger",
+            hint="Copy it from the camera again.",
+        )
     if isinstance(error, unknown):
         return FormatError(
             path,
-            found=f"a {kind.suffix.removeprefix('.').upper()} of a format or compression that "
-            f"LibRaw {LIBRAW} does not know",
+            found=f"a {name} of a format or compression that LibRaw {LIBRAW} does not know",
             expected="a RAW that it reads",
             hint="Convert it to DNG, with a lossless compression that older readers know.",
         )

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ from lightstage.formats.paths import check_name
 
 SCHEMA = "lightstage.rig/1"
 BANKS = ("horizontal", "vertical")
+COLOUR = re.compile(r"[a-z0-9-]{1,32}")
+"""What emitters' colours are called: `--emitters` names them with commas between."""
 MEASURED_WITH = "measured_with_rig_sha256"
 """In a rig.json whose cameras were measured from photographs: `rig_sha256` of the rig they were
 taken with. It is the same stage."""
@@ -47,6 +50,8 @@ class Light:
         position_mm: world position.
         bank: polarisation, ``horizontal`` or ``vertical``; None where the light is not polarised.
         rgb_gain: measured radiant intensity relative to nominal, per channel.
+        colour: name of the emitter's colour, such as ``warm`` or ``red``, where several stand in
+            one place; None where all are alike.
         more: fields that others added in rig.json; they are kept.
     """
 
@@ -55,6 +60,7 @@ class Light:
     position_mm: tuple[float, float, float]
     bank: str | None = None
     rgb_gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    colour: str | None = None
     more: Mapping[str, Any] = dataclasses.field(default_factory=dict, compare=False)
 
 
@@ -180,6 +186,14 @@ class Rig:
         return np.array([light.position_mm for light in self.lights], float).reshape(-1, 3)
 
     @functools.cached_property
+    def colours(self) -> dict[str | None, np.ndarray]:
+        """Colour of emitters to (n,) bool which lights are of it, in the rig's order."""
+        named = [light.colour for light in self.lights]
+        return {
+            colour: np.array([each == colour for each in named]) for colour in dict.fromkeys(named)
+        }
+
+    @functools.cached_property
     def rgb_gains(self) -> np.ndarray:
         """(n, 3) light gains."""
         return np.array([light.rgb_gain for light in self.lights], float).reshape(-1, 3)
@@ -245,7 +259,7 @@ def rig_to_json(rig: Rig) -> dict[str, Any]:
             {
                 name: getattr(light, name)
                 for name in LIGHT_FIELDS
-                if name != "bank" or light.bank is not None
+                if name not in ("bank", "colour") or getattr(light, name) is not None
             }
             for light in rig.lights
         ],
@@ -334,6 +348,7 @@ def _light(entry: Any, where: str | Path, place: str) -> Light:
         position_mm=(x, y, z),
         bank=fields.text("bank") if fields.has("bank") else None,
         rgb_gain=(r, g, b),
+        colour=fields.text("colour") if fields.has("colour") else None,
         more=fields.rest(),
     )
 
@@ -393,6 +408,13 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
                 repr(light.bank),
                 " or ".join(BANKS),
                 "Leave it out where the light has no polariser.",
+            )
+        if light.colour is not None and not COLOUR.fullmatch(light.colour):
+            fault(
+                f"{field}.colour",
+                repr(light.colour),
+                "small letters, digits and -",
+                "It is the name of an emitter's colour, such as red or warm.",
             )
         if min(light.rgb_gain) < 0:
             fault(f"{field}.rgb_gain", str(light.rgb_gain), "three numbers of at least 0")

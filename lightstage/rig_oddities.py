@@ -50,9 +50,17 @@ def _far(rig: Rig) -> np.ndarray:
 
 
 def _close(rig: Rig) -> np.ndarray:
-    """(n,) bool, in another light's place; two lights alone are never."""
-    apart = _nearest(rig.positions_mm)
+    """(n,) bool, in the place of another light of its colour; two lights alone are never."""
+    apart = _apart(rig)
     return np.asarray((apart < CLOSE_SHARE * np.median(apart)) & (len(apart) > 2))
+
+
+def _apart(rig: Rig) -> np.ndarray:
+    """(n,) distance of each light to the nearest of its colour, mm."""
+    apart = np.empty(len(rig.lights))
+    for which in rig.colours.values():
+        apart[which] = _nearest(rig.positions_mm[which])
+    return apart
 
 
 def _nearest(places: np.ndarray) -> np.ndarray:
@@ -100,14 +108,15 @@ def _of_lights(rig: Rig) -> list[Finding]:
         )
     close = _close(rig)
     if close.any():
-        apart = _nearest(rig.positions_mm)
+        apart = _apart(rig)
         found.append(
             _warn(
                 "close",
                 _named(rig, close),
                 f"{apart[close].min():.3g} mm from another light",
                 f"about {np.median(apart):.3g} mm, as most",
-                "Is one light in the file twice?",
+                "Is one light in the file twice? Emitters of several colours in one place need a "
+                "`colour` each.",
             )
         )
     mean = (rig.positions_mm / distance[:, None]).mean(axis=0)
@@ -125,9 +134,12 @@ def _of_lights(rig: Rig) -> list[Finding]:
         )
     found += _of_banks(rig)
     gains = rig.rgb_gains.mean(axis=1)
-    usual = float(np.median(gains))
-    odd = (gains > GAIN_RATIO * usual) | (gains < usual / GAIN_RATIO)
+    usual_of = np.empty(len(gains))
+    for which in rig.colours.values():
+        usual_of[which] = np.median(gains[which])
+    odd = (gains > GAIN_RATIO * usual_of) | (gains < usual_of / GAIN_RATIO)
     if odd.any():
+        usual = float(np.median(usual_of[odd]))
         found.append(
             _warn(
                 "gain",

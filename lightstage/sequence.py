@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -26,6 +26,7 @@ def plan_shots(
     rig: Rig,
     drive: Drive = "solid-angle",
     own: Mapping[str, UserPattern] = NO_PATTERNS,
+    emitters: Collection[str] = (),
 ) -> tuple[Shot, ...]:
     """Shots of these patterns, in order, with the levels that are driven.
 
@@ -34,6 +35,7 @@ def plan_shots(
         rig: the lights.
         drive: by the solid angle that lights stand for, or plain on and off.
         own: the user's own patterns by name.
+        emitters: colours of the lights that are driven; none named: all.
 
     Raises:
         PatternError: every unknown or doubled pattern, in one message.
@@ -47,7 +49,7 @@ def plan_shots(
             )
             continue
         try:
-            shots.append(Shot(name, drive_levels(name, rig, drive, own)))
+            shots.append(Shot(name, drive_levels(name, rig, drive, own, emitters)))
         except PatternError as error:
             problems.append(error)
     if not patterns:

@@ -25,6 +25,7 @@ from sim.reference.world import ReferenceWorld
 OCCLUSION_DIRECTIONS = 256
 OCCLUSION_START_MM = 0.2
 RELIT_CAMERA = "cam0"
+"""Relit pictures are this camera's; the rig's first one's where there is none of this id."""
 HIDDEN = 0.1
 """Skin that sees less of the sky, such as behind a closed lid, is not scored in the atlas."""
 FACING = 0.15
@@ -61,8 +62,9 @@ def write_truth(world: World, out: Path, progress: ProgressCallback = quiet) -> 
     write_atlas(subject, occlusion, folder)
     write_points_mm(subject.landmarks_mm, folder.true_landmarks)
     progress(total - 1, total)
+    front = RELIT_CAMERA if RELIT_CAMERA in world.surfaces else world.rig.cameras[0].id
     for lights, weights in relit_sets(world.rig):
-        picture = world.relit(RELIT_CAMERA, weights)
+        picture = world.relit(front, weights)
         write_exr(out / "relit" / f"{lights.name}.exr", picture)
         write_lights(lights, out / "relit" / f"{lights.name}.json")
     progress(total, total)

@@ -19,6 +19,7 @@ from lightstage.formats.lights import read_measured_lights
 from lightstage.formats.processed import MAPS
 from lightstage.formats.session import load_session
 from lightstage.formats.template import load_template
+from lightstage.motion.lenses import read_lenses
 from lightstage.rig import load_rig
 from processing.calibration.flat_file import read_flats
 from processing.colour import read_colour
@@ -45,6 +46,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
         folder / "lights.json", load_rig(folder / "rig.json")
     ),
     "E.json": lambda folder: read_lights(folder / "E.json"),
+    "lenses.json": lambda folder: read_lenses(folder / "lenses.json"),
 }
 ROW = re.compile(r"^\| `([^`|]+)` \| .* \| (yes|no) \|$", re.M)
 

@@ -26,7 +26,7 @@ from lightstage.findings import accepted_in_words
 from lightstage.formats.access import group_of, limited_access
 from lightstage.leds.address import parse_url
 from lightstage.operator import open_operator
-from lightstage.patterns import Drive, read_patterns, sequence_patterns
+from lightstage.patterns import Drive, read_patterns, sequence_patterns, split_emitters
 from lightstage.preflight import consent_findings, measured_rig_findings, require_known
 from lightstage.rig import Rig, load_rig
 from lightstage.safety import check_shots, photosensitivity_findings
@@ -86,6 +86,9 @@ def capture_command(
     ),
     patterns: Path | None = typer.Option(None, help="Your own patterns (TOML)."),
     drive: str | None = typer.Option(None, help="solid-angle (the default) or on-off."),
+    emitters: str | None = typer.Option(
+        None, help="Colours of the emitters that are driven, with commas [all]."
+    ),
     colour: Path | None = typer.Option(
         None, help="A calibration folder, or a colour calibration alone, for the session to carry."
     ),
@@ -116,6 +119,7 @@ def capture_command(
         own,
         ignore_clock=ignore_clock,
         drive=_drive(drive),
+        emitters=None if emitters is None else split_emitters(emitters),
         delete_from_cameras=delete or None,
     )
     settings = clearing(settings, clear)
@@ -123,7 +127,7 @@ def capture_command(
         fixed = {
             "--rig": rig, "--sequence": sequence, "--subject": subject, "--consent": consent,
             "--expression": expression, "--patterns": patterns, "--drive": drive,
-            "--colour": colour,
+            "--emitters": emitters, "--colour": colour,
         }  # fmt: skip
         _require_none(fixed)
         with limited_access(group_of([out])):
@@ -249,7 +253,9 @@ def _new_order(
     require_new(out)
     the_rig = load_rig(rig)
     own = {} if patterns is None else read_patterns(patterns, the_rig)
-    shots = plan_shots(sequence_patterns(sequence, the_rig), the_rig, config.drive, own)
+    shots = plan_shots(
+        sequence_patterns(sequence, the_rig), the_rig, config.drive, own, config.emitters
+    )
     own_calibration = Carried() if colour is None else read_calibration(colour, the_rig)
     return the_rig, Order(
         out, shots, subject=subject, expression=expression, consent=consent,

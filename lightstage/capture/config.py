@@ -35,6 +35,7 @@ class CaptureConfig:
         downloads: how often one file is asked for before its photograph counts as failed.
         delete_from_cameras: delete a photograph on the camera once it is in the journal.
         drive: levels weighted by the solid angle that a light stands for, or plain on and off.
+        emitters: colours of the lights that are driven, where rig.json names colours; none: all.
         deadlines: after which a camera that has not answered is ended.
         safety: limits for person and lights.
         preflight: what must hold before a light goes on.
@@ -50,6 +51,7 @@ class CaptureConfig:
     downloads: int = 2
     delete_from_cameras: bool = False
     drive: Drive = "solid-angle"
+    emitters: tuple[str, ...] = ()
     deadlines: Deadlines = dataclasses.field(default_factory=Deadlines)
     safety: SafetyConfig = dataclasses.field(default_factory=SafetyConfig)
     preflight: PreflightConfig = dataclasses.field(default_factory=PreflightConfig)

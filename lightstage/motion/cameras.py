@@ -18,9 +18,11 @@ from lightstage.errors import LightstageError, MotionError, one_error
 from lightstage.exif import Exif, read_exif
 from lightstage.formats.cameras import SCHEMA
 from lightstage.motion.lengths import Length, Scale, find_scale, require_known
+from lightstage.motion.lenses import TypedLens
 from lightstage.motion.pictures import read_grey
 from lightstage.motion.points import Clicks
 from lightstage.motion.solving import MIN_POINTS, Solved, solve
+from lightstage.motion.suspects import lens_warnings
 from lightstage.motion.world import looked_at, moved, turned_by_cameras, turned_by_landmarks
 from lightstage.rig import Camera, Light, Rig
 
@@ -51,6 +53,7 @@ def find_cameras(
     clicks: Clicks | None = None,
     landmarks: Clicks | None = None,
     front: str | None = None,
+    lenses: Sequence[TypedLens] = (),
     progress: ProgressCallback = quiet,
 ) -> FoundCameras:
     """Find where the cameras stood.
@@ -63,6 +66,7 @@ def find_cameras(
         landmarks: of the face; they tell which way it looks, and lengths may name them (0 to 67).
         front: the camera before the face, where there are no landmarks; None for the one in the
             middle of all.
+        lenses: who shares a focal length, where that is known.
         progress: called with steps done and in all.
 
     Raises:
@@ -99,7 +103,7 @@ def find_cameras(
             "cameras", found=f"nothing lit by {', '.join(dark)}", expected="photographs that show"
         )
     progress(total - 2, total)
-    solved = solve(pictures, told)
+    solved = solve(pictures, told, lenses)
     progress(total - 1, total)
     scale = find_scale(lengths, solved.cameras, named)
     middle = np.median(solved.points, axis=0)
@@ -120,6 +124,7 @@ def find_cameras(
         for name, count in solved.seen.items()
         if count < FAINT_POINTS
     ]
+    warnings += lens_warnings(solved)
     facts = _facts(cameras, solved, scale, by, told)
     return FoundCameras(Rig(lights, cameras), facts, warnings)
 
@@ -143,6 +148,10 @@ def _facts(
                 None if scale.click_residual_px is None else round(scale.click_residual_px, 3)
             ),
         },
+        "lenses": [
+            {"cameras": list(lens.cameras), "focal_px": round(lens.focal_px or 0, 2), "by": lens.by}
+            for lens in solved.lenses
+        ],
         "points": len(solved.points),
         "residual_px": round(float(np.mean(list(solved.residual_px.values()))), 3),
         "cameras": {
@@ -151,7 +160,7 @@ def _facts(
                 "points": solved.seen[camera.id],
                 "matches": solved.matches[camera.id],
                 "focal_px": round(camera.fx_px, 2),
-                "focal_from_exif": solved.from_exif[camera.id],
+                "focal_told_px": solved.told_px[camera.id],
                 "focal_told_mm": told[camera.id].focal_mm,
                 "distance_mm": round(float(np.linalg.norm(camera.centre_mm)), 2),
             }

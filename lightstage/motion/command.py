@@ -24,6 +24,7 @@ from lightstage.importing import (
 )
 from lightstage.motion.cameras import FoundCameras, find_cameras
 from lightstage.motion.lengths import Length, parse_length
+from lightstage.motion.lenses import read_lenses
 from lightstage.motion.points import read_clicks
 from lightstage.preflight import consent_findings, require_known
 from lightstage.rig import Rig, default_rig, load_rig
@@ -77,6 +78,10 @@ def import_command(
     lights: Path | None = typer.Option(
         None, help="Without --rig: rig.json whose lights are taken [the default rig's]."
     ),
+    lenses: Path | None = typer.Option(
+        None,
+        help="Without --rig: lenses.json, who shares a focal length [by EXIF, else found].",
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Make a session of photographs taken elsewhere.
@@ -89,7 +94,10 @@ def import_command(
     findings = consent_findings(consent, settings)
     found: FoundCameras | None = None
     if rig is not None:
-        given = {"--length": length, "--points": points, "--front": front, "--lights": lights}
+        given = {
+            "--length": length, "--points": points, "--front": front, "--lights": lights,
+            "--lenses": lenses,
+        }  # fmt: skip
         unused = [name for name, value in given.items() if value]
         if unused:
             raise ConfigError(
@@ -98,7 +106,7 @@ def import_command(
         the_rig = load_rig(rig)
     else:
         lengths = [parse_length(text) for text in length]
-        found = _found(folder, lengths, landmarks, points, front, lights, pattern)
+        found = _found(folder, lengths, landmarks, points, front, lights, lenses, pattern)
         the_rig = found.rig
     carried = Carried() if colour is None else read_calibration(colour, the_rig)
     if found is not None:
@@ -135,6 +143,7 @@ def _found(
     points: Path | None,
     front: str | None,
     lights: Path | None,
+    lenses: Path | None,
     pattern: str | None,
 ) -> FoundCameras:
     stage = default_rig() if lights is None else load_rig(lights)
@@ -148,5 +157,6 @@ def _found(
             clicks=None if points is None else read_clicks(points),
             landmarks=None if landmarks is None else read_clicks(landmarks),
             front=front,
+            lenses=() if lenses is None else read_lenses(lenses),
             progress=progress,
         )

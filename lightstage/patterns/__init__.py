@@ -1,6 +1,6 @@
 """Light patterns: names, the user's own, the levels they are driven with, their pictures."""
 
-from lightstage.patterns.drive import Drive, drive_levels
+from lightstage.patterns.drive import Drive, drive_levels, split_emitters
 from lightstage.patterns.names import (
     MEANINGS,
     SEQUENCES,
@@ -24,4 +24,5 @@ __all__ = [
     "pattern_levels",
     "read_patterns",
     "sequence_patterns",
+    "split_emitters",
 ]

@@ -13,7 +13,7 @@ from rich.table import Table
 from lightstage.commands import JsonFlag, finish, output_file
 from lightstage.counting import counted
 from lightstage.errors import PatternError
-from lightstage.patterns.drive import Drive, drive_levels
+from lightstage.patterns.drive import Drive, drive_levels, split_emitters
 from lightstage.patterns.names import (
     MEANINGS,
     bank_mask,
@@ -41,6 +41,9 @@ def patterns_command(
     sequence: str = typer.Argument("", help="Named sequence, or pattern names with commas."),
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
     drive: str = typer.Option("solid-angle", help="How lights are driven: solid-angle or on-off."),
+    emitters: str = typer.Option(
+        "", help="Colours of the emitters that are driven, with commas [all]."
+    ),
     patterns: Path | None = typer.Option(None, help="Your own patterns (TOML)."),
     out: Path | None = output_file(
         "--out", help="Picture of all of them, .png.", suffixes=[".png"], default=None, shared=True
@@ -55,7 +58,8 @@ def patterns_command(
         _list_sequences(the_rig, as_json)
         return
     sequence = sequence or ",".join(own) or "binary"
-    shots = plan_shots(sequence_patterns(sequence, the_rig), the_rig, how, own)
+    colours = split_emitters(emitters)
+    shots = plan_shots(sequence_patterns(sequence, the_rig), the_rig, how, own, colours)
     if out is not None and len(shots) > MOST_PICTURES:
         raise PatternError(
             f"sequence {sequence!r}",
@@ -65,10 +69,11 @@ def patterns_command(
         )
     planes = on_plane(the_rig)
     rows = [_row(s.pattern, s.levels, the_rig, planes) for s in shots]
-    even = unevenness(the_rig, drive_levels("full", the_rig, how))
+    even = unevenness(the_rig, drive_levels("full", the_rig, how, emitters=colours))
     facts: dict[str, Any] = {
         "sequence": sequence,
         "drive": how,
+        "emitters": list(colours),
         "lights": len(the_rig.lights),
         "full_unevenness": round(even, 5),
         "on_plane": planes,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Literal
 
@@ -30,6 +30,7 @@ def drive_levels(
     rig: Rig,
     drive: Drive = "solid-angle",
     own: Mapping[str, UserPattern] = NO_PATTERNS,
+    emitters: Collection[str] = (),
 ) -> np.ndarray:
     """Levels that a capture drives the lights with for a pattern.
 
@@ -43,15 +44,61 @@ def drive_levels(
         rig: the lights.
         drive: see `Drive`.
         own: the user's patterns by name.
+        emitters: colours of the lights that are driven, all others stay dark in every pattern;
+            none named: all are driven.
 
     Returns:
         (n,) float64, whole multiples of 1 / 65535 in 0..1.
 
     Raises:
-        PatternError: an unknown name, or a light that the rig does not have.
+        PatternError: an unknown name, a light that the rig does not have or that is none of
+            `emitters`, or a colour of no light.
     """
+    driven = emitter_mask(rig, emitters)
+    levels = _all_emitters(name, rig, drive, own, driven)
+    if name.startswith("olat-") and levels.any() and not (levels * driven).any():
+        raise PatternError(
+            f"pattern {name}",
+            found="a light of another colour",
+            expected=f"one of {', '.join(emitters)}, as --emitters says",
+        )
+    return levels * driven
+
+
+def emitter_mask(rig: Rig, emitters: Collection[str]) -> np.ndarray:
+    """(n,) 1.0 for the lights of these colours, all where none is named.
+
+    Raises:
+        PatternError: a colour of no light.
+    """
+    if not emitters:
+        return np.ones(len(rig.lights))
+    known = [str(colour) for colour in rig.colours if colour is not None]
+    unknown = [name for name in emitters if name not in known]
+    if unknown:
+        raise PatternError(
+            "--emitters",
+            found=", ".join(map(repr, unknown)),
+            expected=f"some of {', '.join(known)}" if known else "lights with `colour` in rig.json",
+            hint="" if known else "All lights of this rig are alike: leave --emitters out.",
+        )
+    return np.asarray(sum(rig.colours[name].astype(float) for name in dict.fromkeys(emitters)))
+
+
+def split_emitters(text: str) -> tuple[str, ...]:
+    """Colours as the command line has them, with commas between."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _all_emitters(
+    name: str, rig: Rig, drive: Drive, own: Mapping[str, UserPattern], driven: np.ndarray
+) -> np.ndarray:
     base = name.partition("@")[0]
-    whole = light_weights(rig) if drive == "solid-angle" else np.ones(len(rig.lights))
+    whole = np.ones(len(rig.lights))
+    if drive == "solid-angle":
+        whole = light_weights(rig)
+        # The strongest of those that are lit is at level 1.
+        whole = np.minimum(whole / whole[driven > 0].max(), 1.0)
     if base in own:
         mine = own[base]
         levels = mine.levels * whole if mine.is_field else mine.levels

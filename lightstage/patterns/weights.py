@@ -25,13 +25,17 @@ def light_weights(rig: Rig) -> np.ndarray:
     largest such product of the rig. On a sphere the distance falls out. What a light was measured
     to give (`rgb_gain`) is left out on purpose: three gains cannot be met by one level, one dim
     light would dim the stage, and a new calibration would change what sessions are driven with.
-    Processing has the gains from the rig.
+    Processing has the gains from the rig. Emitters of each colour make an even field of their own:
+    those of other colours beside them take nothing from their solid angles.
 
     Returns:
         (n,) float64 in (0, 1], at least one of them 1.
     """
     far = np.linalg.norm(rig.positions_mm, axis=1)
-    weight = solid_angles_sr(rig) * (far / far.max()) ** 2
+    solid = np.empty(len(far))
+    for which in rig.colours.values():
+        solid[which] = _areas(rig.positions_mm[which].tobytes())
+    weight = solid * (far / far.max()) ** 2
     return np.maximum(weight / weight.max(), np.finfo(float).tiny)
 
 

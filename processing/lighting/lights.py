@@ -154,14 +154,17 @@ def lights_of(lamps: Lamps, patterns: tuple[str, ...], driven: np.ndarray) -> Pa
     """Lamps that make P patterns.
 
     Args:
-        lamps: L of them; those that give no light are left out.
+        lamps: L of them; those that give no light, or none in these patterns, are left out.
         patterns: P names; an `@` in one tells its bank.
         driven: (P, L) levels.
 
     Raises:
         ProcessingError: patterns polarised in a way that is not known.
     """
+    # Emitters of another colour, dark in every pattern, say nothing of these patterns' colour.
     lit = lamps.rgb.mean(axis=1) > 0
+    used = lit & (np.asarray(driven).max(axis=0) > 0)
+    lit = used if used.any() else lit
     rgb, driven = lamps.rgb[lit], np.asarray(driven, float)[:, lit].T
     # Lights of unlike strength that go on and off together are one group: what each has at most
     # goes into its weight.

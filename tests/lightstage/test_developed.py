@@ -13,6 +13,7 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lightstage import opening
 from lightstage.checks import check_session
 from lightstage.developed import developed_kind, read_developed
 from lightstage.errors import FormatError
@@ -366,3 +367,26 @@ def test_raw_files_are_opened_before_they_are_taken(tmp_path, small_rig, dng):
     with pytest.raises(FormatError, match=r"cam1\.dng.*no photograph"):
         import_session(tmp_path / "in", small_rig, tmp_path / "S", "p1", "neutral")
     assert developed_kind(tmp_path / "in" / "cam0.dng") is None
+
+
+def cut_rw2(size):
+    """Directories of a Panasonic camera's RAW without the counts they tell of."""
+    words = {2: 3724, 3: 2754, 4: 0, 5: 0, 6: 2752, 7: 3664}
+    rows = [struct.pack("<HHIHH", tag, 3, 1, value, 0) for tag, value in words.items()]
+    place = 8 + 2 + 12 * (len(rows) + 2) + 4
+    rows += [struct.pack("<HHII", 271, 2, 10, place), struct.pack("<HHII", 272, 2, 8, place + 10)]
+    body = b"Panasonic\0DMC-LX3\0"
+    data = b"IIU\0\x08\0\0\0" + struct.pack("<H", len(rows)) + b"".join(rows) + bytes(4) + body
+    return data.ljust(size, b"\0")
+
+
+def test_a_raw_that_holds_hardly_more_than_its_header_is_cut(tmp_path, dng, monkeypatch):
+    (tmp_path / "a.rw2").write_bytes(cut_rw2(12_000))
+    with pytest.raises(FormatError, match=r"a\.rw2: found a RW2 of 12000 bytes, .*Copy it"):
+        open_photograph(tmp_path / "a.rw2")
+    (tmp_path / "b.dng").write_bytes(dng(1000))
+    open_photograph(tmp_path / "b.dng")
+    # LibRaw gives zeros for what some files lack: as if this one needed more bits.
+    monkeypatch.setattr(opening, "LEAST_BITS_PER_PX", 1000.0)
+    with pytest.raises(FormatError, match=r"b\.dng: found \d+ bytes for \d+ x \d+ pixels"):
+        open_photograph(tmp_path / "b.dng")

@@ -51,18 +51,20 @@ def session_of(
     patterns: tuple[str, ...] = BINARY,
     chart_under: Drive | None = None,
     linear: bool = False,
+    emitters: tuple[str, ...] = (),
 ) -> Session:
     """A session as a stage that drives so would leave it; its chart perhaps lit otherwise."""
     photographer = Photographer(world, 3, drive=drive)
     save_rig(world.rig, root / "rig.json")
     camera = world.rig.cameras[0]
-    levels = {name: drive_levels(name, world.rig, drive) for name in patterns}
+    levels = {name: drive_levels(name, world.rig, drive, emitters=emitters) for name in patterns}
     frames = []
     for name, level in levels.items():
         path = root / "frames" / name / f"{camera.id}.{'exr' if linear else 'dng'}"
         path.parent.mkdir(parents=True)
         if linear:
-            white = white_reading(world.rig, drive_levels("full", world.rig, drive))
+            full = drive_levels("full", world.rig, drive, emitters=emitters)
+            white = white_reading(world.rig, full)
             write_exr(path, world.photograph(camera.id, level[None])[0] / white, half=False)
         else:
             path.write_bytes(photographer.photograph(camera, level))
@@ -158,6 +160,29 @@ def test_albedo_is_that_of_an_on_off_session(
     off = found[both] / known[both] - 1
     # Taken to be driven at level 1, `full` would have put the scale off by a fifth.
     assert 0.75 < white_reading(world.rig, drive_levels("full", world.rig)) < 0.85
+    assert np.abs(np.median(off, axis=0)).max() < 0.01
+    assert np.abs(off).mean() < 0.015
+
+
+def test_albedo_by_emitters_of_one_colour_among_others_is_the_same(world, plain_linear, tmp_path):
+    """Warm and cool emitters in each place; the warm ones alone take the photographs."""
+    gains = {"warm": (1.2, 1.0, 0.6), "cool": (0.8, 1.0, 1.4)}
+    lights = tuple(
+        dataclasses.replace(
+            light, id=2 * light.id + k, name=f"{light.name}/{colour}", colour=colour, rgb_gain=gain
+        )
+        for light in world.rig.lights
+        for k, (colour, gain) in enumerate(gains.items())
+    )
+    stage = World(world.subject, dataclasses.replace(world.rig, lights=lights))
+    session = session_of(stage, tmp_path / "s", "solid-angle", linear=True, emitters=("warm",))
+    levels = np.array(session.file.patterns["full"].levels)
+    assert not levels[stage.rig.colours["cool"]].any()
+    known, sure = plain_linear
+    found, also_sure = albedo_of(session, tmp_path / "out")
+    both = sure & also_sure
+    assert both.sum() > 1000
+    off = found[both] / known[both] - 1
     assert np.abs(np.median(off, axis=0)).max() < 0.01
     assert np.abs(off).mean() < 0.015
 

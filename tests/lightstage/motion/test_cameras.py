@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shutil
 import subprocess
@@ -11,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lightstage.errors import LightstageError, MotionError
@@ -23,7 +24,8 @@ from lightstage.formats.template import default_template_path, load_template
 from lightstage.motion import solving
 from lightstage.motion.cameras import FoundCameras, find_cameras
 from lightstage.motion.lengths import Length
-from lightstage.motion.pictures import read_grey
+from lightstage.motion.lenses import exif_focal_px, shared_lenses
+from lightstage.motion.pictures import GreyPicture, read_grey
 from lightstage.motion.points import read_clicks
 from lightstage.motion.world import turn_between, turned_by_landmarks
 from lightstage.rig import default_rig
@@ -168,16 +170,38 @@ def test_what_cannot_be_solved_is_refused(
         find_cameras(shots, LIGHTS, lengths, front=front)
 
 
+def test_photographs_of_a_wall_are_refused(tmp_path: Path) -> None:
+    shots = {}
+    for camera in ball.cameras((0, 1, 2, 5)):
+        shots[camera.id] = put_other(tmp_path / f"{camera.id}.exr", ball.wall(camera))
+    with pytest.raises(MotionError, match="photographs of something flat, such as a wall"):
+        find_cameras(shots, LIGHTS, [base()])
+
+
+@given(st.floats(-3, 3), st.floats(0.05, 1.0), st.floats(1e-3, 1e3), st.integers(0, 2**32 - 1))
+def test_a_plane_is_flat_and_a_head_is_not(
+    tilt: float, depth: float, size: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    turn = Rotation.from_euler("xy", [tilt, -tilt]).as_matrix()
+    cube = size * rng.uniform(-1, 1, (200, 3))
+    solving._refuse_flat(cube * [1, 1, 2 * depth] @ turn.T + size)
+    wall = cube * [1, 1, 0.005] @ turn.T + size
+    wall[:5] += 3 * size  # false matches
+    with pytest.raises(MotionError, match="flat"):
+        solving._refuse_flat(wall)
+
+
 def test_what_ends_colmap_is_told_in_one_message(
     shots: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pictures = {name: read_grey(path) for name, path in shots.items()}
     told = dict.fromkeys(pictures, Exif())
 
-    def without_job(group: object, exif: object) -> dict[str, object]:
-        return {"focal_px": "wide", "cx_px": None, "cy_px": None}
+    def without_job(lens: object, picture: object) -> dict[str, object]:
+        return {"cameras": [], "focal_px": "wide", "open": True, "centre_px": [None, None]}
 
-    monkeypatch.setattr(solving, "_group", without_job)
+    monkeypatch.setattr(solving, "_job", without_job)
     with pytest.raises(MotionError, match="COLMAP ended with 1") as caught:
         solving.solve(pictures, told)
     assert "Traceback" not in str(caught.value)
@@ -185,15 +209,14 @@ def test_what_ends_colmap_is_told_in_one_message(
 
 
 def test_a_focal_length_is_begun_with_what_exif_says() -> None:
-    picture = solving.GreyPicture(np.zeros((100, 150), np.uint8), np.zeros((100, 150), bool), 4,
-                                  600, 400)  # fmt: skip
-    assert solving._focal_px(picture, Exif()) is None
-    assert solving._focal_px(picture, Exif(focal_35mm_mm=72.0)) == 1200.0
+    picture = GreyPicture(np.zeros((100, 150), np.uint8), np.zeros((100, 150), bool), 4, 600, 400)
+    assert exif_focal_px(picture, Exif()) is None
+    assert exif_focal_px(picture, Exif(focal_35mm_mm=72.0)) == 1200.0
     both = Exif(focal_mm=50.0, focal_plane_px_per_mm=30.0, focal_35mm_mm=72.0)
-    assert solving._focal_px(picture, both) == 1500.0
-    assert solving._group(picture, both) == {"focal_px": 375.0, "cx_px": 75.0, "cy_px": 50.0}
-    one = solving._group_key(picture, both)
-    assert one != solving._group_key(picture, dataclasses.replace(both, focal_mm=85.0))
+    assert exif_focal_px(picture, both) == 1500.0
+    (lens,) = shared_lenses({"a": picture}, {"a": both})
+    told = {"cameras": ("a",), "focal_px": 375.0, "open": False, "centre_px": [75.0, 50.0]}
+    assert solving._job(lens, picture) == told
 
 
 def test_the_command_refuses_a_rig_together_with_a_length(tmp_path: Path) -> None:
