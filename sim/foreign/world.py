@@ -26,7 +26,7 @@ from sim.reference.variant import LLVM, mitsuba
 from sim.reference.world import Inside, ReferenceWorld
 
 CHUNK = 400_000
-"""Points that are lit at once; it bounds memory."""
+"""Pairs of point and lamp that are asked at once; it bounds memory."""
 TEXEL_MM = 1.4
 """Patches that light wanders between."""
 ALONG = (0.43, 0.85, 0.3)
@@ -136,62 +136,73 @@ class ForeignWorld(ReferenceWorld):
     def _leaving(self, points: Points, weights: np.ndarray, bsdf: Any) -> np.ndarray:
         """(s, n, 3) light that a material sends toward the points' view."""
         out = np.zeros((len(weights), len(points), 3), np.float32)
+        lit = np.flatnonzero(weights.any(axis=(0, 2)))
+        strength = lamp_strength(self.lamps)
         for first in range(0, len(points), CHUNK):
             part = slice(first, first + CHUNK)
-            self._add(points.part(part), weights, bsdf, out[:, part])
+            some = points.part(part)
+            # Few wide calls: each costs some milliseconds, however narrow it is.
+            together = max(1, CHUNK // max(len(some), 1))
+            for start in range(0, len(lit), together):
+                group = lit[start : start + together]
+                leaves = self._asked(some, group, bsdf)
+                for lamp, light in zip(group, leaves, strict=True):
+                    for state in np.flatnonzero(weights[:, lamp].any(axis=1)):
+                        factor = (weights[state, lamp] * strength[lamp]).astype(np.float32)
+                        out[state, part] += light * factor
         return out
 
-    def _add(self, points: Points, weights: np.ndarray, bsdf: Any, out: np.ndarray) -> None:
+    def _asked(self, points: Points, group: np.ndarray, bsdf: Any) -> np.ndarray:
+        """(k, n, 3) light of n points under each of k lamps by itself, of unit intensity."""
         mi = mitsuba(LLVM)
         import drjit
 
-        lamps, strength = self.lamps, lamp_strength(self.lamps)
-        si = drjit.zeros(mi.SurfaceInteraction3f, len(points))
-        si.p, si.n = vectors(mi.Point3f, points.position), vectors(mi.Normal3f, points.normal)
+        lamps, count = self.lamps, len(points)
+
+        def tiled(kind: Any, values: np.ndarray) -> Any:
+            return vectors(kind, np.tile(values, (len(group), 1)))
+
+        def lamps_own(values: np.ndarray) -> np.ndarray:
+            return np.repeat(values[group], count, axis=0)
+
+        si = drjit.zeros(mi.SurfaceInteraction3f, count * len(group))
+        si.p, si.n = tiled(mi.Point3f, points.position), tiled(mi.Normal3f, points.normal)
         along = np.cross(ALONG, points.normal)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-6)
         across = np.cross(points.normal, along)
         si.sh_frame = mi.Frame3f(
-            *(vectors(mi.Vector3f, axis) for axis in (along, across, points.normal))
+            *(tiled(mi.Vector3f, axis) for axis in (along, across, points.normal))
         )
         # Mitsuba's textures begin at the top.
-        u, v = points.uv.T.astype(np.float32)
+        u, v = np.tile(points.uv.T.astype(np.float32), len(group))
         si.uv = mi.Point2f(u, 1 - v)
-        local = si.to_local(vectors(mi.Vector3f, points.view))
+        local = si.to_local(tiled(mi.Vector3f, points.view))
         si.wi = drjit.normalize(mi.Vector3f(local.x, local.y, drjit.maximum(local.z, MIN_COSINE)))
-        start, context = vectors(mi.Point3f, points.start), mi.BSDFContext()
-        for lamp in np.flatnonzero(weights.any(axis=(0, 2))):
-            axis = _constant(mi.Vector3f, lamps.axes[lamp])
-            place = _constant(mi.Vector3f, lamps.positions_mm[lamp])
-            if lamps.radius_mm > 0:
-                place += vectors(mi.Vector3f, self._on_disc(lamps.axes[lamp], len(points)))
-            toward = place - si.p
-            far = drjit.norm(toward)
-            toward /= far
-            facing = drjit.maximum(-drjit.dot(toward, axis), 0)
-            arrives = drjit.power(facing, lamps.exponent) / (far * far)
-            path = place - start
-            length = drjit.norm(path)
-            ray = mi.Ray3f(start, path / length, length * SHORT, 0.0, [])
-            given = bsdf.eval(context, si, si.to_local(toward)) * arrives
-            given = drjit.select(self._rays.scene.ray_test(ray), 0.0, given)
-            leaves = np.array(given).T
-            for state in np.flatnonzero(weights[:, lamp].any(axis=1)):
-                out[state] += leaves * (weights[state, lamp] * strength[lamp]).astype(np.float32)
+        start = tiled(mi.Point3f, points.start)
+        axis = vectors(mi.Vector3f, lamps_own(lamps.axes))
+        at = lamps_own(lamps.positions_mm)
+        if lamps.radius_mm > 0:
+            at = at + self._on_disc(lamps_own(lamps.axes))
+        place = vectors(mi.Vector3f, at)
+        toward = place - si.p
+        far = drjit.norm(toward)
+        toward /= far
+        facing = drjit.maximum(-drjit.dot(toward, axis), 0)
+        # A constant of the code would be compiled anew for each of its values.
+        exponent = drjit.opaque(mi.Float, lamps.exponent)
+        arrives = drjit.power(facing, exponent) / (far * far)
+        path = place - start
+        length = drjit.norm(path)
+        ray = mi.Ray3f(start, path / length, length * SHORT, 0.0, [])
+        given = bsdf.eval(mi.BSDFContext(), si, si.to_local(toward)) * arrives
+        given = drjit.select(self._rays.scene.ray_test(ray), 0.0, given)
+        return np.moveaxis(np.array(given).reshape(3, len(group), count), 0, -1)
 
-    def _on_disc(self, axis: np.ndarray, count: int) -> np.ndarray:
-        """(count, 3) random places on a lamp's disc, from its centre."""
-        first = np.cross(axis, (0.3, 0.5, 0.8))
-        first /= np.linalg.norm(first)
-        radius = self.lamps.radius_mm * np.sqrt(self._rng.random(count, np.float32))
-        turn = 2 * np.pi * self._rng.random(count, np.float32)
+    def _on_disc(self, axes: np.ndarray) -> np.ndarray:
+        """(n, 3) random places on the discs of lamps of these axes, from their centres."""
+        first = np.cross(axes, (0.3, 0.5, 0.8))
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        radius = self.lamps.radius_mm * np.sqrt(self._rng.random(len(axes), np.float32))
+        turn = 2 * np.pi * self._rng.random(len(axes), np.float32)
         x, y = (radius * part for part in (np.cos(turn), np.sin(turn)))
-        return x[:, None] * first + y[:, None] * np.cross(axis, first)
-
-
-def _constant(kind: Any, values: np.ndarray) -> Any:
-    """Three numbers that are no part of the code: for each lamp's it would be compiled anew."""
-    mi = mitsuba(LLVM)
-    import drjit
-
-    return kind(*(drjit.opaque(mi.Float, value) for value in values.tolist()))
+        return np.asarray(x[:, None] * first + y[:, None] * np.cross(axes, first))
