@@ -1,4 +1,4 @@
-"""Hair on the forehead and glasses on the nose, as geometry: what shadows skin and is none."""
+"""Hair, beard and glasses as geometry: what shadows skin, hides it, and is none."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lightstage.formats.mesh import Mesh
+from lightstage.formats.mesh import Mesh, vertex_normals
 from sim.errors import SimError
 from sim.people.subject import Subject
 
 SIDES = 6
 """Of a tube's cross-section."""
-BROWS, EYES, EARS, BRIDGE = range(17, 27), (range(36, 42), range(42, 48)), (0, 16), 27
+BROWS, EYES, EARS = range(17, 27), (range(36, 42), range(42, 48)), (0, 16)
+CHIN, BRIDGE, LOWER_LIP = 8, 27, 57
 """Numbers among the landmarks."""
 STRANDS = 140
 STRAND_MM = 0.9
@@ -23,6 +24,9 @@ HAIR_OFF_MM = 4.0
 HAIR_SPREAD_MM = 1.5
 HAIR_TOP_MM, HAIR_END_MM = 45.0, 12.0
 """Above the brows: where locks begin and where they end."""
+BELOW_LIP_MM = 6.0
+BEARD_HAIRS = 900
+BEARD_HAIR_MM = 0.4
 FRAME_MM = 1.2
 """Radius of a frame's wire."""
 LENS_MM = (25.0, 19.0)
@@ -42,20 +46,83 @@ def fringe(subject: Subject, seed: int) -> Mesh:
     points = _to_head(subject.mesh.vertices, to_head)
     brows = _to_head(subject.landmarks_mm[list(BROWS)], to_head)
     front = points[points[:, 2] > np.median(points[:, 2])]
-    tree = cKDTree(front[:, :2])
     rng = np.random.default_rng([seed, 51])
     half = float(np.abs(brows[:, 0]).max())
     middle, level = brows[:, 0].mean(), float(np.median(brows[:, 1]))
-    paths = []
+    flats = []
     for x in rng.uniform(-half, half, STRANDS):
         high = np.linspace(HAIR_TOP_MM, HAIR_END_MM + rng.uniform(-4, 8), 16)
         side = x + rng.normal(0, 3) * np.linspace(0, 1, len(high)) ** 2
-        flat = np.stack([middle + side, level + high], axis=1)
+        flats.append(np.stack([middle + side, level + high], axis=1))
+    return _to_world(tubes(_hung(front, flats, rng), STRAND_MM), to_head)
+
+
+def hair_over_ear(subject: Subject, seed: int) -> Mesh:
+    """Locks that hang over the ear on a subject's left; mm, world.
+
+    Raises:
+        SimError: a subject without landmarks.
+    """
+    to_head = _motion(subject)
+    points = _to_head(subject.mesh.vertices, to_head)
+    marks = _to_head(subject.landmarks_mm[list(EARS)], to_head)
+    beside = marks[np.argmax(marks[:, 0])]
+    rng = np.random.default_rng([seed, 52])
+    flats = []
+    # The ear lies behind where the jaw's line begins.
+    for z in rng.uniform(beside[2] - 45, beside[2] + 5, STRANDS):
+        high = np.linspace(45, -30 + rng.uniform(-6, 10), 16)
+        back = z + rng.normal(0, 3) * np.linspace(0, 1, len(high)) ** 2
+        flats.append(np.stack([back, beside[1] + high], axis=1))
+    turned = points[points[:, 0] > np.median(points[:, 0])][:, ::-1]
+    paths = [path[:, ::-1] for path in _hung(turned, flats, rng)]
+    return _to_world(tubes(paths, STRAND_MM), to_head)
+
+
+def beard(subject: Subject, seed: int) -> Mesh:
+    """Hairs that stand off chin and jaw; mm, world.
+
+    Raises:
+        SimError: a subject without landmarks.
+    """
+    to_head = _motion(subject)
+    vertices = _to_head(subject.mesh.vertices, to_head)
+    normals = vertex_normals(vertices, subject.mesh.triangles())
+    marks = _to_head(subject.landmarks_mm, to_head)
+    high = marks[LOWER_LIP, 1] - BELOW_LIP_MM
+    there = (vertices[:, 1] < high) & (vertices[:, 1] > marks[CHIN, 1] - 5)
+    there &= vertices[:, 2] > marks[CHIN, 2] - 60
+    there &= np.abs(vertices[:, 0] - marks[CHIN, 0]) < 55
+    rng = np.random.default_rng([seed, 53])
+    roots = rng.choice(np.flatnonzero(there), BEARD_HAIRS)
+    along = np.linspace(0, 1, 4)[:, None]
+    paths = []
+    for root in roots:
+        start = vertices[root] + rng.normal(0, 0.4, 3) - 0.5 * normals[root]
+        out = normals[root] * rng.uniform(4, 9)
+        fall = np.array([rng.normal(0, 1.5), -rng.uniform(3, 8), 0.0])
+        paths.append(start + along * out + along**2 * fall)
+    return _to_world(tubes(paths, BEARD_HAIR_MM), to_head)
+
+
+def _hung(
+    surface: np.ndarray, flats: Sequence[np.ndarray], rng: np.random.Generator
+) -> list[np.ndarray]:
+    """Paths (k, 3) that lie off a surface's (n, 3) points along its third axis.
+
+    Args:
+        surface: points that bulge along the third axis.
+        flats: (k, 2) paths in the first two.
+        rng: of how far each lies off.
+    """
+    tree = cKDTree(surface[:, :2])
+    paths = []
+    for flat in flats:
         # The outermost of some neighbours: a lock does not dip into the skin.
-        depth = front[tree.query(flat, k=12)[1], 2].max(axis=1)
+        depth = surface[tree.query(flat, k=12)[1], 2].max(axis=1)
         off = HAIR_OFF_MM + rng.normal(0, HAIR_SPREAD_MM / 2)
         paths.append(np.column_stack([flat, depth + max(off, 2 * STRAND_MM)]))
-    return _to_world(tubes(paths, STRAND_MM), to_head)
+    return paths
 
 
 def glasses(subject: Subject) -> Mesh:

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+import sim.foreign.world
 from sim.errors import SimError
 from sim.foreign.cameras import Glare
 from sim.foreign.materials import MATERIALS, material
@@ -38,7 +39,10 @@ def test_a_matt_plane_obeys_inverse_square_and_cosine() -> None:
 
 
 @pytest.mark.parametrize("kind", MATERIALS)
-def test_a_texture_lies_where_our_own_renderer_has_it(kind: str) -> None:
+def test_a_texture_lies_where_our_own_renderer_has_it(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sim.foreign.world, "TEXEL_MM", 5.0)
     rng = np.random.default_rng(0)
     ball = ball_subject()
     rows, columns = ball.diffuse_albedo.shape[:2]
