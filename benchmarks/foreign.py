@@ -4,7 +4,8 @@ The simulator gives faces, cameras and lamps; what skin does with light is Mitsu
 else a stage has that `processing` was not written for is a line of `benchmarks.foreign_cases`.
 Maps are made with our own mesh and with the person's true one; clothes, hair and glasses are in
 the scene as far as `reconstruct` finds them. Sessions, and rows of the table, are kept in a folder,
-so that the table can be made in pieces: all rows of one commit and picture size are in it.
+so that the table can be made in pieces: it has all rows of one size of picture that `processing`
+as it is now made. After a change of `sim` the folder has to be removed.
 
 ``python -m benchmarks.foreign``; ``--cases burley,oily --rows 300`` to try; ``--unseen`` takes
 the scenes that were not looked at while working.
@@ -23,7 +24,7 @@ import numpy as np
 
 from benchmarks.foreign_cases import CASES
 from benchmarks.foreign_session import LIT_CAMERAS, SKIN, session_of
-from benchmarks.record import commit, record
+from benchmarks.record import record
 from benchmarks.reflectance_case import facets_of
 from benchmarks.reflectance_clothes import errors
 from benchmarks.reflectance_people import folder
@@ -35,6 +36,7 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path
 from processing.pipeline import PipelineConfig, run
+from processing.records import code_version
 from sim.session import truth_path
 
 ROWS = 400
@@ -86,8 +88,8 @@ def main() -> None:
 
 
 def row_path(keep: Path, rows: int, name: str, mesh: str) -> Path:
-    """Where a row of this commit is kept."""
-    return keep / "rows" / f"{commit().replace(' ', '')}-{rows}-{name}-{mesh}.json"
+    """Where a row is kept that `processing` as it is now makes."""
+    return keep / "rows" / f"{code_version()[:12]}-{rows}-{name}-{mesh}.json"
 
 
 def measured(name: str, rows: int, mesh: str, keep: Path) -> dict[str, float]:
@@ -140,7 +142,7 @@ def numbers(error: dict[str, float]) -> tuple[str, ...]:
 
 
 def table(half: Sequence[str], keep: Path, rows: int) -> list[tuple[str, ...]]:
-    """All rows of this commit, then the means of light and dark people beside their targets."""
+    """All rows that are kept, then the means of light and dark people beside their targets."""
     found: list[tuple[str, ...]] = []
     means: list[tuple[str, ...]] = []
     kept = {

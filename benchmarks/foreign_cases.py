@@ -24,7 +24,7 @@ from sim.people.subjects import load_subject
 from sim.people.traits import Traits
 from sim.people.worn import fringe, glasses
 
-TEXTURE_ROWS = 1536
+TEXTURE_ROWS = 960
 OILY_ALPHA, DRY_ALPHA = 0.09, 0.42
 """Median alpha of skin as slick as these looks are."""
 STRETCH = 1.5
