@@ -25,6 +25,10 @@ from sim.people.traits import Traits
 from sim.people.worn import fringe, glasses
 
 TEXTURE_ROWS = 960
+SAMPLES = 1
+"""Places of a pixel that are averaged. Four cost four times as much and blur what is compared."""
+SAMPLES = 1
+"""Places of a pixel that are averaged. Four cost four times as much and blur what is compared."""
 OILY_ALPHA, DRY_ALPHA = 0.09, 0.42
 """Median alpha of skin as slick as these looks are."""
 STRETCH = 1.5
@@ -108,14 +112,14 @@ class Case:
         return RIGS[self.rig](rig_of(rows))
 
     def world(self, wearing: Subject, rig: Rig, lamps: Lamps | None = None) -> ForeignWorld:
-        """What the photographs show, or the same place under other lamps at a pixel's centre."""
+        """What the photographs show, or the same place under other lamps as it is."""
         other = lamps is not None
         return ForeignWorld(
             wearing,
             rig,
             self.material,
             lamps if other else lamps_of(rig, self.lamps),
-            samples=1 if other else 4,
+            samples=SAMPLES,
             stretch=self.stretch,
             effect=as_they_are if other else CAMERAS[self.camera],
         )

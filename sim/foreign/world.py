@@ -146,14 +146,13 @@ class ForeignWorld(ReferenceWorld):
             for start in range(0, len(lit), together):
                 group = lit[start : start + together]
                 leaves = self._asked(some, group, bsdf)
-                for lamp, light in zip(group, leaves, strict=True):
-                    for state in np.flatnonzero(weights[:, lamp].any(axis=1)):
-                        factor = (weights[state, lamp] * strength[lamp]).astype(np.float32)
-                        out[state, part] += light * factor
+                shares = (weights[:, group] * strength[group, None]).astype(np.float32)
+                for channel in range(3):
+                    out[:, part, channel] += shares[:, :, channel] @ leaves[channel]
         return out
 
     def _asked(self, points: Points, group: np.ndarray, bsdf: Any) -> np.ndarray:
-        """(k, n, 3) light of n points under each of k lamps by itself, of unit intensity."""
+        """(3, k, n) light of n points under each of k lamps by itself, of unit intensity."""
         mi = mitsuba(LLVM)
         import drjit
 
@@ -196,7 +195,7 @@ class ForeignWorld(ReferenceWorld):
         ray = mi.Ray3f(start, path / length, length * SHORT, 0.0, [])
         given = bsdf.eval(mi.BSDFContext(), si, si.to_local(toward)) * arrives
         given = drjit.select(self._rays.scene.ray_test(ray), 0.0, given)
-        return np.moveaxis(np.array(given).reshape(3, len(group), count), 0, -1)
+        return np.array(given).reshape(3, len(group), count)
 
     def _on_disc(self, axes: np.ndarray) -> np.ndarray:
         """(n, 3) random places on the discs of lamps of these axes, from their centres."""
