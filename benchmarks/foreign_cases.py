@@ -27,8 +27,6 @@ from sim.people.worn import fringe, glasses
 TEXTURE_ROWS = 960
 SAMPLES = 1
 """Places of a pixel that are averaged. Four cost four times as much and blur what is compared."""
-SAMPLES = 1
-"""Places of a pixel that are averaged. Four cost four times as much and blur what is compared."""
 OILY_ALPHA, DRY_ALPHA = 0.09, 0.42
 """Median alpha of skin as slick as these looks are."""
 STRETCH = 1.5
