@@ -60,8 +60,9 @@ def wander(
     own_mm = np.sqrt(texels.area / np.pi)
     for first in range(0, len(place), AT_ONCE):
         part = slice(first, first + AT_ONCE)
-        distance, other = tree.query(place[part], k=count)
-        distance, other = (x.reshape(-1, count)[:, 1:] for x in (distance, other))
+        found = tree.query(place[part], k=count)
+        # The nearest is the patch itself.
+        distance, other = (np.asarray(x).reshape(-1, count)[:, 1:] for x in found)
         # Not between surfaces that turn away from each other, such as closed lips.
         facing = np.einsum("nk,njk->nj", normal[part], normal[other]) > 0
         for channel, scale in enumerate(scales_mm(albedo)):
