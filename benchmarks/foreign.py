@@ -39,7 +39,7 @@ from processing.pipeline import PipelineConfig, run
 from processing.records import code_version
 from sim.session import truth_path
 
-ROWS = 400
+ROWS = 300
 MESHES = ("own", "true")
 HEADER = (
     "scene", "person", "mesh", "diffuse normals: all / above the chin, deg",
