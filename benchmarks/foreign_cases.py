@@ -22,7 +22,7 @@ from sim.people.clothing import collar, dressed
 from sim.people.subject import Subject
 from sim.people.subjects import load_subject
 from sim.people.traits import Traits
-from sim.people.worn import fringe, glasses
+from sim.people.worn import beard, fringe, glasses, hair_over_ear
 
 TEXTURE_ROWS = 960
 SAMPLES = 1
@@ -40,6 +40,8 @@ WORN: dict[str, tuple[Callable[[Subject, int], Mesh], Colour, float, float]] = {
     "dark collar": (lambda who, _: collar(who), (0.02, 0.02, 0.025), 0.0, 0.5),
     "red collar": (lambda who, _: collar(who), (0.4, 0.03, 0.02), 0.0, 0.5),
     "fringe": (fringe, (0.04, 0.025, 0.015), 0.03, 0.25),
+    "beard": (beard, (0.05, 0.03, 0.02), 0.0, 0.5),
+    "hair over an ear": (hair_over_ear, (0.03, 0.02, 0.015), 0.03, 0.2),
     "glasses": (lambda who, _: glasses(who), (0.02, 0.02, 0.02), 0.05, 0.1),
 }
 """What is worn: how it is made for a person of a seed, its albedo, mirror and roughness."""
@@ -139,6 +141,7 @@ CASES: dict[str, Case] = {
     "planes": Case(311, "ict", 1, "lambert-ggx", rig="on planes"),
     "glare": Case(312, "parametric", 2, "roughplastic", camera="glare"),
     "grain": Case(313, "ict", 6, "roughplastic", camera="grain"),
+    "beard": Case(314, "parametric", 3, "lambert-ggx", ("beard", "hair over an ear")),
     "new-lambert-ggx": Case(401, "ict", 4, "lambert-ggx"),
     "new-principled": Case(402, "parametric", 1, "principled"),
     "new-roughplastic": Case(403, "ict", 2, "roughplastic"),
@@ -153,5 +156,6 @@ CASES: dict[str, Case] = {
     "new-planes": Case(412, "parametric", 4, "principled", rig="on planes"),
     "new-glare": Case(413, "ict", 5, "lambert-ggx", camera="glare"),
     "new-grain": Case(414, "parametric", 3, "principled", camera="grain"),
+    "new-beard": Case(415, "parametric", 2, "principled", ("beard", "red collar", "glasses")),
 }
 """Every scene by name: one line is one more."""
