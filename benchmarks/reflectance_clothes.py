@@ -72,8 +72,9 @@ def errors(out: Path, session_path: Path) -> dict[str, float]:
     Returns:
         Mean angle of the diffuse normals of all, above and below the chin; RMSE of the diffuse
         albedo, as found and after the one factor that suits it best, since programs differ in
-        whether albedo is told inside or outside of the interface that mirrors; share of confidence
-        above .5.
+        whether albedo is told inside or outside of the interface that mirrors; share of the best
+        constant's error that is left of the specular albedo over 2 mm; mean angle of the specular
+        normals; share of confidence above .5.
     """
     found, true = ProcessedFolder(out), ProcessedFolder(truth_path(session_path))
     chin_mm = read_points_mm(true.true_landmarks)[CHIN, 1]
@@ -94,6 +95,8 @@ def errors(out: Path, session_path: Path) -> dict[str, float]:
         "below": float(samples.diffuse_deg[~above].mean()),
         "albedo": every["albedo_rmse"],
         "albedo_after_gain": rms(gain * albedo - exact),
+        "specular": every["specular_2mm_share"],
+        "specular_normal": every["specular_normal_deg"],
         "sure": sure_share(samples),
     }
 

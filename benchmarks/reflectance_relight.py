@@ -73,15 +73,16 @@ class Seen:
 class Relighter:
     """A mesh that casts the shadows in pictures of maps; its rays are cast once."""
 
-    def __init__(self, mesh: Mesh, rig: Rig) -> None:
+    def __init__(self, mesh: Mesh, rig: Rig, occluders: Mesh | None = None) -> None:
         """Prepare for rays.
 
         Args:
             mesh: mm, world; the true one or a reconstruction.
             rig: the stage.
+            occluders: what else casts shadows.
         """
         self._triangles = mesh.triangles()
-        self._rays = MeshRays(mesh.vertices, self._triangles)
+        self._rays = MeshRays(mesh.vertices, self._triangles, occluders)
         self._normals = vertex_normals(mesh.vertices, self._triangles)
         self._lights = single_lights(rig)
         self._seen: dict[str, Seen] = {}

@@ -216,7 +216,9 @@ def solve_pixel(
     fits = min(one, max(zero, (np.float32(0.4) - misfit) / np.float32(0.3)))
     facing = min(one, max(zero, nv / np.float32(0.3)))
     out[0], out[1], out[2] = nx, ny, nz
-    variance = lane(found, 1) * limits[4] * (x * x + y * y + z * z) * per * per
+    # `per` goes with stored readings, noise with the light that they stand for.
+    per_light = per / scale
+    variance = lane(found, 1) * limits[4] * (x * x + y * y + z * z) * per_light * per_light
     out[3] = colourful * facing * fits / (one + variance / (length * length * limits[5]))
     out[4] = (glossy - share * (r + g + b)) * third
     out[5] = max(zero, own - share * both)

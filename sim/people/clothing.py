@@ -76,13 +76,21 @@ def collar(subject: Subject) -> Mesh:
     return Mesh(vertices, np.concatenate([upper, lower]).astype(np.int32))
 
 
-def dressed(subject: Subject, clothes: Mesh, albedo: tuple[float, float, float]) -> Subject:
-    """A subject that wears clothes: matt, of one colour, no skin.
+def dressed(
+    subject: Subject,
+    clothes: Mesh,
+    albedo: tuple[float, float, float],
+    specular: float = 0.0,
+    roughness: float = CLOTH_ROUGHNESS,
+) -> Subject:
+    """A subject that wears clothes, hair or glasses: of one colour, no skin.
 
     Args:
         subject: the person.
         clothes: mm, world; triangles whose outside is seen.
         albedo: linear.
+        specular: what it mirrors at normal incidence; cloth is matt.
+        roughness: of that mirror.
 
     Returns:
         The subject with the clothes in its mesh, and a strip of texels for them below its textures.
@@ -107,8 +115,8 @@ def dressed(subject: Subject, clothes: Mesh, albedo: tuple[float, float, float])
         subject,
         mesh=Mesh(np.concatenate([mesh.vertices, clothes.vertices]), faces, uvs, face_uvs),
         diffuse_albedo=with_strip(subject.diffuse_albedo, albedo),
-        specular_albedo=with_strip(subject.specular_albedo, 0.0),
-        roughness=with_strip(subject.roughness, CLOTH_ROUGHNESS),
+        specular_albedo=with_strip(subject.specular_albedo, specular),
+        roughness=with_strip(subject.roughness, roughness),
         normal=with_strip(subject.normal, 0.0),
         translucency=with_strip(subject.translucency, 0.0),
         skin=with_strip(subject.skin, False),

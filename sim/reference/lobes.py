@@ -46,7 +46,7 @@ class Lobes:
     """
 
     def __init__(self, distribution: str, roughness: float) -> None:
-        self.bsdf, body = _body_at_normal(
+        self.bsdf, body = body_at_normal(
             {
                 "type": "roughplastic",
                 "distribution": distribution,
@@ -152,7 +152,7 @@ def levels_of(roughness: np.ndarray, step: float) -> np.ndarray:
     return np.round(np.maximum(np.round(roughness / step) * step, MIN_ROUGHNESS), 6)
 
 
-def _body_at_normal(kind: dict[str, Any]) -> tuple[Any, np.ndarray]:
+def body_at_normal(kind: dict[str, Any]) -> tuple[Any, np.ndarray]:
     """Mitsuba's scalar object, and (64,) pi K T(1) T(mu) at cosines in equal steps."""
     import mitsuba as mi
 

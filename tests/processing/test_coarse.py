@@ -89,6 +89,18 @@ def test_coarse_maps_agree_with_every_light_summed_in_float64() -> None:
     assert ours < plain + 0.05
 
 
+def test_confidence_is_that_of_the_light_however_it_is_stored() -> None:
+    """A glint anywhere in a view's photographs has all of them stored over a larger number."""
+    config = dataclasses.replace(CONFIG, noise=0.01)
+    whole = window_of(READ)
+    found = separate_window(whole, LIGHTS, config).confidence
+    assert 0.2 < np.median(found[INNER]) < 0.95
+    for scale in (8.0, 64.0):
+        stored = dataclasses.replace(whole, values=whole.values / np.float32(scale), scale=scale)
+        again = separate_window(stored, LIGHTS, config).confidence
+        np.testing.assert_allclose(again, found, atol=1e-4)
+
+
 @given(power=st.floats(-6, 6), seed=st.integers(0, 100))
 @settings(max_examples=4, deadline=None)
 def test_float32_is_within_a_ten_thousandth_of_float64_at_any_scale(
