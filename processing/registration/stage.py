@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import write_json
@@ -19,7 +20,7 @@ from processing.colour import srgb_from_linear
 from processing.errors import RegistrationError
 from processing.frames.read import read_frames
 from processing.rays import MeshRays
-from processing.registration.ears import EarConfig, ear_guides
+from processing.registration.ears import EarConfig, ears_in_place, find_ears
 from processing.registration.landmarks import triangulate
 from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import Fit, NonrigidConfig, fit_nonrigid
@@ -201,25 +202,34 @@ def register_mesh(
     kept = np.flatnonzero(known & ~wrong)
     ears = _region(template, "ears")
 
-    def laid(settings: NonrigidConfig, shown: ProgressCallback, **given: Any) -> Fit:
+    def laid(
+        start: np.ndarray, settings: NonrigidConfig, shown: ProgressCallback, **given: Any
+    ) -> Fit:
         return fit_nonrigid(
-            fit.vertices,
+            start,
             triangles,
             target,
             template.landmarks[kept],
             landmarks_mm[kept],
             settings,
             hidden=hidden,
-            intricate=ears,
             progress=shown,
             **given,
         )
 
-    guides = None
-    if ears.any() and config.ears.guides > 0:
-        rough = laid(config.nonrigid.down_to(config.ears_after_mm), quiet, free=ears)
-        guides = ear_guides(rough.vertices, triangles, ears, target, config.ears)
-    result = laid(config.nonrigid, progress, guides=guides)
+    begin, found, both_ways = fit.vertices, [], np.zeros_like(ears)
+    if ears.any() and config.ears.sought:
+        rough = laid(begin, config.nonrigid.down_to(config.ears_after_mm), quiet, free=ears)
+        found = find_ears(rough.vertices, triangles, ears, target, config.ears)
+        plate = config.nonrigid.plate
+        begin = ears_in_place(begin, triangles, rough.vertices, found, plate, config.ears.blend_mm)
+        for ear, _ in found:
+            away = cKDTree(begin[ear]).query(begin)[0]
+            both_ways |= (away <= config.nonrigid.both_ways.around_mm) & ~hidden
+            both_ways[ear] = True
+    result = laid(
+        begin, config.nonrigid, progress, intricate=ears & ~both_ways, asked_both_ways=both_ways
+    )
     contradicted = np.zeros(len(gap), bool)
     contradicted[kept[result.contradicted]] = True
     kept = kept[~result.contradicted]
@@ -241,7 +251,7 @@ def register_mesh(
         "size_against_template": fit.world_from_head.scale,
         "triangles_flipped": int(result.faulty.sum()),
         "triangles_flipped_before_mending": result.mended,
-        "ear_guides": 0 if guides is None else len(guides[0]),
+        "ears_found": len(found),
         "rounds": result.rounds,
         "matches_kept_share": result.kept_share,
         "solver_residual": result.residual,
