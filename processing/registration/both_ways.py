@@ -117,7 +117,7 @@ class BothWays:
         there = cKDTree(np.concatenate([at, radian * smooth], axis=1)).query(scan)[1]
         away = self._points - at[there]
         good = self._believed(away, self._normals, smooth[there], stiffness_mm)
-        face, place = np.divmod(there[good], len(LATTICE))
+        face, place = np.divmod(np.asarray(there)[good], len(LATTICE))
         for corner in range(3):
             vertices = self._faces[face, corner]
             weight = LATTICE[place, corner] * self._point_areas[good]

@@ -18,7 +18,7 @@ from processing.registration.plate import Plate, PlateConfig, Springs
 from processing.registration.rigid import Similarity, umeyama
 from processing.registration.target import Target
 
-HELD_MM2 = 100.0
+HELD_MM2 = 1e4
 BLEND_STIFFNESS_MM = 5.0
 """Of the plate between an ear that was moved and skin that was not, both held this hard."""
 

@@ -20,7 +20,9 @@ from processing.colour import srgb_from_linear
 from processing.errors import RegistrationError
 from processing.frames.read import read_frames
 from processing.rays import MeshRays
+from processing.registration.areas import areas_of
 from processing.registration.ears import EarConfig, ears_in_place, find_ears
+from processing.registration.flips import against_scan
 from processing.registration.landmarks import triangulate
 from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import Fit, NonrigidConfig, fit_nonrigid
@@ -96,7 +98,7 @@ def register(
     registered = template.mesh.with_vertices(vertices)
     write_obj(registered, folder.registered_mesh)
     left = residual(scan, vertices, template.mesh.triangles())
-    write_residual(out, left, registered)
+    write_residual(out, left, registered, scan)
     head_from_world = head_pose(vertices, template)
     write_json(
         folder.head_pose,
@@ -239,7 +241,7 @@ def register_mesh(
         "matched_share": float(result.matched.mean()),
         "template_to_scan_median_mm": _quantile(result.distance_mm[result.matched], 0.5),
         "template_to_scan_p95_mm": _quantile(result.distance_mm[result.matched], 0.95),
-        **scan_in_common(scan, template.mesh.with_vertices(result.vertices)),
+        **scan_in_common(scan, template.mesh.with_vertices(result.vertices), areas_of(template)),
         "landmarks_used": len(kept),
         "landmarks_left_out": [
             f"landmark {i} ({gap[i]:.1f} mm from the fitted model)" for i in np.flatnonzero(wrong)
@@ -251,6 +253,7 @@ def register_mesh(
         "size_against_template": fit.world_from_head.scale,
         "triangles_flipped": int(result.faulty.sum()),
         "triangles_flipped_before_mending": result.mended,
+        "triangles_against_scan": int(against_scan(result.vertices, triangles, target).sum()),
         "ears_found": len(found),
         "rounds": result.rounds,
         "matches_kept_share": result.kept_share,
