@@ -183,31 +183,55 @@ def register_mesh(
     as_json: bool = JsonFlag,
 ) -> None:
     """Register the template to any scan."""
+    import numpy as np
+
     from lightstage.formats.landmarks import read_points_mm
     from lightstage.formats.mesh import read_mesh, write_obj
     from lightstage.formats.template import load_template
     from processing import pipeline
     from processing.registration.providers import CommandLandmarks, landmarks_of_mesh
     from processing.registration.stage import register_mesh as register_scan
+    from processing.registration.start import landmarks_unit, require_surface
+    from processing.units import MM, axis_name, largest_side, likely_unit
 
     shape, scan = load_template(template), read_mesh(mesh)
     settings = pipeline.read_config(config).register
     command = landmark_command or settings.landmark_command
+    notes: list[str] = []
     if landmarks is not None:
+        require_surface(scan)
         points_mm = read_points_mm(landmarks)
+        unit = landmarks_unit(scan, points_mm, shape)
+        points_mm = unit.mm * points_mm
     elif command:
-        found = landmarks_of_mesh(scan, CommandLandmarks(command), settings.click_agree_mm)
-        points_mm = found.points_mm
+        require_surface(scan)
+        unit = likely_unit(scan.vertices)
+        scaled = scan.with_vertices(unit.mm * scan.vertices)
+        marks_mm = shape.mesh.vertices[shape.landmarks]
+        agree_mm = settings.click_agree_mm
+        found = landmarks_of_mesh(scaled, CommandLandmarks(command), agree_mm, marks_mm)
+        points_mm = found.landmarks.points_mm
+        if not np.array_equal(found.turn, np.eye(3)):
+            ahead, up = (axis_name(found.turn[row]) for row in (2, 1))
+            notes.append(f"the face was found looking along {ahead} with {up} up")
     else:
         raise ProcessingError(
             "register-mesh",
             found="no landmarks",
             expected="--landmarks L.json or --landmark-command PROGRAM",
         )
+    if unit is not MM:
+        side = largest_side(scan.vertices)
+        notes.append(
+            f"largest side {side:.3g}: taken for {unit.name} and multiplied by {unit.mm:g}"
+        )
+        scan = scan.with_vertices(unit.mm * scan.vertices)
     with limited_access(group_of([mesh.parent])), progress_bar("register-mesh") as progress:
         vertices, facts = register_scan(scan, points_mm, shape, settings, progress)
         write_obj(shape.mesh.with_vertices(vertices), out)
-    finish(f"{out}: {_said(facts)}", {"out": str(out), **facts}, as_json)
+    facts = {"scan_unit": unit.name, "notes": notes, **facts}
+    said = "; ".join([*notes, _said(facts)])
+    finish(f"{out}: {said}", {"out": str(out), **facts}, as_json)
 
 
 @app.command()

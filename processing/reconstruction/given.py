@@ -21,14 +21,13 @@ from processing.closest import ClosestPoints
 from processing.errors import ReconstructionError
 from processing.rays import MeshRays
 from processing.reconstruction.config import ReconstructConfig
+from processing.units import MM, SMALLEST_MM, largest_side, likely_unit
 
 FEWEST_POINTS = 20
 """Fewer matched points do not tell where a head is."""
 FARTHEST_MM = 3.0
 """Median distance of matched points to a mesh that shows the same head; those of the scanned head
 lie within .3."""
-SMALLEST_MM = 80.0
-"""Largest side of a face's mesh, at least."""
 LOOK_PX = 20_000
 """About so many pixels of each view tell which way faces look, and what an occluder hides."""
 MOST_HIDDEN = 0.5
@@ -143,15 +142,14 @@ def read_given(path: Path) -> Mesh:
         ReconstructionError: too small to be in mm.
     """
     mesh = read_mesh(path)
-    side = float(np.ptp(mesh.vertices, axis=0).max())
-    if side < SMALLEST_MM:
-        unit, factor = ("metres", 1000) if side < SMALLEST_MM / 100 else ("cm", 10)
+    unit = likely_unit(mesh.vertices)
+    if unit is not MM:
         raise ReconstructionError(
             path,
             field="vertices",
-            found=f"a mesh whose largest side is {side:.3g}",
+            found=f"a mesh whose largest side is {largest_side(mesh.vertices):.3g}",
             expected=f"mm, so at least {SMALLEST_MM:g}",
-            hint=f"Is it in {unit}? Then multiply it by {factor}.",
+            hint=f"Is it in {unit.name}? Then multiply it by {unit.mm:g}.",
         )
     return Mesh(mesh.vertices, mesh.triangles())
 

@@ -1,8 +1,8 @@
 """Where a person's ears are: what stands off the skin of a mesh that was laid on without its ears.
 
 Ears have no landmark, and ears of two people differ by more in place and size than a closest point
-can bridge. So each is found on the scan as a whole and the template's is laid onto it by a
-similarity; what that says leads non-rigid ICP as landmarks do.
+can bridge. So each is found on the scan as a whole, and the template's is moved onto it by a
+similarity before non-rigid ICP begins.
 """
 
 from __future__ import annotations
@@ -14,16 +14,21 @@ from scipy.spatial import cKDTree
 
 from lightstage.formats.mesh import Mesh, connected, directed_edges, vertex_normals
 from processing.errors import RegistrationError
+from processing.registration.plate import Plate, PlateConfig, Springs
 from processing.registration.rigid import Similarity, umeyama
 from processing.registration.target import Target
+
+HELD_MM2 = 1e4
+BLEND_STIFFNESS_MM = 5.0
+"""Of the plate between an ear that was moved and skin that was not, both held this hard."""
 
 
 @dataclasses.dataclass(frozen=True)
 class EarConfig:
     """How ears are found and believed."""
 
-    guides: int = 12
-    """Vertices of each ear that lead; 0 looks for no ears."""
+    sought: bool = True
+    """Whether ears are looked for at all."""
     stands_off_mm: float = 4.0
     """What is farther from the skin without ears is an ear's."""
     reach: float = 1.5
@@ -38,12 +43,14 @@ class EarConfig:
     """An ear outside these sizes against the template's is no ear ..."""
     residual_share: float = 0.25
     """... nor one that fits worse than this share of its size (median)."""
+    blend_mm: float = 35.0
+    """Skin within this of an ear that is moved to its place makes room for it."""
 
 
-def ear_guides(
+def find_ears(
     vertices: np.ndarray, triangles: np.ndarray, ears: np.ndarray, target: Target, config: EarConfig
-) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of the ears and where the scan's ears say they should be.
+) -> list[tuple[np.ndarray, Similarity]]:
+    """Ears of a scan as wholes.
 
     Args:
         vertices: (n, 3) mm of a mesh that lies on the scan but for its ears.
@@ -53,31 +60,56 @@ def ear_guides(
         config: settings.
 
     Returns:
-        (g,) indices and (g, 3) mm; none for an ear that the scan does not show.
+        Of each ear that the scan shows, its (k,) vertices and what lays them onto the scan's.
     """
-    chosen, goals = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
+    out: list[tuple[np.ndarray, Similarity]] = []
     bare = triangles[~ears[triangles].any(axis=1)]
-    if config.guides > 0 and len(bare) and ears.any():
-        skin = Target(Mesh(vertices, bare))
-        normals = vertex_normals(vertices, triangles)
-        for ear in _parts(triangles, ears):
-            found = _standing_off(vertices[ear], skin, target, config)
-            pose = _laid(vertices[ear], normals[ear], target, found, config)
-            if pose is not None:
-                lead = ear[spread(vertices[ear], config.guides)]
-                chosen.append(lead)
-                goals.append(pose.apply(vertices[lead]))
-    return np.concatenate(chosen), np.concatenate(goals)
+    if not (config.sought and len(bare) and ears.any()):
+        return out
+    skin = Target(Mesh(vertices, bare))
+    normals = vertex_normals(vertices, triangles)
+    for ear in _parts(triangles, ears):
+        found = _standing_off(vertices[ear], skin, target, config)
+        pose = _laid(vertices[ear], normals[ear], target, found, config)
+        if pose is not None:
+            out.append((ear, pose))
+    return out
 
 
-def spread(points: np.ndarray, count: int) -> np.ndarray:
-    """Indices of at most `count` of (n, 3) points, each the farthest from those before it."""
-    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
-    away = np.linalg.norm(points - points[chosen[0]], axis=1)
-    while len(chosen) < min(count, len(points)) and away.max() > 0:
-        chosen.append(int(np.argmax(away)))
-        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(chosen)
+def ears_in_place(
+    rest: np.ndarray,
+    triangles: np.ndarray,
+    rough: np.ndarray,
+    found: list[tuple[np.ndarray, Similarity]],
+    plate: PlateConfig,
+    blend_mm: float,
+) -> np.ndarray:
+    """A mesh with its ears moved as wholes, and the skin around them after them as a plate bends.
+
+    Args:
+        rest: (n, 3) mm.
+        triangles: (t, 3).
+        rough: (n, 3) mm, the mesh on which the ears were found.
+        found: by `find_ears` on it.
+        plate: settings.
+        blend_mm: what is farther from all ears stays.
+
+    Returns:
+        (n, 3) mm.
+    """
+    if not found:
+        return rest
+    moved, held = np.zeros_like(rest), np.zeros(len(rest), bool)
+    for ear, pose in found:
+        moved[ear] = pose.apply(rough[ear]) - rough[ear]
+        held[ear] = True
+    held |= cKDTree(rest[held]).query(rest)[0] > blend_mm
+    springs = Springs.none(len(rest))
+    some = np.flatnonzero(held)
+    springs.add(some, HELD_MM2 * np.tile(np.eye(3), (len(some), 1, 1)), moved[some])
+    sheet = Plate(rest, triangles, plate)
+    sheet.stiffen(BLEND_STIFFNESS_MM, springs)
+    return rest + sheet.solve(springs, moved)
 
 
 def _parts(triangles: np.ndarray, ears: np.ndarray) -> list[np.ndarray]:

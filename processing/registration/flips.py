@@ -7,9 +7,12 @@ import open3d
 
 from lightstage.formats.mesh import directed_edges
 from processing.registration.laplacian import neighbour_mean
+from processing.registration.target import Target
 
 FOLD_COS = -0.5
 """Neighbours whose normals are more than 120 degrees apart make a fold."""
+ON_SCAN_MM = 1.0
+"""A triangle whose middle is this near the scan lies on it."""
 FEATHER = (0.3, 0.1)
 """What the first ring of vertices around a fault takes of its mending, and the second."""
 
@@ -108,8 +111,51 @@ def crossing_triangles(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarra
     return out
 
 
+class Faults:
+    """Where a deformation folded a mesh or made it cross itself."""
+
+    def __init__(self, rest: np.ndarray, triangles: np.ndarray, target: Target | None = None):
+        """Prepare.
+
+        Args:
+            rest: (n, 3) the undeformed mesh.
+            triangles: (t, 3).
+            target: the scan: a fold that lies on it, both sides outward, is the scan's own, as
+                where lips meet.
+        """
+        self._rest, self._triangles, self._target = rest, triangles, target
+        self._crossing_at_rest = crossing_triangles(rest, triangles)
+
+    def folded(self, vertices: np.ndarray) -> np.ndarray:
+        """(t,) bool: triangles that are folded over or collapsed."""
+        out = folded_triangles(self._rest, vertices, self._triangles)
+        some = np.flatnonzero(out)
+        if self._target is not None and len(some):
+            normal, area = _normals(vertices, self._triangles[some])
+            near = self._target.closest(vertices[self._triangles[some]].mean(axis=1))
+            outward = np.einsum("tk,tk->t", normal, near.normal) > 0
+            out[some[outward & (near.distance_mm < ON_SCAN_MM) & (area > 0)]] = False
+        return out
+
+    def all(self, vertices: np.ndarray) -> np.ndarray:
+        """(t,) bool: these, and those that cross others as they did not at rest."""
+        crossing = crossing_triangles(vertices, self._triangles) & ~self._crossing_at_rest
+        return np.asarray(self.folded(vertices) | crossing)
+
+
+def against_scan(vertices: np.ndarray, triangles: np.ndarray, target: Target) -> np.ndarray:
+    """(t,) bool: triangles that lie on a scan and look into it, more than 90 degrees off.
+
+    Thin places count too, where the scan's other side is nearest: closed lids, lips, an ear's rim.
+    """
+    normal, _ = _normals(vertices, triangles)
+    near = target.closest(vertices[triangles].mean(axis=1))
+    facing = np.einsum("tk,tk->t", normal, near.normal)
+    return np.asarray((facing < 0) & (near.distance_mm < ON_SCAN_MM) & ~near.border)
+
+
 def mend(
-    rest: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, *, rounds: int
+    faults: Faults, vertices: np.ndarray, triangles: np.ndarray, *, rounds: int
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Smooth the places where a deformation folded the mesh or made it cross itself.
 
@@ -118,7 +164,7 @@ def mend(
     vertices around follow less and less, or what was smoothed would end in a step.
 
     Args:
-        rest: (n, 3) the undeformed mesh.
+        faults: of the mesh.
         vertices: (n, 3) the deformed one.
         triangles: (t, 3).
         rounds: at most.
@@ -126,28 +172,30 @@ def mend(
     Returns:
         (n, 3) mended vertices, (t,) bool what is still at fault, and how many were before.
     """
-    crossing_at_rest = crossing_triangles(rest, triangles)
-
-    def faults(moved: np.ndarray) -> np.ndarray:
-        crossing = crossing_triangles(moved, triangles) & ~crossing_at_rest
-        return folded_triangles(rest, moved, triangles) | crossing
-
-    faulty = faults(vertices)
+    faulty = faults.all(vertices)
     before = int(faulty.sum())
     trial, trial_faulty = vertices, faulty
-    mean = neighbour_mean(triangles, len(rest))
+    mean = neighbour_mean(triangles, len(vertices))
     for turn in range(rounds):
         if not trial_faulty.any():
             break
-        seeds = np.zeros(len(rest), bool)
-        seeds[triangles[trial_faulty]] = True
-        share = feathered(grown(seeds, triangles, turn // 3), triangles)[:, None]
+        share = feathered(
+            grown(corners_of(trial_faulty, triangles, len(vertices)), triangles, turn // 3),
+            triangles,
+        )[:, None]
         for _ in range(10):
             trial = trial + 0.5 * share * (mean @ trial - trial)
-        trial_faulty = faults(trial)
+        trial_faulty = faults.all(trial)
         if trial_faulty.sum() < faulty.sum():
             vertices, faulty = trial, trial_faulty
     return vertices, faulty, before
+
+
+def corners_of(chosen: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
+    """(count,) bool: the vertices of some triangles, (t,) bool."""
+    out = np.zeros(count, bool)
+    out[triangles[chosen]] = True
+    return out
 
 
 def _normals(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,9 +12,10 @@ import dataclasses
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
+from processing.registration.both_ways import BothWays, BothWaysConfig
 from processing.registration.coarse import coarsened
 from processing.registration.contradictions import contradicted
-from processing.registration.flips import mend
+from processing.registration.flips import Faults, corners_of, grown, mend
 from processing.registration.matches import GateConfig, Matches
 from processing.registration.plate import Plate, PlateConfig, Springs
 from processing.registration.sheet import Sheet
@@ -58,16 +59,24 @@ class NonrigidConfig:
     off_surface_times: float = 5.0
     """... and than so many times their median."""
     intricate_stiffness_mm: float = 1.2
-    """Ears, whose folds no template shares with a person, stop following below this."""
+    """Ears that were not found as wholes stop following below this."""
+    yield_times: float = 1 / 16
+    """Where it folds, the scan pulls so many times as hard from then on: as if the plate were twice
+    as stiff there, since its resistance grows with the fourth power of the stiffness."""
+    unfold_rounds: int = 5
+    """At most so many further rounds undo folds and crossings at the last stiffness."""
     mend_rounds: int = 20
-    """At most so often are folded or crossing places smoothed and looked at again."""
+    """At most so often are places that still fold or cross smoothed and looked at again."""
     gate: GateConfig = dataclasses.field(default_factory=GateConfig)
+    both_ways: BothWaysConfig = dataclasses.field(default_factory=BothWaysConfig)
     plate: PlateConfig = dataclasses.field(default_factory=PlateConfig)
 
     def down_to(self, stiffness_mm: float) -> NonrigidConfig:
-        """The same with the stiffnesses of at least this; the first one in any case. No mending."""
+        """The same with the stiffnesses of at least this, or the first; no unfolding."""
         some = tuple(size for size in self.stiffness_mm if size >= stiffness_mm)
-        return dataclasses.replace(self, stiffness_mm=some or self.stiffness_mm[:1], mend_rounds=0)
+        return dataclasses.replace(
+            self, stiffness_mm=some or self.stiffness_mm[:1], unfold_rounds=0, mend_rounds=0
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +117,7 @@ def fit_nonrigid(
     free: np.ndarray | None = None,
     hidden: np.ndarray | None = None,
     intricate: np.ndarray | None = None,
-    guides: tuple[np.ndarray, np.ndarray] | None = None,
+    asked_both_ways: np.ndarray | None = None,
     progress: ProgressCallback = quiet,
 ) -> Fit:
     """Draw a mesh onto a scan.
@@ -123,8 +132,8 @@ def fit_nonrigid(
         free: (n,) bool, vertices that never follow the scan.
         hidden: (n,) bool, vertices that follow cavities of the scan only (inside of the mouth).
         intricate: (n,) bool, vertices that follow its coarse shape only (ears).
-        guides: (g,) further vertices and (g, 3) mm where they should go: they pull as landmarks
-            do, and are never left out.
+        asked_both_ways: (n,) bool, vertices of thin and folded parts, roughly in their places: the
+            scan's points draw them too.
         progress: called once a round.
 
     Returns:
@@ -133,67 +142,99 @@ def fit_nonrigid(
     Raises:
         RegistrationError: a template without area.
     """
-    count, marks, goals = len(landmark_vertices), landmark_vertices, landmarks_mm
-    if guides is not None:
-        marks, goals = np.concatenate([marks, guides[0]]), np.concatenate([goals, guides[1]])
     none = np.zeros(len(rest), bool)
+    thin = none if asked_both_ways is None else asked_both_ways
     fine = Sheet.of(
         rest,
         triangles,
         target,
-        marks,
+        landmark_vertices,
         config.plate,
         config.gate,
         allowed=~none if free is None else ~free,
         hidden=none if hidden is None else hidden,
         stiff=none if intricate is None else intricate,
     )
+
+    def drawn_both_ways(sheet: Sheet, faces: np.ndarray, chosen: np.ndarray) -> BothWays:
+        areas = sheet.plate.areas
+        return BothWays(sheet.rest, faces, chosen, areas, target, config.both_ways)
+
     sheet, coarse, sheets = fine, None, [fine]
     if config.coarse_cell_mm > 0:
-        coarse = coarsened(rest, triangles, config.coarse_cell_mm, marks)
+        coarse = coarsened(rest, triangles, config.coarse_cell_mm, landmark_vertices)
         sheet = fine.coarsened(coarse)
         sheets.append(sheet)
-    offset = goals - rest[marks]
-    wrong = np.zeros(len(marks), bool)
+        both = drawn_both_ways(sheet, coarse.triangles, thin[coarse.chosen])
+    else:
+        both = drawn_both_ways(fine, triangles, thin)
+    faults = Faults(rest, triangles, target)
+    offset = landmarks_mm - rest[landmark_vertices]
+    wrong = np.zeros(len(offset), bool)
     moved = np.zeros_like(sheet.rest)
+    yields = np.ones(len(rest))
     floor = config.noise_times * target.noise_mm()
     levels = [size for size in config.stiffness_mm if size >= floor] or [config.stiffness_mm[0]]
     total, rounds = len(levels) * config.iterations, 0
+
+    def pulled(stiffness: float) -> tuple[Springs, Matches]:
+        followed = sheet.allowed.copy()
+        followed[both.vertices] &= stiffness > config.both_ways.from_mm
+        if stiffness < config.intricate_stiffness_mm:
+            followed &= ~sheet.stiff
+        matches = sheet.matcher.match(sheet.rest + moved, stiffness)
+        springs = _matched(sheet.plate, matches, followed, sheet.rest, moved, stiffness, config)
+        both.draw(springs, sheet.rest, moved, stiffness)
+        if sheet is fine:
+            springs.scale(yields)
+        return springs, matches
+
     for level, stiffness in enumerate(levels):
         if coarse is not None and stiffness < config.coarse_above_mm:
             moved = fine.carried(coarse, moved, config.coarse_cell_mm)
             sheet, coarse = fine, None
-        plate, followed = sheet.plate, sheet.allowed
-        if stiffness < config.intricate_stiffness_mm:
-            followed = followed & ~sheet.stiff
+            both = drawn_both_ways(fine, triangles, thin)
         for turn in range(config.iterations):
-            matches = sheet.matcher.match(sheet.rest + moved, stiffness)
-            springs = _matched(plate, matches, followed, sheet.rest, moved, stiffness, config)
+            springs, matches = pulled(stiffness)
             if turn == 0 and level == 1:
-                plate.stiffen(stiffness, springs)
+                sheet.plate.stiffen(stiffness, springs)
                 wrong = _wrong_landmarks(
-                    plate, springs, sheet.marks, offset, stiffness, config
-                ) | hovering(goals, target, config)
-                wrong[count:] = False
+                    sheet.plate, springs, sheet.marks, offset, stiffness, config
+                ) | hovering(landmarks_mm, target, config)
             kept = ~wrong
             _pull_landmarks(springs, matches, sheet.marks[kept], offset[kept], stiffness, config)
             if turn == 0:
-                plate.stiffen(stiffness, springs)
-            before, moved = moved, plate.solve(springs, moved)
+                sheet.plate.stiffen(stiffness, springs)
+            before, moved = moved, sheet.plate.solve(springs, moved)
             rounds += 1
             progress(min(level * config.iterations + turn + 1, total - 1), total)
+            if sheet is fine:
+                folded = corners_of(faults.folded(rest + moved), triangles, len(rest))
+                yields[grown(folded, triangles, 1)] *= config.yield_times
             if np.abs(moved - before).max() < config.still_mm:
                 break
-    progress(total, total)
     if coarse is not None:
         moved = fine.carried(coarse, moved, config.coarse_cell_mm)
-    vertices, faulty, mended = mend(rest, rest + moved, triangles, rounds=config.mend_rounds)
+        sheet, both = fine, drawn_both_ways(fine, triangles, thin)
+    for turn in range(config.unfold_rounds):
+        faulty = faults.all(rest + moved)
+        if not faulty.any():
+            break
+        near = grown(corners_of(faulty, triangles, len(rest)), triangles, 1 + turn // 3)
+        yields[near] *= config.yield_times
+        springs, matches = pulled(levels[-1])
+        _pull_landmarks(springs, matches, fine.marks[~wrong], offset[~wrong], levels[-1], config)
+        fine.plate.stiffen(levels[-1], springs)
+        moved = fine.plate.solve(springs, moved)
+        rounds += 1
+    progress(total, total)
+    vertices, faulty, mended = mend(faults, rest + moved, triangles, rounds=config.mend_rounds)
     matches = fine.matcher.match(vertices, levels[-1])
     return Fit(
         vertices,
         fine.allowed & matches.follows,
         matches.closest.distance_mm,
-        wrong[:count],
+        wrong,
         faulty,
         mended,
         rounds,

@@ -54,6 +54,11 @@ class Springs:
         self.stiffness[vertices] += matrix
         self.pull[vertices] += np.einsum("kij,kj->ki", matrix, goal)
 
+    def scale(self, shares: np.ndarray) -> None:
+        """Let each vertex be pulled by (n,) shares of what pulls it."""
+        self.stiffness *= shares[:, None, None]
+        self.pull *= shares[:, None]
+
 
 class Plate:
     """Displacements d of a mesh under ``l^4 |A^-1/2 L d|^2 + share l^2 d'Ld`` and springs.

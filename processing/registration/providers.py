@@ -12,11 +12,13 @@ import dataclasses
 import shlex
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.mesh import Mesh, vertex_normals
@@ -24,8 +26,14 @@ from lightstage.rig import Camera, look_at
 from processing.errors import RegistrationError
 from processing.rays import MeshRays, interpolate
 from processing.registration.landmarks import Triangulated, triangulate
+from processing.registration.rigid import robust_umeyama
+from processing.registration.start import SIZES
 
-TURNS_DEG = (0.0, -30.0, 30.0)
+SIDES_DEG = (0.0, -30.0, 30.0)
+UNLIKE_MM = 10.0
+"""Landmarks this far from the template's (median) are no face's."""
+FEWEST_LANDMARKS = 20
+
 PICTURE_PX = 1024
 AWAY_MM = 1100.0
 FACE_MM = 320.0
@@ -107,47 +115,106 @@ class CommandLandmarks:
         )
 
 
-def landmarks_of_mesh(mesh: Mesh, provider: LandmarkProvider, agree_mm: float) -> Triangulated:
+class FoundOnMesh(NamedTuple):
+    """Landmarks of a mesh, and how it lies.
+
+    Attributes:
+        landmarks: in the mesh's own axes.
+        turn: (3, 3), what brings the face to +z and its top to +y; the mesh itself stays.
+    """
+
+    landmarks: Triangulated
+    turn: np.ndarray
+
+
+def landmarks_of_mesh(
+    mesh: Mesh, provider: LandmarkProvider, agree_mm: float, template_mm: np.ndarray
+) -> FoundOnMesh:
     """Landmarks of a scan that has none, from pictures rendered of it.
 
     Three grey pictures, from the front and 30 degrees to both sides: as the paper finds landmarks,
-    but with wrong ones left out where the views disagree.
+    but with wrong ones left out where the views disagree. A face that does not look along +z with
+    +y up is sought in a picture from the front for each other turn about the axes by right angles.
 
     Args:
-        mesh: mm, the face toward +z, +y up.
+        mesh: mm.
         provider: who looks at the pictures.
         agree_mm: how far a ray may pass from its landmark.
+        template_mm: (68, 3), the template's landmarks: what is found has their shape.
 
     Returns:
-        Triangulated.
+        FoundOnMesh.
 
     Raises:
-        RegistrationError: no landmark in any picture.
+        RegistrationError: no face in any picture.
     """
     rays = MeshRays(mesh.vertices, mesh.triangles())
-    cameras = {f"turned{turn:+.0f}": _portrait(mesh, turn) for turn in TURNS_DEG}
-    pictures = {name: _rendered(mesh, rays, camera) for name, camera in cameras.items()}
-    found = provider.find(pictures)
-    if not any(np.isfinite(points).any() for points in found.values()):
-        raise RegistrationError(
-            "landmarks",
-            found="none in three pictures of the mesh",
-            expected="a face",
-            hint="Does it look along +z with +y up?",
-        )
-    return triangulate(found, cameras, agree_mm=agree_mm, surface=rays)
+
+    def seen(turns: Sequence[np.ndarray], sides: Sequence[float]) -> list[Triangulated | None]:
+        cameras, pictures = {}, {}
+        for number, turn in enumerate(turns):
+            for side in sides:
+                camera = _portrait(mesh, turn, side, f"turn{number}{side:+.0f}")
+                cameras[camera.id] = camera
+                pictures[camera.id] = _rendered(mesh, rays, camera, turn)
+        found = provider.find(pictures)
+        out: list[Triangulated | None] = []
+        for number in range(len(turns)):
+            own = {name: p for name, p in found.items() if name.startswith(f"turn{number}")}
+            own = {n: p for n, p in own.items() if n[len(f"turn{number}")] in "+-"}
+            face = any(np.isfinite(points).any() for points in own.values())
+            shown = {name: cameras[name] for name in own}
+            out.append(triangulate(own, shown, agree_mm=agree_mm, surface=rays) if face else None)
+        return out
+
+    upright = np.eye(3)
+    first = seen([upright], SIDES_DEG)[0]
+    if first is not None and _unlike(first, template_mm) < UNLIKE_MM:
+        return FoundOnMesh(first, upright)
+    turns = np.round(Rotation.create_group("O").as_matrix())
+    others = [turn for turn in turns if not np.array_equal(turn, upright)]
+    unlike = [
+        np.inf if found is None else _unlike(found, template_mm) for found in seen(others, (0.0,))
+    ]
+    best = others[int(np.argmin(unlike))]
+    again = seen([best], SIDES_DEG)[0] if min(unlike) < UNLIKE_MM else None
+    if again is not None and _unlike(again, template_mm) < UNLIKE_MM:
+        return FoundOnMesh(again, best)
+    if first is not None:  # what is wrong with them is said where they are aligned
+        return FoundOnMesh(first, upright)
+    raise RegistrationError(
+        "landmarks",
+        found=f"none in pictures of the mesh from the front and in {len(others)} other turns",
+        expected="a face",
+        hint="Is there a face on it? Does it look along an axis of the mesh, within 30 degrees?",
+    )
 
 
-def _portrait(mesh: Mesh, turn_deg: float) -> Camera:
-    """A camera in front of the face; the head's middle is the middle of its highest part."""
-    top = float(mesh.vertices[:, 1].max())
-    head = mesh.vertices[mesh.vertices[:, 1] > top - 250.0]
+def _unlike(found: Triangulated, template_mm: np.ndarray) -> float:
+    """Median distance in mm of landmarks from the template's, laid onto them; infinite if few."""
+    known = np.isfinite(found.points_mm).all(axis=1)
+    if known.sum() < FEWEST_LANDMARKS:
+        return float("inf")
+    try:
+        pose, away = robust_umeyama(template_mm[known], found.points_mm[known], scale=True)
+    except RegistrationError:
+        return float("inf")
+    likely = SIZES[0] < pose.scale < SIZES[1]
+    return float(np.median(away)) if likely else float("inf")
+
+
+def _portrait(mesh: Mesh, turn: np.ndarray, side_deg: float, name: str) -> Camera:
+    """A camera in front of the turned face; the head's middle is that of its highest part."""
+    turned = mesh.vertices @ turn.T
+    head = turned[turned[:, 1] > float(turned[:, 1].max()) - 250.0]
     middle = (head.min(axis=0) + head.max(axis=0)) / 2
-    turn = np.deg2rad(turn_deg)
-    place = middle + AWAY_MM * np.array([np.sin(turn), 0.0, np.cos(turn)])
+    side = np.deg2rad(side_deg)
+    place = middle + AWAY_MM * np.array([np.sin(side), 0.0, np.cos(side)])
     focal = PICTURE_PX * AWAY_MM / FACE_MM
+    pose = np.array(look_at(place, middle))
+    pose[:, :3] = pose[:, :3] @ turn
     return Camera(
-        id=f"turned{turn_deg:+.0f}",
+        id=name,
         serial="",
         model="rendered",
         width_px=PICTURE_PX,
@@ -157,16 +224,16 @@ def _portrait(mesh: Mesh, turn_deg: float) -> Camera:
         cx_px=PICTURE_PX / 2,
         cy_px=PICTURE_PX / 2,
         dist=(0.0, 0.0, 0.0, 0.0, 0.0),
-        cam_from_world=look_at(place, middle),
+        cam_from_world=pose,
     )
 
 
-def _rendered(mesh: Mesh, rays: MeshRays, camera: Camera) -> np.ndarray:
+def _rendered(mesh: Mesh, rays: MeshRays, camera: Camera, turn: np.ndarray) -> np.ndarray:
     """(h, w, 3) uint8: grey, lit from beside the camera, on black."""
     triangles = mesh.triangles()
     hits = rays.cast_camera(camera)
     normal = interpolate(vertex_normals(mesh.vertices, triangles), triangles, hits)
-    light = camera.centre_mm - mesh.vertices.mean(axis=0) + [300.0, 500.0, 0.0]
+    light = camera.centre_mm - mesh.vertices.mean(axis=0) + np.array([300.0, 500.0, 0.0]) @ turn
     shade = np.clip(normal @ (light / np.linalg.norm(light)), 0, 1)
     grey = np.where(hits.face >= 0, 40 + 200 * shade, 0).astype(np.uint8)
     return np.repeat(grey.reshape(camera.height_px, camera.width_px, 1), 3, axis=2)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.formats.files import write_json
@@ -19,7 +20,9 @@ from processing.colour import srgb_from_linear
 from processing.errors import RegistrationError
 from processing.frames.read import read_frames
 from processing.rays import MeshRays
-from processing.registration.ears import EarConfig, ear_guides
+from processing.registration.areas import areas_of
+from processing.registration.ears import EarConfig, ears_in_place, find_ears
+from processing.registration.flips import against_scan
 from processing.registration.landmarks import triangulate
 from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import Fit, NonrigidConfig, fit_nonrigid
@@ -95,7 +98,7 @@ def register(
     registered = template.mesh.with_vertices(vertices)
     write_obj(registered, folder.registered_mesh)
     left = residual(scan, vertices, template.mesh.triangles())
-    write_residual(out, left, registered)
+    write_residual(out, left, registered, scan)
     head_from_world = head_pose(vertices, template)
     write_json(
         folder.head_pose,
@@ -201,25 +204,34 @@ def register_mesh(
     kept = np.flatnonzero(known & ~wrong)
     ears = _region(template, "ears")
 
-    def laid(settings: NonrigidConfig, shown: ProgressCallback, **given: Any) -> Fit:
+    def laid(
+        start: np.ndarray, settings: NonrigidConfig, shown: ProgressCallback, **given: Any
+    ) -> Fit:
         return fit_nonrigid(
-            fit.vertices,
+            start,
             triangles,
             target,
             template.landmarks[kept],
             landmarks_mm[kept],
             settings,
             hidden=hidden,
-            intricate=ears,
             progress=shown,
             **given,
         )
 
-    guides = None
-    if ears.any() and config.ears.guides > 0:
-        rough = laid(config.nonrigid.down_to(config.ears_after_mm), quiet, free=ears)
-        guides = ear_guides(rough.vertices, triangles, ears, target, config.ears)
-    result = laid(config.nonrigid, progress, guides=guides)
+    begin, found, both_ways = fit.vertices, [], np.zeros_like(ears)
+    if ears.any() and config.ears.sought:
+        rough = laid(begin, config.nonrigid.down_to(config.ears_after_mm), quiet, free=ears)
+        found = find_ears(rough.vertices, triangles, ears, target, config.ears)
+        plate = config.nonrigid.plate
+        begin = ears_in_place(begin, triangles, rough.vertices, found, plate, config.ears.blend_mm)
+        for ear, _ in found:
+            away = cKDTree(begin[ear]).query(begin)[0]
+            both_ways |= (away <= config.nonrigid.both_ways.around_mm) & ~hidden
+            both_ways[ear] = True
+    result = laid(
+        begin, config.nonrigid, progress, intricate=ears & ~both_ways, asked_both_ways=both_ways
+    )
     contradicted = np.zeros(len(gap), bool)
     contradicted[kept[result.contradicted]] = True
     kept = kept[~result.contradicted]
@@ -229,7 +241,7 @@ def register_mesh(
         "matched_share": float(result.matched.mean()),
         "template_to_scan_median_mm": _quantile(result.distance_mm[result.matched], 0.5),
         "template_to_scan_p95_mm": _quantile(result.distance_mm[result.matched], 0.95),
-        **scan_in_common(scan, template.mesh.with_vertices(result.vertices)),
+        **scan_in_common(scan, template.mesh.with_vertices(result.vertices), areas_of(template)),
         "landmarks_used": len(kept),
         "landmarks_left_out": [
             f"landmark {i} ({gap[i]:.1f} mm from the fitted model)" for i in np.flatnonzero(wrong)
@@ -241,7 +253,8 @@ def register_mesh(
         "size_against_template": fit.world_from_head.scale,
         "triangles_flipped": int(result.faulty.sum()),
         "triangles_flipped_before_mending": result.mended,
-        "ear_guides": 0 if guides is None else len(guides[0]),
+        "triangles_against_scan": int(against_scan(result.vertices, triangles, target).sum()),
+        "ears_found": len(found),
         "rounds": result.rounds,
         "matches_kept_share": result.kept_share,
         "solver_residual": result.residual,

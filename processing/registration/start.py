@@ -9,9 +9,12 @@ from lightstage.formats.template import Template
 from processing.errors import RegistrationError
 from processing.registration.rigid import Similarity, robust_umeyama, umeyama
 from processing.registration.target import Target
+from processing.units import CM, METRES, MM, Unit
 
 OFF_THE_SCAN = 0.25
 """Landmarks farther from the surface than this share of their own size do not lie on the scan."""
+SIZES = (0.6, 1.6)
+"""Landmarks in mm are so many times as far apart as the template's."""
 SCAN_TIMES = 5.0
 """A scan in mm is at most so many times as large as the template, or as small: a body, a nose."""
 
@@ -117,6 +120,28 @@ def first_pose(
     return pose
 
 
+def landmarks_unit(scan: Mesh, points: np.ndarray, template: Template) -> Unit:
+    """In which unit a scan and landmarks on it are: the one that gives the template's size.
+
+    Args:
+        scan: in that unit.
+        points: (68, 3) in the scan's coordinates, NaN where unknown.
+        template: mm.
+
+    Returns:
+        mm where no unit is certain; `first_pose` says what is wrong then.
+    """
+    known = np.isfinite(points).all(axis=1)
+    if known.sum() < 4 or not len(scan.vertices):
+        return MM
+    size = _size(points[known])
+    away = np.median(Target(scan).closest(points[known]).distance_mm)
+    if away > OFF_THE_SCAN * size:
+        return MM
+    fits = size / _size(template.mesh.vertices[template.landmarks[known]])
+    return next((u for u in (CM, METRES) if SIZES[0] < u.mm * fits < SIZES[1]), MM)
+
+
 def _require_units(target: Target, world: np.ndarray, head: np.ndarray, template: Template) -> None:
     """Refuse other units than mm, and say whether landmarks or scan or both have them.
 
@@ -127,7 +152,7 @@ def _require_units(target: Target, world: np.ndarray, head: np.ndarray, template
     away = np.median(target.closest(world).distance_mm)
     apart = away > OFF_THE_SCAN * _size(world)
     scan = _size(target.vertices[np.unique(target.triangles)]) / _size(template.mesh.vertices)
-    fits, scan_fits = 0.6 < size < 1.6, 1 / SCAN_TIMES < scan < SCAN_TIMES
+    fits, scan_fits = SIZES[0] < size < SIZES[1], 1 / SCAN_TIMES < scan < SCAN_TIMES
     scale = "(metres x 1000, centimetres x 10)"
     if fits and apart and not scan_fits:
         where, found = "scan", f"a scan {scan:.3g} times as large as the template, and landmarks "

@@ -1,10 +1,12 @@
 """Landmarks from programs of other environments, and of meshes that have none."""
 
 import json
+import re
 import sys
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.landmarks import write_points_px
@@ -17,6 +19,8 @@ from processing.registration.providers import (
 )
 from tests.processing.shapes import ellipsoid_template, refined
 
+UPRIGHT = np.eye(3)
+TURNS = list(np.round(Rotation.create_group("O").as_matrix()))
 PICTURES = {
     "cam0": np.full((40, 30, 3), 90, np.uint8),
     "cam1": np.full((20, 50, 3), 10, np.uint8),
@@ -86,34 +90,45 @@ def test_a_program_that_is_not_there_or_never_ends_is_named(tmp_path):
 
 
 class Seer:
-    """Knows where the landmarks are and errs in one view."""
+    """Knows where the landmarks are and errs in one view; a face of another turn it overlooks."""
 
-    def __init__(self, marks, wrong=None):
-        self.marks, self.wrong, self.pictures = marks, wrong, {}
+    def __init__(self, marks, wrong=None, turn=UPRIGHT):
+        self.marks, self.wrong, self.turn, self.pictures = marks, wrong, turn, {}
 
     def find(self, pictures):
-        from processing.registration.providers import TURNS_DEG, _portrait
+        from processing.registration.providers import _portrait
 
         self.pictures = pictures
+        turned = MESH.with_vertices(MESH.vertices @ self.turn)
         out = {}
-        for turn in TURNS_DEG:
-            camera = _portrait(MESH, turn)
-            out[camera.id] = camera.project(self.marks)[0]
+        for name in pictures:
+            number, side = re.fullmatch(r"turn(\d+)([+-]\d+)", name).groups()
+            others = [t for t in TURNS if not np.array_equal(t, UPRIGHT)]
+            turns = [UPRIGHT] if len(pictures) == 3 and not self.found_it else others
+            if len(pictures) == 3 and self.found_it:
+                turns = [self.turn]
+            if np.array_equal(turns[int(number)], self.turn):
+                self.found_it = True
+                camera = _portrait(turned, self.turn, float(side), name)
+                out[name] = camera.project(self.marks @ self.turn)[0]
         if self.wrong is not None:
             next(iter(out.values()))[self.wrong] += [60, 0]
         return out
 
+    found_it = False
+
 
 TEMPLATE = ellipsoid_template()
 MESH = refined(TEMPLATE.mesh)
+MARKS = TEMPLATE.mesh.vertices[TEMPLATE.landmarks]
 
 
 def test_a_mesh_is_rendered_and_its_landmarks_are_triangulated():
-    marks = TEMPLATE.mesh.vertices[TEMPLATE.landmarks]
-    seer = Seer(marks, wrong=30)
-    found = landmarks_of_mesh(Mesh(MESH.vertices, MESH.faces), seer, 2.5)
-    assert np.linalg.norm(found.points_mm - marks, axis=1).max() < 0.01
+    seer = Seer(MARKS, wrong=30)
+    found, turn = landmarks_of_mesh(Mesh(MESH.vertices, MESH.faces), seer, 2.5, MARKS)
+    assert np.linalg.norm(found.points_mm - MARKS, axis=1).max() < 0.01
     assert [outlier.landmark_idx for outlier in found.outliers] == [30]
+    assert np.array_equal(turn, UPRIGHT)
     for picture in seer.pictures.values():
         # A head in the middle of the picture, on black.
         lit = picture[..., 0] > 30
@@ -122,13 +137,21 @@ def test_a_mesh_is_rendered_and_its_landmarks_are_triangulated():
         assert not lit[0, 0]
 
 
+def test_a_mesh_that_lies_on_its_side_is_turned_until_a_face_is_seen():
+    turn = TURNS[11]
+    lying = MESH.with_vertices(MESH.vertices @ turn)
+    found, used = landmarks_of_mesh(lying, Seer(MARKS, turn=turn), 2.5, MARKS)
+    assert np.array_equal(used, turn)
+    assert np.linalg.norm(found.points_mm @ turn.T - MARKS, axis=1).max() < 0.01
+
+
 def test_no_face_in_any_picture_is_said():
     class Blind:
         def find(self, pictures):
             return dict.fromkeys(pictures, np.full((68, 2), np.nan))
 
-    with pytest.raises(RegistrationError, match="none in three pictures"):
-        landmarks_of_mesh(MESH, Blind(), 2.5)
+    with pytest.raises(RegistrationError, match="23 other turns"):
+        landmarks_of_mesh(MESH, Blind(), 2.5, MARKS)
 
 
 def test_a_missing_file_of_clicks_is_said(tmp_path):

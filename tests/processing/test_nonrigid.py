@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lightstage.formats.mesh import Mesh, vertex_normals
-from processing.registration.flips import crossing_triangles, folded_triangles, mend
+from processing.registration.flips import Faults, crossing_triangles, folded_triangles, mend
 from processing.registration.laplacian import cotangent_laplacian, neighbour_mean, tie_components
 from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
@@ -238,7 +238,7 @@ def test_a_fold_is_found_and_mended():
     folded[victim] += [14, 3, -2]
     assert folded_triangles(mesh.vertices, folded, triangles).any()
     assert not folded_triangles(mesh.vertices, mesh.vertices, triangles).any()
-    mended, faulty, before = mend(mesh.vertices, folded, triangles, rounds=20)
+    mended, faulty, before = mend(Faults(mesh.vertices, triangles), folded, triangles, rounds=20)
     assert before > 0
     assert not faulty.any()
     assert not folded_triangles(mesh.vertices, mended, triangles).any()
@@ -257,7 +257,7 @@ def test_what_is_mended_ends_without_a_step():
     pushed = rest - np.outer(upper * near, [0, 0, 7.0])
     cell = (np.arange(24)[:, None] * 49 + np.arange(48)).reshape(-1, 1)
     triangles = (cell + np.array([0, 1, 49, 1, 50, 49])).reshape(-1, 3)
-    mended, faulty, before = mend(rest, pushed, triangles, rounds=20)
+    mended, faulty, before = mend(Faults(rest, triangles), pushed, triangles, rounds=20)
     assert before > 0
     assert not faulty.any()
     joined = neighbour_mean(triangles, len(rest))

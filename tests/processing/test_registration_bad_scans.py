@@ -7,7 +7,7 @@ from lightstage.formats.mesh import Mesh
 from processing.errors import RegistrationError
 from processing.registration.nonrigid import NonrigidConfig
 from processing.registration.stage import RegisterConfig, register_mesh
-from processing.registration.start import first_pose
+from processing.registration.start import first_pose, landmarks_unit
 from processing.registration.target import Target
 from tests.processing.shapes import ellipsoid, ellipsoid_template, refined, warp
 
@@ -106,6 +106,23 @@ def test_of_scan_and_landmarks_the_one_in_other_units_is_named(factor, off, said
     with pytest.raises(RegistrationError, match="units") as caught:
         first_pose(Target(scan), marks, np.ones(len(marks), bool), TEMPLATE)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(("factor", "name"), [(0.1, "cm"), (0.001, "metres"), (1.0, "mm")])
+def test_landmarks_tell_a_scans_unit(factor, name):
+    scan = Mesh(factor * SCAN.vertices, SCAN.faces)
+    assert landmarks_unit(scan, factor * TRUTH[TEMPLATE.landmarks], TEMPLATE).name == name
+
+
+def test_a_unit_that_is_not_certain_is_taken_for_mm():
+    marks = TRUTH[TEMPLATE.landmarks]
+    scan = Mesh(0.1 * SCAN.vertices, SCAN.faces)
+    few = np.full_like(marks, np.nan)
+    few[:3] = 0.1 * marks[:3]
+    for points in (marks, few, 0.1 * marks + 900):  # in mm; too few; beside the scan
+        assert landmarks_unit(scan, points, TEMPLATE).name == "mm"
+    inches = Mesh(SCAN.vertices / 25.4, SCAN.faces)
+    assert landmarks_unit(inches, marks / 25.4, TEMPLATE).name == "mm"
 
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])

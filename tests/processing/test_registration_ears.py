@@ -4,13 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
+from scipy.spatial import cKDTree
 
 from lightstage.formats.mesh import Mesh
-from processing.registration.ears import EarConfig, ear_guides, spread
-from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid
+from processing.registration.ears import EarConfig, ears_in_place, find_ears
+from processing.registration.flips import Faults
+from processing.registration.plate import PlateConfig
 from processing.registration.stage import RegisterConfig, register_mesh
 from processing.registration.target import Target
 from tests.processing.shapes import RADII_MM, ellipsoid, ellipsoid_template, refined
@@ -32,80 +31,50 @@ def test_an_ear_elsewhere_and_of_another_size_is_found(shift_mm, size):
     mesh, ears = eared(HEAD.vertices)
     scan, _ = eared(HEAD.vertices, shift_mm, size)
     target = Target(refined(Mesh(scan, HEAD.faces)))
-    chosen, goals = ear_guides(mesh, HEAD.triangles(), ears, target, EarConfig())
-    assert len(chosen) == 24
-    assert ears[chosen].all()
-    assert len(np.unique(chosen)) == 24
-    moved = goals - mesh[chosen]
-    for side in (-1, 1):
-        here = np.sign(mesh[chosen, 0]) == side
-        assert here.sum() == 12
+    found = find_ears(mesh, HEAD.triangles(), ears, target, EarConfig())
+    assert len(found) == 2
+    for ear, pose in found:
+        assert ears[ear].all()
+        moved = pose.apply(mesh[ear]) - mesh[ear]
         # What stands off is the ear without its root, so it is a little off in size.
-        assert np.abs(moved[here][:, 1:].mean(axis=0) - shift_mm).max() < 2.5
+        assert np.abs(moved[:, 1:].mean(axis=0) - shift_mm).max() < 2.5
 
 
-def test_a_scan_without_ears_guides_nothing():
+def test_an_ear_in_place_lies_where_it_was_found_and_the_face_stays():
+    mesh, ears = eared(HEAD.vertices)
+    scan, _ = eared(HEAD.vertices, (-6, -12))
+    target = Target(refined(Mesh(scan, HEAD.faces)))
+    triangles = HEAD.triangles()
+    found = find_ears(mesh, triangles, ears, target, EarConfig())
+    moved = ears_in_place(mesh, triangles, mesh, found, PlateConfig(), 35.0)
+    for ear, pose in found:
+        assert np.abs(moved[ear] - pose.apply(mesh[ear])).max() < 0.3
+    far = cKDTree(mesh[ears]).query(mesh)[0] > 35
+    assert np.abs(moved[far] - mesh[far]).max() < 0.3
+    assert not Faults(mesh, triangles).all(moved).any()
+    assert ears_in_place(mesh, triangles, mesh, [], PlateConfig(), 35.0) is mesh
+
+
+def test_a_scan_without_ears_shows_none():
     mesh, ears = eared(HEAD.vertices)
     bald = Target(HEAD)
     for found in (
-        ear_guides(mesh, HEAD.triangles(), ears, bald, EarConfig()),
-        ear_guides(mesh, HEAD.triangles(), np.zeros_like(ears), bald, EarConfig()),
-        ear_guides(mesh, HEAD.triangles(), np.ones_like(ears), bald, EarConfig()),
+        find_ears(mesh, HEAD.triangles(), ears, bald, EarConfig()),
+        find_ears(mesh, HEAD.triangles(), np.zeros_like(ears), bald, EarConfig()),
+        find_ears(mesh, HEAD.triangles(), np.ones_like(ears), bald, EarConfig()),
     ):
-        assert found[0].shape == (0,)
-        assert found[1].shape == (0, 3)
+        assert found == []
 
 
 def test_what_is_no_ear_is_not_believed():
     mesh, ears = eared(HEAD.vertices)
     hair = HEAD.vertices * 1.2
     target = Target(Mesh(hair, HEAD.faces))
-    assert not len(ear_guides(mesh, HEAD.triangles(), ears, target, EarConfig())[0])
+    assert not find_ears(mesh, HEAD.triangles(), ears, target, EarConfig())
     own = Target(refined(Mesh(mesh, HEAD.faces)))
-    none = EarConfig(guides=0)
-    assert not len(ear_guides(mesh, HEAD.triangles(), ears, own, none)[0])
-    assert len(ear_guides(mesh, HEAD.triangles(), ears, own, EarConfig())[0])
-
-
-@given(st.integers(1, 40), st.integers(0, 50), st.integers(0, 10**6), st.sampled_from([1e-6, 1e6]))
-@settings(max_examples=40, deadline=None)
-def test_spread_points_are_each_the_farthest(count, asked, seed, scale):
-    points = np.random.default_rng(seed).normal(size=(count, 3)) * scale
-    points[count // 2 :] = points[: count - count // 2]  # twins
-    found = spread(points, asked)
-    assert 1 <= len(found) <= max(asked, 1)
-    assert len(np.unique(points[found], axis=0)) == len(found)
-    for k in range(1, len(found)):
-        away = [min(np.linalg.norm(p - points[j]) for j in found[:k]) for p in points]
-        assert np.isclose(away[found[k]], max(away))
-
-
-def test_guides_lead_and_are_never_left_out():
-    template = ellipsoid_template()
-    rest = template.mesh.vertices
-    scan = Target(refined(template.mesh))
-    back = np.flatnonzero(rest[:, 2] < -0.7 * RADII_MM[2])
-    lead = back[spread(rest[back], 6)]
-    turn = Rotation.from_rotvec([0, 0, 0.3]).as_matrix()
-    goals = scan.closest(rest[lead] @ turn.T).point
-    slid = np.linalg.norm(goals - rest[lead], axis=1)
-    off = {}
-    for guides in (None, (lead, goals)):
-        found = fit_nonrigid(
-            rest,
-            template.mesh.triangles(),
-            scan,
-            template.landmarks,
-            rest[template.landmarks],
-            NonrigidConfig(),
-            guides=guides,
-        )
-        assert found.contradicted.shape == (68,)
-        assert not found.faulty.any()
-        off[guides is None] = np.linalg.norm(found.vertices[lead] - goals, axis=1)
-    assert slid.mean() > 5
-    assert off[True].mean() > 0.9 * slid.mean()
-    assert off[False].mean() < 0.3 * slid.mean()
+    unsought = EarConfig(sought=False)
+    assert not find_ears(mesh, HEAD.triangles(), ears, own, unsought)
+    assert len(find_ears(mesh, HEAD.triangles(), ears, own, EarConfig())) == 2
 
 
 def test_registration_asks_for_ears_where_the_template_has_them():
@@ -118,10 +87,12 @@ def test_registration_asks_for_ears_where_the_template_has_them():
     )
     truth, _ = eared(bare, (-3.0, -6.0))
     marks = vertices[template.landmarks]
-    found = {}
-    for guides in (12, 0):
-        config = RegisterConfig(ears=EarConfig(guides=guides, least_points=10))
-        scan = refined(template.mesh.with_vertices(truth))
-        found[guides], facts = register_mesh(scan, marks, template, config)
-        assert facts["ear_guides"] == (22 if guides else 0)  # 11 vertices an ear
-    assert np.abs(found[12] - found[0]).max() > 0
+    scan = template.mesh.with_vertices(truth)
+    off = {}
+    for sought in (True, False):
+        config = RegisterConfig(ears=EarConfig(sought=sought, least_points=10))
+        laid, facts = register_mesh(refined(scan), marks, template, config)
+        assert facts["ears_found"] == (2 if sought else 0)
+        mesh = Target(template.mesh.with_vertices(laid))
+        off[sought] = np.quantile(mesh.closest(truth[ears]).distance_mm, 0.9)
+    assert off[True] < 0.7 * off[False]

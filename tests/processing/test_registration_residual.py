@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from lightstage.formats.mesh import Mesh
+from lightstage.formats.template import default_template_path, load_template
+from processing.registration.areas import AREAS, areas_of
 from processing.registration.residual import (
     Residual,
     drawn,
@@ -55,6 +57,37 @@ def test_what_the_mesh_does_not_have_is_not_compared():
     none = scan_in_common(Mesh(below, scan.faces), head)
     assert none["scan_in_common_share"] == 0
     assert none["scan_in_common_to_template_p95_mm"] is None
+
+
+def test_an_area_that_is_pressed_flat_is_told_by_its_name_and_drawn_on_the_scan(tmp_path):
+    """Every vertex of the mesh lies on the scan; only the scan's points see what it leaves out."""
+    mesh = bumpy_ellipsoid()
+    side = mesh.vertices[:, 0] > 0.9 * mesh.vertices[:, 0].max()
+    areas = np.where(side, AREAS.index("ears"), AREAS.index("cheeks"))
+    shell = mesh.triangles()[side[mesh.triangles()].all(axis=1)]
+    scan = Mesh(
+        np.concatenate([mesh.vertices, mesh.vertices[side] + [5.0, 0, 0]]),
+        np.concatenate([mesh.triangles(), len(mesh.vertices) + (np.cumsum(side) - 1)[shell]]),
+    )
+    found = scan_in_common(scan, mesh, areas)["scan_in_common_by_area"]
+    assert list(found) == ["ears", "cheeks"]
+    assert found["ears"]["p95_mm"] > 3 > 0.01 > found["cheeks"]["median_mm"]
+    assert sum(area["share"] for area in found.values()) == pytest.approx(1)
+    write_residual(tmp_path, residual(scan, mesh.vertices, mesh.triangles()), mesh, scan)
+    facts = {"scan_in_common_by_area": found}
+    pictures_and_table = residual_section(tmp_path, facts).parts
+    assert [row[0] for row in pictures_and_table[2].rows] == ["ears", "cheeks"]
+    assert pictures_and_table[1].image.shape[1] == pictures_and_table[0].image.shape[1]
+
+
+def test_every_area_of_the_template_is_where_its_name_says():
+    template = load_template(default_template_path())
+    areas, vertices = areas_of(template), template.mesh.vertices
+    middle = {name: vertices[areas == k].mean(axis=0) for k, name in enumerate(AREAS)}
+    assert middle["scalp"][1] > middle["eyes"][1] > middle["nose"][1] > middle["lips"][1]
+    assert middle["forehead"][1] > middle["eyes"][1]
+    assert middle["lips"][1] > middle["chin"][1] > middle["neck"][1]
+    assert set(template.regions["ears"]) == set(np.flatnonzero(areas == AREAS.index("ears")))
 
 
 def test_files_and_picture_show_where_it_is_off(tmp_path):
