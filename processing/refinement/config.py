@@ -26,7 +26,7 @@ class RefineConfig:
     bounce_rays_all: int = 8_000_000
     """Rays of all vertices together, at most."""
     scattering: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
-    """Shares of light that wanders inside the skin that are tried."""
+    """Shares of light that wanders inside the skin that are tried, each after the one before it."""
     noise_sensor: float = 0.001
     noise_model: float = 0.003
     noise_shade_gloss: float = 0.03
@@ -39,9 +39,9 @@ class RefineConfig:
     light_step_mm: float = 0.25
     """Light is gathered at nodes so far apart and interpolated between them; in pictures whose
     pixels are larger than half of it, and everywhere for 0, each pixel's own is gathered."""
-    family_pixels: int = 4000
-    """So many pixels of a view say which family of mirror lobes the face has; 0 takes Beckmann's
-    round one."""
+    choice_pixels: int = 2000
+    """So many pixels of a view choose the model of light (`model_choice`); 0 takes the simplest:
+    Beckmann's round lobe, no light from skin to skin, the first of `scattering`."""
     roughness: float = 0.28
     """m to start from; skin has .2 to .35."""
     roughness_pool_mm: float = 5.0

@@ -13,6 +13,7 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.rig import Camera, Rig
 from processing.frames.read import read_foreground, read_frames
+from processing.lighting.interface import ENTERED_SHARE
 from processing.lighting.lights import fix_normals, pattern_lights
 from processing.rays import MeshRays
 from processing.refinement.config import RefineConfig
@@ -58,7 +59,9 @@ def refine(
         for camera, lit in seen_by
     ]
     progress(2, steps)
-    scene, found = find_gloss(scene, grids, config, lambda done, _: progress(2 + done, steps))
+    scene, found, choices = find_gloss(
+        scene, grids, config, lambda done, _: progress(2 + done, steps)
+    )
     confidence: dict[str, float] = {}
     between: dict[str, float] = {}
     pixels = 0
@@ -82,6 +85,7 @@ def refine(
         progress(3 + config.gloss_rounds + done, steps)
     detail = write_detailed(folder, mesh, session.rig, config) if config.detail_edge_mm > 0 else {}
     seen = np.unique(np.concatenate([grid.sight.shadows.corners.ravel() for grid in grids]))
+    roughness = float(scene.gloss.roughness[seen].mean())
     return {
         "maps": "exact",
         "lights": lights.source,
@@ -90,13 +94,15 @@ def refine(
         "vertices": len(scene.surface.vertices),
         "mean_confidence": confidence,
         "between_nodes": between,
-        "roughness_mean": round(float(scene.gloss.roughness[seen].mean()), 4),
+        "roughness_mean": round(roughness, 4),
         "specular_mean": round(float(scene.gloss.specular[seen].mean()), 5),
         "mirror_lobe": scene.facets.name,
         "mirror_lobe_tails": scene.facets.tails,
         "mirror_lobe_stretch": round(scene.facets.stretch, 3),
         "light_from_skin_to_skin": bool(scene.bounces),
         "scattering": scene.scattering,
+        "left_out_readings": {step.name: step.fact for step in choices},
+        ENTERED_SHARE: round(scene.interface.entered_share(roughness), 4),
         "specular_normals": "all channels and the highlights, the relief of the diffuse light "
         "calmed by scattering",
         **detail,

@@ -24,7 +24,7 @@ FAMILIES = (BECKMANN, Facets(tails=True), Facets(stretch=1.44), Facets(stretch=0
 RIG = lit_ball.small_rig(1, 0.06)
 LIGHTS = lit_ball.lights_of_rig(RIG)
 ALBEDO = np.array([0.55, 0.33, 0.22])
-CONFIG = RefineConfig(family_pixels=900)
+CONFIG = RefineConfig(choice_pixels=900)
 
 
 @pytest.fixture(scope="module")
