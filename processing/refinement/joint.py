@@ -157,8 +157,8 @@ def held_out(given: Given, groups: np.ndarray) -> np.ndarray:
         groups: (P,) number of each pattern's group; -1 is never left out.
 
     Returns:
-        (n, G) float32 mean over a group's readings; 0 where a pixel has no normal to begin with,
-        NaN where the others fix none.
+        (n, G) float32 mean over a group's readings, at least 0; 0 where a pixel has no normal to
+        begin with, no number where the others fix none.
     """
     out = np.zeros((len(given.rgb), int(groups.max()) + 1), np.float32)
     held_out_kernel(*_compiled(given), np.ascontiguousarray(groups, np.int64), out)

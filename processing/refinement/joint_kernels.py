@@ -258,4 +258,4 @@ def held_out_kernel(
                 own_a, own_b, own_c,
             )  # fmt: skip
             rest = left_when_fitted(a - own_a, b - own_b, c - own_c)
-            out[i, g] = (whole - rest) / (3 * len(some))
+            out[i, g] = max(whole - rest, 0.0) / (3 * len(some))

@@ -35,7 +35,7 @@ FIRST_ROUNDS, ROUNDS = 3, 2
 STRETCH = 1.2
 """By what factor a lobe's stretch is tried wider, as long as that helps."""
 MOST_STRETCHED = 2.0
-MARGIN = 0.02
+MARGIN = 0.003
 """A richer model must predict so much better: the mean logarithm of the squared errors' ratio."""
 SURE = 2.0
 """So many standard errors of the mean over parts of the face the gain must be above the margin."""
@@ -140,7 +140,7 @@ def best_model(
 
     Args:
         scene: before anything was found.
-        views: of which about `config.choice_pixels` each are asked.
+        views: of which about `config.choice_pixels` pixels are asked.
         wandering: what wanders to each view's pixels if all light did.
         bounced: (V, P, 3) irradiance by light from other skin; None where it is not asked.
         config: see there.
@@ -207,9 +207,10 @@ def richer_models(model: Model, bounces: bool, amounts: int) -> Iterator[tuple[s
 def sampled(
     views: list[View], wandering: list[Scattered], config: RefineConfig
 ) -> Iterator[Sample]:
-    """About `config.choice_pixels` pixels of each view, spread evenly."""
+    """About `config.choice_pixels` pixels, as many of each view, spread evenly."""
+    each = max(1, config.choice_pixels // len(views))
     for view, whole in zip(views, wandering, strict=True):
-        band = np.arange(0, len(view.rgb), -(-len(view.rgb) // config.choice_pixels))
+        band = np.arange(0, len(view.rgb), -(-len(view.rgb) // each))
         rest = Scattered(whole.kept, whole.rest[band])
         trust = np.where(view.usable[band], steady(view, config)[band], 0)
         yield Sample(view, band, trust, orientation(view, band), rest)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,8 @@ from processing.refinement.config import RefineConfig
 from processing.refinement.detail import NormalView, displaced
 from processing.refinement.every_pixel import solve_view
 from processing.refinement.gloss_search import find_gloss
-from processing.refinement.scene import prepare_scene, read_view
+from processing.refinement.noise import measured_noise, times_as_noisy
+from processing.refinement.scene import Scene, View, prepare_scene, read_view
 from processing.refinement.unrefined import keep_coarse
 from processing.refinement.written import write_refined
 
@@ -58,6 +61,8 @@ def refine(
         read_view(read_frames(out, camera.id), camera, lit, scene, config, config.gloss_pixels)
         for camera, lit in seen_by
     ]
+    photographed = {frame.pattern for frame in session.file.frames}
+    scene, config, noise = with_noise(scene, config, grids, photographed)
     progress(2, steps)
     scene, found, choices = find_gloss(
         scene, grids, config, lambda done, _: progress(2 + done, steps)
@@ -101,6 +106,7 @@ def refine(
         "mirror_lobe_stretch": round(scene.facets.stretch, 3),
         "light_from_skin_to_skin": bool(scene.bounces),
         "scattering": scene.scattering,
+        "noise": noise,
         "left_out_readings": {step.name: step.fact for step in choices},
         ENTERED_SHARE: round(scene.interface.entered_share(roughness), 4),
         "specular_normals": "all channels and the highlights, the relief of the diffuse light "
@@ -108,6 +114,23 @@ def refine(
         **detail,
         "warnings": [],
     }
+
+
+def with_noise(
+    scene: Scene, config: RefineConfig, grids: list[View], photographed: Collection[str]
+) -> tuple[Scene, RefineConfig, str]:
+    """The scene and configuration with the photographs' own noise, and how it was found."""
+    if config.noise_from_photographs:
+        found, measured = measured_noise(
+            [grid.rgb for grid in grids], scene.lights.patterns, photographed, config.noise
+        )
+        if measured:
+            scene = dataclasses.replace(scene, noisier=times_as_noisy(found, config.noise))
+            config = dataclasses.replace(config, noise_sensor=found.sensor, noise_floor=found.floor)
+            dark = found.sensor * np.sqrt(found.floor)
+            white = np.hypot(found.sensor, dark)
+            return scene, config, f"measured: {dark:.2g} without light, {white:.2g} of a white"
+    return scene, config, "as configured"
 
 
 def seen_occluders(

@@ -274,6 +274,25 @@ def matte(
     return np.asarray(found / length), float(turn2)
 
 
+def held_out(
+    lights: PatternLights, pixel: Pixel, interface: Interface, noise: Noise, groups: np.ndarray
+) -> np.ndarray:
+    """(G,) of `joint.held_out`: each group predicted from a fit of the others, and its variance."""
+    model = linear(Light(lights, pixel, interface, pixel.start), noise)
+    of_reading = np.repeat(groups, 3)
+    out = []
+    for group in range(groups.max() + 1):
+        own, others = of_reading == group, of_reading != group
+        fit, asked = model.jacobian[others], model.jacobian[own]
+        weight = model.weight[np.ix_(others, others)]
+        covariance = np.linalg.inv(fit.T @ weight @ fit)
+        step = covariance @ fit.T @ weight @ model.residual[others]
+        off = model.residual[own] - asked @ step
+        spread = np.linalg.inv(model.weight[np.ix_(own, own)]) + asked @ covariance @ asked.T
+        out.append(float(off @ np.linalg.solve(spread, off)) / own.sum())
+    return np.array(out)
+
+
 def evidence(lights: PatternLights, pixel: Pixel, interface: Interface, noise: Noise) -> np.ndarray:
     """(5,) of `joint.gloss_evidence`, by projection onto what turns and albedos cannot explain."""
     model = linear(Light(lights, pixel, interface, pixel.start), noise)
