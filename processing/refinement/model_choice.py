@@ -37,10 +37,14 @@ STRETCH = 1.2
 MOST_STRETCHED = 2.0
 MARGIN = 0.003
 """A richer model must predict so much better: the mean logarithm of the squared errors' ratio."""
+SCATTERING_MARGIN = 0.01
+"""The same of scattering: a blurred picture is calm where sharp relief should be, too."""
 SURE = 2.0
 """So many standard errors of the mean over parts of the face the gain must be above the margin."""
-ORIENTATIONS = 4
+SIDES = 4
 """Quarters of directions, seen from a camera: sideways both ways, upward, downward."""
+ASLANT_DEG = 35.0
+"""Skin seen more steeply than this is a part of its own on each side."""
 LEAST_PIXELS = 20
 """Of a part of the face."""
 HOPELESS = -0.02
@@ -94,7 +98,7 @@ class Sample:
         view: they are of.
         band: (n,) their numbers.
         trust: (n,) 0..1.
-        part: (n,) which way they face, 0 to ORIENTATIONS - 1.
+        part: (n,) which way they face: a side, and SIDES more where they are seen aslant.
         whole: what wanders to them if all light did.
     """
 
@@ -217,12 +221,14 @@ def sampled(
 
 
 def orientation(view: View, band: np.ndarray) -> np.ndarray:
-    """(n,) which quarter the mesh's normals point to, seen from the camera."""
+    """(n,) which side the mesh's normals point to, seen from the camera, and whether aslant."""
     normals, toward = view.sight.normals[band], view.sight.views[band]
     sideways = np.cross([0.0, 1.0, 0.0], toward)
     upward = np.cross(toward, sideways)
     x, y = (np.einsum("nk,nk->n", normals, axis) for axis in (sideways, upward))
-    return np.where(np.abs(x) > np.abs(y), np.where(x > 0, 0, 1), np.where(y > 0, 2, 3))
+    side = np.where(np.abs(x) > np.abs(y), np.where(x > 0, 0, 1), np.where(y > 0, 2, 3))
+    aslant = np.einsum("nk,nk->n", normals, toward) < np.cos(np.radians(ASLANT_DEG))
+    return np.asarray(side + SIDES * aslant)
 
 
 def fitted(
@@ -317,20 +323,21 @@ def compared(
     for sample, ours, theirs in zip(samples, simple.errors, rich.errors, strict=True):
         change = np.log((ours + usual) / (theirs + usual)) if usual > 0 else np.nan * ours
         part = sample.part[1::2]
-        for side in range(ORIENTATIONS):
-            there = change[(part == side) & np.isfinite(change)]
+        for number in range(2 * SIDES):
+            there = change[(part == number) & np.isfinite(change)]
             if len(there) >= LEAST_PIXELS:
                 gains.append(float(there.mean()))
-                sides.append(side)
+                sides.append(number % SIDES)
     if len(gains) < 2:
         return Step(name, 0.0, 0.0, taken=False)
     gain = float(np.mean(gains))
     error = float(np.std(gains, ddof=1) / np.sqrt(len(gains)))
-    taken = gain > MARGIN + SURE * error
+    margin = SCATTERING_MARGIN if name == "scattering" else MARGIN
+    taken = gain > margin + SURE * error
     if oriented:
         each = [
             np.mean([g for g, at in zip(gains, sides, strict=True) if at == side])
             for side in sorted(set(sides))
         ]
-        taken = taken and len(each) >= 3 and sum(x <= MARGIN for x in each) <= 1
+        taken = taken and len(each) >= 3 and sum(x <= margin for x in each) <= 1
     return Step(name, gain, error, taken)
