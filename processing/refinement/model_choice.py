@@ -336,8 +336,8 @@ def compared(
     taken = gain > margin + SURE * error
     if oriented:
         each = [
-            np.mean([g for g, at in zip(gains, sides, strict=True) if at == side])
+            float(np.mean([g for g, at in zip(gains, sides, strict=True) if at == side]))
             for side in sorted(set(sides))
         ]
-        taken = taken and len(each) >= 3 and sum(x <= margin for x in each) <= 1
+        taken = taken and len(each) >= 3 and sum(bool(x <= margin) for x in each) <= 1
     return Step(name, gain, error, taken)
