@@ -168,7 +168,7 @@ def refine_rows(root: Path, out: Path) -> list[list[str]]:
     truth = ProcessedFolder(session(person(WHO)).with_name("session.truth"))
     scene = prepare_scene(read_ply(truth.base_mesh), lights, [(camera, mask)], config)
     grid = read_view(frames, camera, mask, scene, config, config.gloss_pixels)
-    told, found = find_gloss(scene, [grid], config)
+    told, found, _ = find_gloss(scene, [grid], config)
 
     def solved(config: RefineConfig) -> PixelMaps:
         return solve_view(told, frames, camera, mask, grid, found[0], config).maps.pixel_maps()

@@ -239,14 +239,25 @@ def evaluate(
     out: Path = typer.Argument(..., help="Processed folder.", show_default=False),
     truth: Path = typer.Argument(..., help="Truth in the same form.", show_default=False),
     template: Path = TemplatePath,
+    albedo: str = typer.Option(
+        "entered",
+        help="What the truth's diffuse albedo is a share of: the light that `entered` the skin, or "
+        "`incident` light, as in renderers without an interface.",
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Every error there is against a simulated session's truth."""
+    from processing.evaluation.folder import AlbedoOf, EvaluateConfig, headline
     from processing.evaluation.folder import evaluate as evaluate_folder
-    from processing.evaluation.folder import headline
 
+    if albedo not in list(AlbedoOf):
+        raise ProcessingError(
+            "--albedo", found=repr(albedo), expected=" or ".join(AlbedoOf), hint="See --help."
+        )
     with limited_access(group_of([out])), progress_bar("evaluate") as progress:
-        facts = evaluate_folder(out, truth, template, progress=progress)
+        facts = evaluate_folder(
+            out, truth, template, EvaluateConfig(albedo=AlbedoOf(albedo)), progress
+        )
     finish(f"{out / 'evaluation.json'}: {_said(headline(facts))}", facts, as_json)
 
 

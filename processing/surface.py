@@ -24,6 +24,14 @@ SEEN_STEP = 3
 SEEN_RAYS = 150_000
 """Every so many pixels a ray finds the triangles that a camera sees, and rarer in a picture that
 would need more rays than this: what falls between them neighbours what was met."""
+SECOND_DIFFERENCES = tuple(
+    np.array(rows, np.float32)
+    for rows in (
+        [[1, -2, 1]], [[1], [-2], [1]],
+        [[1, 0, 0], [0, -2, 0], [0, 0, 1]], [[0, 0, 1], [0, -2, 0], [1, 0, 0]],
+    )
+)  # fmt: skip
+"""Of depth: along rows, columns and both diagonals."""
 SKY_MM = 1e5
 """Distance of the directions that ambient occlusion asks for: far beyond the stage."""
 
@@ -296,10 +304,17 @@ def _like(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def depth_edges(depth_mm: np.ndarray, step_mm: float) -> np.ndarray:
-    """(h, w) bool: pixels whose 3 x 3 neighbourhood spans more depth than a step, or no surface."""
+    """(h, w) bool: pixels beside a step of depth, or beside no surface.
+
+    A step is what leaves the plane through the pixels on both sides, along rows, columns or
+    diagonals: a slope is none, however many millimetres a pixel of it spans.
+    """
     finite = np.where(np.isfinite(depth_mm), depth_mm, np.float32(1e6)).astype(np.float32)
-    kernel = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.dilate(finite, kernel) - cv2.erode(finite, kernel) > step_mm)
+    steps = np.zeros(finite.shape, bool)
+    for second in SECOND_DIFFERENCES:
+        bent = cv2.filter2D(finite, cv2.CV_32F, second, borderType=cv2.BORDER_REPLICATE)
+        steps |= np.abs(bent) > step_mm
+    return steps
 
 
 def averaging_rounds(sigma_mm: float, edge_mm: float) -> int:

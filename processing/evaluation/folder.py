@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import enum
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,23 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path, load_template
 from processing.closest import ClosestPoints
 from processing.evaluation.errors import EvaluationError
-from processing.evaluation.maps import MapReader, map_errors, samples_of
+from processing.evaluation.maps import DIFFUSE, MapReader, map_errors, samples_of
 from processing.evaluation.meshes import base_mesh_errors, registration_errors, true_skin_points
 from processing.evaluation.texels import atlas_coverage, evaluate_maps, truth_in_atlas
+from processing.lighting.interface import ENTERED_SHARE
 from processing.pages import write_processed_report
 from processing.reconstruction.pictures import write_distance
 
 SCHEMA = "lightstage.evaluation/1"
+
+
+class AlbedoOf(enum.StrEnum):
+    """What a diffuse albedo is a share of."""
+
+    ENTERED = "entered"
+    """Of the light that entered the skin: ours."""
+    INCIDENT = "incident"
+    """Of the light that fell on it: that of renderers whose diffuse layer has no interface."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,10 +44,12 @@ class EvaluateConfig:
     Attributes:
         complete_within_mm: a true surface point this near to the mesh counts as reconstructed.
         surface_points: at most so many of the pixels of true skin measure a mesh.
+        albedo: what the truth's diffuse albedo is a share of, see `AlbedoOf`.
     """
 
     complete_within_mm: float = 0.5
     surface_points: int = 200_000
+    albedo: AlbedoOf = AlbedoOf.ENTERED
 
 
 def evaluate(
@@ -62,11 +75,13 @@ def evaluate(
 
     Raises:
         EvaluationError: a folder that is missing, truth of another person or expression, nothing
-            to compare, or pictures of different size.
+            to compare, or pictures of different size; the albedo of incident light asked of maps
+            whose report does not tell the factor.
         FormatError: a damaged file.
     """
     config = config or EvaluateConfig()
     _require_same_person(out, truth)
+    factor = _albedo_factor(out, config.albedo)
     found, true = ProcessedFolder(out), ProcessedFolder(truth)
     facts: dict[str, Any] = {}
     cameras = [c for c in true.view_ids() if found.view_path(c, "confidence").is_file()]
@@ -76,7 +91,9 @@ def evaluate(
     skin_pixels = 0
     for index, camera in enumerate(cameras):
         skin = true.read_mask(camera)
-        samples = samples_of(_reader(found, camera), _reader(true, camera), skin, str(out), camera)
+        samples = samples_of(
+            _reader(found, camera, factor), _reader(true, camera), skin, str(out), camera
+        )
         if samples:
             skin_pixels += int(skin.sum())
             per_view[camera] = map_errors(samples, int(skin.sum()))
@@ -106,13 +123,14 @@ def evaluate(
     progress(parts - 1, parts)
     if found.atlas_path("position").is_file() and true.atlas_path("confidence").is_file():
         maps = truth_in_atlas(out, truth)
-        facts["atlas"] = evaluate_maps(out / "atlas", maps)
+        facts["atlas"] = evaluate_maps(out / "atlas", maps, factor)
         facts["atlas"]["coverage_share"] = atlas_coverage(found, surface)
         facts["atlas"]["position_median_mm"] = float(
             np.median(maps["distance_mm"][maps["confidence"] > 0])
         )
     progress(parts, parts)
-    if not facts:
+    facts["albedo_of"] = config.albedo.value
+    if len(facts) == 1:
         raise EvaluationError(
             out, found=f"nothing that {truth} also holds", expected="views, meshes or atlas"
         )
@@ -150,10 +168,30 @@ def headline(facts: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def _reader(folder: ProcessedFolder, camera: str) -> MapReader:
+def _albedo_factor(out: Path, albedo: AlbedoOf) -> float:
+    """What a folder's diffuse albedo is multiplied by to be a share of the light that is meant."""
+    if albedo is AlbedoOf.ENTERED:
+        return 1.0
+    refined = dict(_report(out).get("stages", {})).get("refine", {})
+    factor = refined.get(ENTERED_SHARE) if isinstance(refined, Mapping) else None
+    if not isinstance(factor, float):
+        raise EvaluationError(
+            out / "report.json",
+            field=f"stages.refine.{ENTERED_SHARE}",
+            found=repr(factor),
+            expected="the share of light that entered the skin",
+            hint="Run `refine` again, or score by --albedo entered.",
+        )
+    return factor
+
+
+def _reader(folder: ProcessedFolder, camera: str, factor: float = 1.0) -> MapReader:
     def read(name: str) -> np.ndarray:
         path = folder.view_path(camera, name)
-        return folder.read_view(camera, name) if path.is_file() else np.zeros(0)
+        if not path.is_file():
+            return np.zeros(0)
+        values = folder.read_view(camera, name)
+        return values * np.float32(factor) if name == DIFFUSE else values
 
     return read
 

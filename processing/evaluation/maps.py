@@ -16,7 +16,8 @@ from lightstage.counting import counted
 from processing.colour import srgb_from_linear
 from processing.evaluation.errors import EvaluationError
 
-ALBEDOS = ("diffuse_albedo", "specular_albedo", "ambient_occlusion")
+DIFFUSE = "diffuse_albedo"
+ALBEDOS = (DIFFUSE, "specular_albedo", "ambient_occlusion")
 NORMALS = ("diffuse_normal", "specular_normal")
 MapReader = Callable[[str], np.ndarray]
 

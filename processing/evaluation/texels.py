@@ -13,7 +13,7 @@ from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
 from processing.closest import ClosestPoints, sample_texture
 from processing.evaluation.errors import EvaluationError
-from processing.evaluation.maps import ALBEDOS, NORMALS, map_errors, samples_of
+from processing.evaluation.maps import ALBEDOS, DIFFUSE, NORMALS, map_errors, samples_of
 
 
 def atlas_coverage(found: ProcessedFolder, surface_mm: np.ndarray) -> float:
@@ -83,12 +83,15 @@ def truth_in_atlas(out: Path, truth: Path) -> dict[str, np.ndarray]:
     return out_maps
 
 
-def evaluate_maps(predicted: Path, truth: Mapping[str, np.ndarray]) -> dict[str, float]:
+def evaluate_maps(
+    predicted: Path, truth: Mapping[str, np.ndarray], albedo_factor: float = 1.0
+) -> dict[str, float]:
     """Errors of a folder of maps (an atlas, or what inference wrote) against maps in the same UV.
 
     Args:
         predicted: folder of NAME.exr.
         truth: as `truth_in_atlas` gives; the places where its confidence is above 0 are scored.
+        albedo_factor: the folder's diffuse albedo is multiplied by it.
 
     Returns:
         As `map_errors`; where the folder holds a confidence map it is heeded.
@@ -98,7 +101,8 @@ def evaluate_maps(predicted: Path, truth: Mapping[str, np.ndarray]) -> dict[str,
     def found(name: str) -> np.ndarray:
         path = predicted / f"{name}.exr"
         if path.is_file():
-            return read_exr(path, finite=True)
+            values = read_exr(path, finite=True)
+            return values * np.float32(albedo_factor) if name == DIFFUSE else values
         return np.ones(skin.shape) if name == "confidence" else np.zeros(0)
 
     def true(name: str) -> np.ndarray:

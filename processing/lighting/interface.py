@@ -20,6 +20,8 @@ INDEX = 1.4
 ROUGHNESS_RANGE = (0.15, 0.35)
 """m of the table's first and last row; a row for each .05."""
 ROWS = 5
+ENTERED_SHARE = "light_that_enters"
+"""The fact of `refine` that has `Interface.entered_share` for the face."""
 COSINES = 40
 """Steps of the table over the cosine."""
 
@@ -37,6 +39,15 @@ class Interface:
     table: np.ndarray
     mean: np.ndarray
     facets: Facets = BECKMANN
+
+    def entered_share(self, roughness: float) -> float:
+        """Cosine-weighted mean of T at a width: what enters of light that comes from all around.
+
+        A diffuse albedo of the light that entered, times this, is one of the light that fell on
+        the skin: what a renderer without an interface calls albedo.
+        """
+        rows = np.linspace(*ROUGHNESS_RANGE, len(self.mean))
+        return float(np.interp(roughness, rows, self.mean))
 
 
 BARE = Interface(

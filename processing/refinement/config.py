@@ -26,12 +26,16 @@ class RefineConfig:
     bounce_rays_all: int = 8_000_000
     """Rays of all vertices together, at most."""
     scattering: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
-    """Shares of light that wanders inside the skin that are tried."""
+    """Shares of light that wanders inside the skin that are tried, each after the one before it."""
+    noise_from_photographs: bool = True
+    """Whether the sensor's noise is measured where pairs of patterns tell it (`noise`)."""
     noise_sensor: float = 0.001
+    noise_floor: float = 0.25
     noise_model: float = 0.003
     noise_shade_gloss: float = 0.03
     noise_shade: float = 0.003
-    """Of the readings: see `joint.Noise`; for gloss, colour counts more than the model of light."""
+    """Of the readings: see `joint.Noise`. The first two stand where no pair of patterns tells them;
+    for gloss, colour counts more than the model of light."""
     gloss_rounds: int = 3
     """Steps of the search for roughness and specular albedo."""
     gloss_pixels: int = 150_000
@@ -39,9 +43,9 @@ class RefineConfig:
     light_step_mm: float = 0.25
     """Light is gathered at nodes so far apart and interpolated between them; in pictures whose
     pixels are larger than half of it, and everywhere for 0, each pixel's own is gathered."""
-    family_pixels: int = 4000
-    """So many pixels of a view say which family of mirror lobes the face has; 0 takes Beckmann's
-    round one."""
+    choice_pixels: int = 16_000
+    """So many pixels of all views choose the model of light (`model_choice`); 0 takes the simplest:
+    Beckmann's round lobe, no light from skin to skin, the first of `scattering`."""
     roughness: float = 0.28
     """m to start from; skin has .2 to .35."""
     roughness_pool_mm: float = 5.0
@@ -91,12 +95,12 @@ class RefineConfig:
     @property
     def noise(self) -> Noise:
         """Of the readings, for normals and albedo."""
-        return Noise(self.noise_sensor, self.noise_model, self.noise_shade)
+        return Noise(self.noise_sensor, self.noise_model, self.noise_shade, self.noise_floor)
 
     @property
     def gloss_noise(self) -> Noise:
         """Of the readings, for gloss."""
-        return Noise(self.noise_sensor, self.noise_model, self.noise_shade_gloss)
+        return Noise(self.noise_sensor, self.noise_model, self.noise_shade_gloss, self.noise_floor)
 
     detail_edge_mm: float = 0.0
     """Length of the edges of detailed_mesh.ply, the base mesh displaced so that it has the specular

@@ -96,7 +96,7 @@ def solve_view(
     picture = pictured(scene, camera, foreground, sites, config)
     count = int(picture.first[-1])
     maps, done = empty_maps(count), np.zeros(count, bool)
-    limits = limits_of(config, scene.doubt)
+    limits = limits_of(config, scene.doubt, scene.noisier)
     if sites is not None and light is not None:
         photos = photos_of(frames, scene.lights.colour, config)
         spread = spread_of(config.noise, knows.around)
@@ -148,7 +148,7 @@ def grid_knows(scene: Scene, grid: View, found: Solved, config: RefineConfig) ->
     nothing = np.zeros((len(specular), 3), np.float32)
     given = finish_given(scene, grid, found, roughness, specular, nothing, inside)
     alone = empty_maps(len(given))
-    finish(given, np.arange(len(given)), limits_of(config, scene.doubt), alone)
+    finish(given, np.arange(len(given)), limits_of(config, scene.doubt, scene.noisier), alone)
     # A pixel that is hardly trusted takes its neighbours' albedo.
     # Where none is trusted far around, they have one another still.
     weight = np.maximum(alone.confidence[:, None] ** 2, LEAST_WEIGHT)

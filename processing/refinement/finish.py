@@ -53,12 +53,13 @@ class Maps(NamedTuple):
         return PixelMaps(*self[:6])
 
 
-def limits_of(config: RefineConfig, doubt: float = 1.0) -> Limits:
+def limits_of(config: RefineConfig, doubt: float = 1.0, noisier: float = 1.0) -> Limits:
     """The part of a configuration that compiled code takes.
 
     Args:
         config: see there.
         doubt: by what factor the scene's readings err more than expected, in variance.
+        noisier: by what factor their noise is above what was configured, in variance.
     """
     return Limits(
         config.edge_px,
@@ -68,8 +69,8 @@ def limits_of(config: RefineConfig, doubt: float = 1.0) -> Limits:
         float(np.radians(config.doubtful_turn_deg)) ** 2 / doubt,
         config.albedo_prior_power,
         config.steady_below,
-        # Of noise as expected chroma's normals stay free of what is modelled of the gloss.
-        float(np.radians(config.apart_deg)) ** 2 / max(doubt - 1, 1e-6),
+        # Of noise as configured chroma's normals stay free of what is modelled of the gloss.
+        float(np.radians(config.apart_deg)) ** 2 / max(doubt - 1 / noisier, 1e-6),
         float(np.radians(config.doubtful_apart_deg)) ** 2,
     )
 

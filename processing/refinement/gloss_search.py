@@ -7,24 +7,20 @@ import dataclasses
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from processing.lighting.facets import BECKMANN
 from processing.refinement.bounces import bounced_light, other_skin, vertex_irradiance
 from processing.refinement.config import RefineConfig
-from processing.refinement.family import best_facets
 from processing.refinement.gloss import better_gloss, sum_at_vertices
 from processing.refinement.joint import Scattered, gloss_evidence, solve_jointly
 from processing.refinement.joint_kernels import Solved
+from processing.refinement.model_choice import Step, best_model
 from processing.refinement.scattering import scattered, unscattered
 from processing.refinement.scene import ALL, Scene, View, given_of, steady
-from processing.surface import LitSurface, at_vertices_to
-
-TRIED_PIXELS = 20_000
-"""About so many pixels of one view choose between ways of light, or up to twice as many."""
+from processing.surface import LitSurface
 
 
 def find_gloss(
     scene: Scene, grids: list[View], config: RefineConfig, progress: ProgressCallback = quiet
-) -> tuple[Scene, list[Solved]]:
+) -> tuple[Scene, list[Solved], list[Step]]:
     """Find gloss, the lobes' family, bounced light and scattering from grids of the views.
 
     Args:
@@ -34,10 +30,12 @@ def find_gloss(
         progress: of rounds.
 
     Returns:
-        The scene with what was found, and each grid's pixels as solved.
+        The scene with what was found, each grid's pixels as solved, and what steps beyond the
+        simplest model of light were worth.
     """
     surface = scene.surface
-    between, entered = None, np.zeros(0)
+    between, entered, bounced = None, np.zeros(0), None
+    steps: list[Step] = []
     if config.bounce_rays:
         rays = max(16, min(config.bounce_rays, config.bounce_rays_all // surface.coarse))
         between = other_skin(surface, rays)
@@ -49,19 +47,15 @@ def find_gloss(
         if between is not None:
             albedo = vertex_albedo(surface, grids, solved)
             bounced = bounced_light(surface, between, entered, albedo)
-            if done == 0:
-                share = best_bounces(scene, bounced, grids[0], solved[0], config)
-                scene = dataclasses.replace(scene, bounces=share)
-            scene = dataclasses.replace(scene, bounced=np.float32(scene.bounces) * bounced)
-        if done == 0 and config.family_pixels:
-            scene = dataclasses.replace(scene, facets=best_facets(scene, grids, config))
-            if scene.facets != BECKMANN:
-                solved = [
-                    solve_grid(scene, g, b, config) for g, b in zip(grids, solved, strict=True)
-                ]
-        if done == 0:
-            amount = best_scattering(scene, grids[0], solved[0], config)
-            scene = dataclasses.replace(scene, scattering=amount)
+        if done == 0 and config.choice_pixels:
+            scene, steps = best_model(
+                scene, grids, wandering(scene, grids, solved), bounced, config
+            )
+            solved = [solve_grid(scene, g, b, config) for g, b in zip(grids, solved, strict=True)]
+        elif done == 0:
+            scene = dataclasses.replace(scene, scattering=config.scattering[0])
+        elif scene.bounces and bounced is not None:
+            scene = dataclasses.replace(scene, bounced=bounced)
         scene = dataclasses.replace(scene, doubt=doubt(grids, solved, config))
         sums = np.zeros((len(surface.vertices), 5))
         for grid, found in zip(grids, solved, strict=True):
@@ -80,7 +74,7 @@ def find_gloss(
         )
         scene = dataclasses.replace(scene, gloss=gloss)
         progress(done + 1, config.gloss_rounds)
-    return scene, solved
+    return scene, solved, steps
 
 
 def mistaken(scene: Scene, solved: list[Solved], config: RefineConfig) -> np.ndarray:
@@ -139,64 +133,17 @@ def around_of(scene: Scene, view: View, solved: Solved) -> Scattered:
     return scattered(solved.irradiance, view.sight.mask, px_per_mm, scene.scattering)
 
 
+def wandering(scene: Scene, grids: list[View], solved: list[Solved]) -> list[Scattered]:
+    """What would wander to each view's pixels if all light wandered inside the skin."""
+    whole = dataclasses.replace(scene, scattering=1.0)
+    return [around_of(whole, grid, found) for grid, found in zip(grids, solved, strict=True)]
+
+
 def grid_evidence(scene: Scene, view: View, solved: Solved, config: RefineConfig) -> np.ndarray:
     """(n, 5) what the pixels say of the gloss; those at steep angles and edges say nothing."""
     around = around_of(scene, view, solved)
     evidence = gloss_evidence(given_of(scene, view, ALL, solved.normal, around, config.gloss_noise))
     return np.asarray(evidence * steady(view, config)[:, None])
-
-
-def best_bounces(
-    scene: Scene, bounced: np.ndarray, view: View, solved: Solved, config: RefineConfig
-) -> float:
-    """1 where light from other skin explains one view's pixels better than its absence, else 0.
-
-    A stage is never without it, but renderings may be; the pixels that it lights most are asked.
-    """
-    sight = view.sight
-    share = at_vertices_to(bounced.mean(axis=(1, 2)), sight.shadows.corners, sight.shadows.weights)
-    good = (solved.misfit > 0) & (steady(view, config) > 0.5)
-    if not good.any():
-        return 0.0
-    good &= share >= np.median(share[good])
-    some = asked(good)
-    around = around_of(scene, view, solved)
-    around = dataclasses.replace(around, rest=around.rest[some])
-    misfits = []
-    for light in (0.0, 1.0):
-        tried = dataclasses.replace(scene, bounced=np.float32(light) * bounced)
-        again = solve_some(tried, view, some, solved.normal[some], around, config)
-        misfits.append(float(np.median(again.misfit)))
-    return float(misfits[1] < misfits[0])
-
-
-def best_scattering(scene: Scene, view: View, solved: Solved, config: RefineConfig) -> float:
-    """The share of wandering light that explains one view's pixels best.
-
-    Relief that is calmer in red than in blue is light that wandered: another share leaves more of
-    the readings unexplained.
-    """
-    misfits: list[float] = []
-    amounts = config.scattering if len(config.scattering) > 1 else ()
-    some = asked(steady(view, config) > 0.5)
-    whole = around_of(dataclasses.replace(scene, scattering=1.0), view, solved)
-    for amount in amounts:
-        tried = dataclasses.replace(scene, scattering=amount)
-        # What wanders is proportional to the amount: it is blurred once.
-        kept, rest = 1 - amount + amount * whole.kept, np.float32(amount) * whole.rest[some]
-        around, normals = Scattered(kept, rest), solved.normal[some]
-        for _ in range(2):
-            again = solve_some(tried, view, some, normals, around, config)
-            normals = again.normal
-        good = again.misfit > 0
-        misfits.append(float(np.median(again.misfit[good])) if good.any() else 0.0)
-    return config.scattering[int(np.argmin(misfits)) if misfits else 0]
-
-
-def asked(good: np.ndarray) -> np.ndarray:
-    """Numbers of some of a grid's good pixels, spread evenly: enough for a median."""
-    numbers = np.flatnonzero(good)
-    return numbers[:: max(1, len(numbers) // TRIED_PIXELS)]
 
 
 def vertex_albedo(surface: LitSurface, grids: list[View], solved: list[Solved]) -> np.ndarray:

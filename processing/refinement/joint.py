@@ -16,24 +16,32 @@ from processing.lighting.interface import Interface
 from processing.lighting.lights import PatternLights, Shadows, compiled
 from processing.lighting.lobe import fresnel_table
 from processing.refinement.joint_equations import Spread
-from processing.refinement.joint_kernels import Pixels, Solved, evidence_kernel, solve_kernel
+from processing.refinement.joint_kernels import (
+    Pixels,
+    Solved,
+    evidence_kernel,
+    held_out_kernel,
+    solve_kernel,
+)
 from processing.refinement.joint_light import Lamps
 
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """Variance of a reading I is sensor^2 (0.25 + I) + (model I)^2, and shade's beside it.
+    """Variance of a reading I is sensor^2 (floor + I) + (model I)^2, and shade's beside it.
 
     Attributes:
-        sensor: standard deviation of a reading of .75.
+        sensor: root of the shot noise's variance for a reading of 1.
         model: what a channel's reading is wrong by, as a share of it.
         shade: what a pattern's irradiance is wrong by, as a share of it, in all channels alike:
             shadows, bounces and lamps that are not quite as modelled. Colour still tells gloss.
+        floor: the noise without light over the shot noise's variance for a reading of 1.
     """
 
     sensor: float = 0.001
     model: float = 0.003
     shade: float = 0.01
+    floor: float = 0.25
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,6 +146,25 @@ def gloss_evidence(given: Given) -> np.ndarray:
     return out
 
 
+def held_out(given: Given, groups: np.ndarray) -> np.ndarray:
+    """How far each group of patterns is from what a pixel's other patterns say of it.
+
+    Normal and albedo are fitted to the other patterns alone; the squared error of the prediction is
+    divided by its variance, which holds the readings' noise and what the others leave open.
+
+    Args:
+        given: see there; the model is taken as linear about the normals.
+        groups: (P,) number of each pattern's group; -1 is never left out.
+
+    Returns:
+        (n, G) float32 mean over a group's readings, at least 0; 0 where a pixel has no normal to
+        begin with, no number where the others fix none.
+    """
+    out = np.zeros((len(given.rgb), int(groups.max()) + 1), np.float32)
+    held_out_kernel(*_compiled(given), np.ascontiguousarray(groups, np.int64), out)
+    return out
+
+
 def _compiled(given: Given) -> tuple[Pixels, Lamps, Spread]:
     """What both kernels take."""
 
@@ -163,7 +190,10 @@ def _compiled(given: Given) -> tuple[Pixels, Lamps, Spread]:
 def spread_of(noise: Noise, scattered: Scattered) -> Spread:
     """What compiled code takes of the readings' noise, and of what light stays where it entered."""
     kept = np.ascontiguousarray(scattered.kept, np.float64)
-    return Spread(float(noise.sensor) ** 2, float(noise.model) ** 2, float(noise.shade) ** 2, kept)
+    shot2 = float(noise.sensor) ** 2
+    return Spread(
+        shot2 * float(noise.floor), shot2, float(noise.model) ** 2, float(noise.shade) ** 2, kept
+    )
 
 
 def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps:

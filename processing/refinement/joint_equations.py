@@ -13,9 +13,13 @@ MOST_TURN2 = 1e6
 
 
 class Spread(NamedTuple):
-    """Variances of `joint.Noise`, and (3,) float64 `kept` of `joint.Scattered`."""
+    """Variances of `joint.Noise`, and (3,) float64 `kept` of `joint.Scattered`.
 
-    sensor2: float
+    A reading I errs by read2 + shot2 I + model2 I^2.
+    """
+
+    read2: float
+    shot2: float
     model2: float
     shade2: float
     kept: np.ndarray
@@ -103,7 +107,7 @@ def across_normal(n: np.ndarray, out: np.ndarray) -> None:
 def _weight(value: float, spread: Spread) -> float:
     """One over the variance of a reading."""
     bright = max(value, 0.0)
-    return 1 / (spread.sensor2 * (0.25 + bright) + spread.model2 * bright * bright)
+    return 1 / (spread.read2 + spread.shot2 * bright + spread.model2 * bright * bright)
 
 
 @njit(cache=True, error_model="numpy")
@@ -281,3 +285,19 @@ def least_turn(covariance: np.ndarray) -> float:
     half = (covariance[0, 0] - covariance[1, 1]) / 2
     most = middle + math.sqrt(half * half + covariance[0, 1] * covariance[1, 0])
     return 1 / most if most > 0 and math.isfinite(most) else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def left_when_fitted(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+    """The squared residual that the best turns and albedos leave; NaN where they are not fixed.
+
+    Args:
+        a, b, c: of `normal_equations`; a is destroyed.
+    """
+    found = b[:, :1].copy()
+    if not solve_in_place(a, found):
+        return np.nan
+    left = c[0, 0]
+    for p in range(len(b)):
+        left -= b[p, 0] * found[p, 0]
+    return left

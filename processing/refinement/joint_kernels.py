@@ -14,6 +14,7 @@ from processing.refinement.joint_equations import (
     diffuse_light,
     least_turn,
     left_over,
+    left_when_fitted,
     matte_normal,
     normal_equations,
     skin_albedo,
@@ -220,3 +221,41 @@ def evidence_kernel(
         out[i, 2] = trust * mm
         out[i, 3] = trust * s_left
         out[i, 4] = trust * m_left
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def held_out_kernel(
+    pixels: Pixels,
+    lamps: Lamps,
+    spread: Spread,
+    groups: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Fill in what `joint.held_out` returns; arguments as there."""
+    rgb, points, views, roughness = pixels.rgb, pixels.points, pixels.views, pixels.roughness
+    corners, weights, rests = pixels.corners, pixels.weights, pixels.rests
+    patterns = rgb.shape[1]
+    for i in prange(len(rgb)):
+        n = pixels.starts[i]
+        if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and roughness[i] > 0):
+            continue
+        s = float(pixels.specular[i])
+        light = np.zeros((patterns, 12), np.float32)
+        across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+        diffuse = np.zeros((patterns, 3))
+        a, b, c = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
+        own_a, own_b, own_c = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
+        gather(points[i], n, views[i], roughness[i], corners[i], weights[i], lamps, light)
+        diffuse_light(light, spread.kept, rests[i], diffuse)
+        skin_albedo(light, diffuse, rgb[i], s, rho, power)
+        across_normal(n, across)
+        normal_equations(light, diffuse, rgb[i], rho, s, across, spread, a, b, c)
+        whole = left_when_fitted(a.copy(), b, c)
+        for g in range(groups.max() + 1):
+            some = np.flatnonzero(groups == g)
+            normal_equations(
+                light[some], diffuse[some], rgb[i][some], rho, s, across, spread,
+                own_a, own_b, own_c,
+            )  # fmt: skip
+            rest = left_when_fitted(a - own_a, b - own_b, c - own_c)
+            out[i, g] = max(whole - rest, 0.0) / (3 * len(some))

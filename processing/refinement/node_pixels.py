@@ -256,7 +256,7 @@ def _solve_and_finish(
     )  # fmt: skip
     solve_eight(
         ws, np.int64(0), node, state, place + TURN, results, patterns, rounds,
-        spread.sensor2, spread.model2, spread.shade2, spread.kept, nodes.widest2,
+        spread.read2, spread.shot2, spread.model2, spread.shade2, spread.kept, nodes.widest2,
     )  # fmt: skip
     for j in range(filled):
         # A lane that is not sound may hold NaN, of which nothing is above 0.

@@ -201,13 +201,13 @@ def _left_over(
 @njit(cache=True, error_model="numpy")
 def _matte(
     ws: np.ndarray, rgb: int, node: int, state: int, patterns: int, t: Any, u: Any, rho: Any,
-    sensor2: float, model2: float,
+    read2: float, shot2: float, model2: float,
 ) -> tuple[Any, Any, Any, Any]:  # fmt: skip
     """Normal from chroma along T, U and N, zero where there is none, and the mean squared turn
     that noise gives it: as in `joint_kernels`.
     """
-    sensors, models = every(np.float32(sensor2)), every(np.float32(model2))
-    quarter, variance = every(np.float32(0.25)), every(np.float32(0))
+    reads, shots = every(np.float32(read2)), every(np.float32(shot2))
+    models, variance = every(np.float32(model2)), every(np.float32(0))
     zero, one, third = every(np.float32(0)), every(np.float32(1)), every(np.float32(1 / 3))
     q0, q1, q2 = rho
     x, y, z = zero, zero, zero
@@ -229,9 +229,9 @@ def _matte(
         signal = signal + y * (g - q1 * _at(ws, a + 1))
         signal = signal + z * (b - q2 * _at(ws, a + 2))
         r, g, b = at_least(r, zero), at_least(g, zero), at_least(b, zero)
-        variance = variance + x * x * (sensors * (quarter + r) + models * r * r)
-        variance = variance + y * y * (sensors * (quarter + g) + models * g * g)
-        variance = variance + z * z * (sensors * (quarter + b) + models * b * b)
+        variance = variance + x * x * (reads + shots * r + models * r * r)
+        variance = variance + y * y * (reads + shots * g + models * g * g)
+        variance = variance + z * z * (reads + shots * b + models * b * b)
         gt, gu = _at(ws, o + 10), _at(ws, o + 11)
         gn = _at(ws, o + 9) - t * gt - u * gu
         a00, a01, a02 = a00 + gt * gt, a01 + gt * gu, a02 + gt * gn
@@ -266,7 +266,8 @@ def _matte(
 @njit(cache=True, error_model="numpy")
 def solve_eight(
     ws: np.ndarray, rgb: int, node: int, state: int, start: int, results: int, patterns: int,
-    rounds: int, sensor2: float, model2: float, shade2: float, kept: np.ndarray, widest2: float,
+    rounds: int, read2: float, shot2: float, model2: float, shade2: float, kept: np.ndarray,
+    widest2: float,
 ) -> None:  # fmt: skip
     """Solve eight pixels: a workspace's rows are numbers of eight pixels.
 
@@ -279,15 +280,16 @@ def solve_eight(
         results: first of RESULTS rows, filled in.
         patterns: P.
         rounds: steps.
-        sensor2, model2, shade2, kept: as of `joint_kernels.Spread`.
+        read2, shot2, model2, shade2, kept: as of `joint_kernels.Spread`.
         widest2: squared turn from the nodes' normals beyond which the light is not known.
     """
-    one, zero, quarter = every(np.float32(1)), every(np.float32(0)), every(np.float32(0.25))
-    sensors, models = every(np.float32(sensor2)), every(np.float32(model2))
+    one, zero = every(np.float32(1)), every(np.float32(0))
+    reads, shots = every(np.float32(read2)), every(np.float32(shot2))
+    models = every(np.float32(model2))
     many = every(np.float32(1e30))
     for i in range(3 * patterns):
         bright = at_least(_at(ws, rgb + i), zero)
-        variance = sensors * (quarter + bright) + models * bright * bright
+        variance = reads + shots * bright + models * bright * bright
         _put(ws, rgb + 3 * patterns + i, at_most(one / variance, many))
     shares = every(np.float32(kept[0])), every(np.float32(kept[1])), every(np.float32(kept[2]))
     t, u, s = _at(ws, start), _at(ws, start + 1), _at(ws, start + 2)
@@ -303,7 +305,7 @@ def solve_eight(
     q0, q1, q2, p0, p1, p2 = evaluate(ws, rgb, node, state, patterns, t, u, s, shares)
     misfit = _left_over(ws, rgb, state, patterns, s, (q0, q1, q2), shade2)
     bt, bu, bn, matte_turn2 = _matte(
-        ws, rgb, node, state, patterns, t, u, (q0, q1, q2), sensor2, model2
+        ws, rgb, node, state, patterns, t, u, (q0, q1, q2), read2, shot2, model2
     )
     sound = sound * above(every(np.float32(widest2)), farthest)
     _put(ws, results, t)

@@ -67,6 +67,7 @@ class Scene:
         bounces: 1 where `bounced` explains the readings better than nothing does, else 0.
         scattering: share of light that wanders inside the skin.
         doubt: by what factor the residuals' variance is above what is expected, at least 1.
+        noisier: by what factor the variance of the readings' noise is above what is configured.
         facets: the family of the face's mirror lobes.
     """
 
@@ -77,6 +78,7 @@ class Scene:
     bounces: float
     scattering: float
     doubt: float = 1.0
+    noisier: float = 1.0
     facets: Facets = BECKMANN
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +15,15 @@ from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.session import Session
 from lightstage.rig import Camera, Rig
 from processing.frames.read import read_foreground, read_frames
+from processing.lighting.interface import ENTERED_SHARE
 from processing.lighting.lights import fix_normals, pattern_lights
 from processing.rays import MeshRays
 from processing.refinement.config import RefineConfig
 from processing.refinement.detail import NormalView, displaced
 from processing.refinement.every_pixel import solve_view
 from processing.refinement.gloss_search import find_gloss
-from processing.refinement.scene import prepare_scene, read_view
+from processing.refinement.noise import measured_noise, times_as_noisy
+from processing.refinement.scene import Scene, View, prepare_scene, read_view
 from processing.refinement.unrefined import keep_coarse
 from processing.refinement.written import write_refined
 
@@ -57,8 +61,12 @@ def refine(
         read_view(read_frames(out, camera.id), camera, lit, scene, config, config.gloss_pixels)
         for camera, lit in seen_by
     ]
+    photographed = {frame.pattern for frame in session.file.frames}
+    scene, config, noise = with_noise(scene, config, grids, photographed)
     progress(2, steps)
-    scene, found = find_gloss(scene, grids, config, lambda done, _: progress(2 + done, steps))
+    scene, found, choices = find_gloss(
+        scene, grids, config, lambda done, _: progress(2 + done, steps)
+    )
     confidence: dict[str, float] = {}
     between: dict[str, float] = {}
     pixels = 0
@@ -82,6 +90,7 @@ def refine(
         progress(3 + config.gloss_rounds + done, steps)
     detail = write_detailed(folder, mesh, session.rig, config) if config.detail_edge_mm > 0 else {}
     seen = np.unique(np.concatenate([grid.sight.shadows.corners.ravel() for grid in grids]))
+    roughness = float(scene.gloss.roughness[seen].mean())
     return {
         "maps": "exact",
         "lights": lights.source,
@@ -90,18 +99,38 @@ def refine(
         "vertices": len(scene.surface.vertices),
         "mean_confidence": confidence,
         "between_nodes": between,
-        "roughness_mean": round(float(scene.gloss.roughness[seen].mean()), 4),
+        "roughness_mean": round(roughness, 4),
         "specular_mean": round(float(scene.gloss.specular[seen].mean()), 5),
         "mirror_lobe": scene.facets.name,
         "mirror_lobe_tails": scene.facets.tails,
         "mirror_lobe_stretch": round(scene.facets.stretch, 3),
         "light_from_skin_to_skin": bool(scene.bounces),
         "scattering": scene.scattering,
+        "noise": noise,
+        "left_out_readings": {step.name: step.fact for step in choices},
+        ENTERED_SHARE: round(scene.interface.entered_share(roughness), 4),
         "specular_normals": "all channels and the highlights, the relief of the diffuse light "
         "calmed by scattering",
         **detail,
         "warnings": [],
     }
+
+
+def with_noise(
+    scene: Scene, config: RefineConfig, grids: list[View], photographed: Collection[str]
+) -> tuple[Scene, RefineConfig, str]:
+    """The scene and configuration with the photographs' own noise, and how it was found."""
+    if config.noise_from_photographs:
+        found, measured = measured_noise(
+            [grid.rgb for grid in grids], scene.lights.patterns, photographed, config.noise
+        )
+        if measured:
+            scene = dataclasses.replace(scene, noisier=times_as_noisy(found, config.noise))
+            config = dataclasses.replace(config, noise_sensor=found.sensor, noise_floor=found.floor)
+            dark = found.sensor * np.sqrt(found.floor)
+            white = np.hypot(found.sensor, dark)
+            return scene, config, f"measured: {dark:.2g} without light, {white:.2g} of a white"
+    return scene, config, "as configured"
 
 
 def seen_occluders(

@@ -170,7 +170,7 @@ def albedo_of(diffuse: np.ndarray, rgb: np.ndarray, mirror: np.ndarray) -> np.nd
 def inverse_covariance(rgb: np.ndarray, shade: np.ndarray, noise: Noise) -> np.ndarray:
     """(3 P, 3 P): each reading's own variance, and what errs in a pattern's channels together."""
     bright = np.maximum(rgb, 0)
-    variance = noise.sensor**2 * (0.25 + bright) + noise.model**2 * bright**2
+    variance = noise.sensor**2 * (noise.floor + bright) + noise.model**2 * bright**2
     full = np.diag(variance.ravel())
     for k in range(len(rgb)):
         place = slice(3 * k, 3 * k + 3)
@@ -267,11 +267,30 @@ def matte(
     found = np.linalg.lstsq(slopes, signal, rcond=None)[0]
     length = np.linalg.norm(found)
     bright = np.maximum(pixel.rgb, 0)
-    variance = (noise.sensor**2 * (0.25 + bright) + noise.model**2 * bright**2) @ hue**2
+    variance = (noise.sensor**2 * (noise.floor + bright) + noise.model**2 * bright**2) @ hue**2
     covariance = np.linalg.inv(slopes.T @ slopes) * variance.mean()
     across = np.eye(3) - np.outer(found, found) / length**2
     turn2 = np.trace(across @ covariance @ across) / length**2
     return np.asarray(found / length), float(turn2)
+
+
+def held_out(
+    lights: PatternLights, pixel: Pixel, interface: Interface, noise: Noise, groups: np.ndarray
+) -> np.ndarray:
+    """(G,) of `joint.held_out`: each group predicted from a fit of the others, and its variance."""
+    model = linear(Light(lights, pixel, interface, pixel.start), noise)
+    of_reading = np.repeat(groups, 3)
+    out = []
+    for group in range(groups.max() + 1):
+        own, others = of_reading == group, of_reading != group
+        fit, asked = model.jacobian[others], model.jacobian[own]
+        weight = model.weight[np.ix_(others, others)]
+        covariance = np.linalg.inv(fit.T @ weight @ fit)
+        step = covariance @ fit.T @ weight @ model.residual[others]
+        off = model.residual[own] - asked @ step
+        spread = np.linalg.inv(model.weight[np.ix_(own, own)]) + asked @ covariance @ asked.T
+        out.append(float(off @ np.linalg.solve(spread, off)) / own.sum())
+    return np.array(out)
 
 
 def evidence(lights: PatternLights, pixel: Pixel, interface: Interface, noise: Noise) -> np.ndarray:

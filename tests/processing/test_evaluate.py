@@ -18,7 +18,7 @@ from lightstage.formats.mesh import Mesh, read_ply, write_obj, write_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template, save_template
 from processing.closest import ClosestPoints, sample_texture, weighted_quantile
-from processing.evaluation.folder import evaluate
+from processing.evaluation.folder import AlbedoOf, EvaluateConfig, evaluate
 from processing.evaluation.maps import angle_deg, map_errors, picture_errors, psnr_db
 from processing.evaluation.texels import evaluate_maps, truth_in_atlas
 from processing.reconstruction.pictures import write_pictures
@@ -139,6 +139,30 @@ def test_known_errors_of_views_come_out(folders: tuple[ProcessedFolder, Processe
     assert views["specular_normal_mean_deg"] == pytest.approx(0.0, abs=1e-6)
     assert views["diffuse_as_specular_normal_mean_deg"] == pytest.approx(7.0, abs=0.02)
     assert views["specular_albedo_share_of_best_constant"] == pytest.approx(1.0, rel=1e-3)
+
+
+def test_an_albedo_of_incident_light_is_scored_with_the_light_that_enters(
+    folders: tuple[ProcessedFolder, ProcessedFolder],
+) -> None:
+    out, truth = folders
+    entered = truth.read_view("cam0", "diffuse_albedo") / 0.94
+    out.write_view("cam0", "diffuse_albedo", entered)
+    out.write_atlas("diffuse_albedo", out.read_atlas("diffuse_albedo") / 0.94)
+
+    def albedo_bias(of: AlbedoOf) -> tuple[float, float]:
+        template = out.root.parent / "template"
+        facts = evaluate(out.root, truth.root, template, EvaluateConfig(albedo=of))
+        assert facts["albedo_of"] == of
+        return facts["views"]["diffuse_albedo_bias"], facts["atlas"]["diffuse_albedo_bias"]
+
+    with pytest.raises(LightstageError, match="light_that_enters"):
+        albedo_bias(AlbedoOf.INCIDENT)
+    stages = {"refine": {"light_that_enters": 0.94, "seconds": 1.0, "peak_rss_mb": 1}}
+    write_json(
+        out.root / "report.json", {"subject": "s", "expression": "neutral", "stages": stages}
+    )
+    assert albedo_bias(AlbedoOf.INCIDENT) == pytest.approx((0, 0), abs=1e-3)
+    assert min(albedo_bias(AlbedoOf.ENTERED)) > 0.01
 
 
 def test_only_confident_pixels_of_true_skin_count_and_the_share_is_said(

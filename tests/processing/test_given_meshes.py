@@ -95,7 +95,7 @@ def test_shadows_of_an_occluder_are_no_shape_of_the_skin() -> None:
     images[:, truth.mask] = lit_ball.photograph(BALL, truth, rig, ~hidden).transpose(1, 0, 2)
     frames = Frames.of(lit_ball.PATTERNS, images, np.ones(truth.mask.shape, bool))
     config = RefineConfig(
-        smoothing_mm=0, occlusion_directions=64, finest_mm=4.0, bounce_rays=0, family_pixels=0
+        smoothing_mm=0, occlusion_directions=64, finest_mm=4.0, bounce_rays=0, choice_pixels=0
     )
     normals = np.zeros((*truth.mask.shape, 3))
     normals[truth.mask] = truth.normals
@@ -103,7 +103,7 @@ def test_shadows_of_an_occluder_are_no_shape_of_the_skin() -> None:
     for occluders in (wall, None):
         scene = prepare_scene(ball_mesh(), lights, [(camera, truth.mask)], config, occluders)
         view = read_view(frames, camera, truth.mask, scene, config)
-        scene, found = find_gloss(scene, [view], config)
+        scene, found, _ = find_gloss(scene, [view], config)
         maps = solve_view(scene, frames, camera, truth.mask, view, found[0], config)
         mask, facing = maps.mask, normals[maps.mask]
         inner = (facing @ (camera.centre_mm / np.linalg.norm(camera.centre_mm))) > 0.4

@@ -20,6 +20,7 @@ from processing.refinement.joint import (
     Place,
     Scattered,
     gloss_evidence,
+    held_out,
     solve_jointly,
 )
 from processing.refinement.joint_kernels import Solved
@@ -248,6 +249,34 @@ def test_evidence_of_gloss_is_what_turns_and_albedos_cannot_explain(
         )
 
 
+GROUPS = np.array([-1, 0, 0, 1, 1, 2, 2])
+
+
+@given(
+    seed=SEEDS,
+    lit=st.booleans(),
+    shade=st.sampled_from([0.0, 0.03]),
+    interface=st.sampled_from(FAMILIES),
+)
+@settings(max_examples=12, deadline=None)
+def test_what_is_left_out_is_predicted_from_a_fit_of_the_rest(
+    seed: int, lit: bool, shade: float, interface: Interface
+) -> None:
+    s, noise = skin(seed, off_deg=0.5, lit=lit, interface=interface), Noise(shade=shade)
+    found = held_out(given_by(s, noise), GROUPS)
+    for i, pixel in enumerate(pixels(s)):
+        known = joint_twin.held_out(LIGHTS, pixel, s.interface, noise, GROUPS)
+        np.testing.assert_allclose(found[i], known, rtol=0.03, atol=0.03)
+
+
+def test_readings_as_noisy_as_said_are_off_by_as_much_as_is_predicted() -> None:
+    s, noise = skin(2, 4000, noise=0, off_deg=0.1), Noise(sensor=0.002, model=0, shade=0)
+    sigma = noise.sensor * np.sqrt(noise.floor + s.rgb)
+    rgb = s.rgb + sigma * np.random.default_rng(0).normal(size=s.rgb.shape)
+    found = held_out(given_by(dataclasses.replace(s, rgb=rgb.astype(np.float32)), noise), GROUPS)
+    np.testing.assert_allclose(np.nanmedian(found, axis=0), 0.85, atol=0.1)
+
+
 def test_albedo_and_both_normals_of_clean_readings_are_exact() -> None:
     s = skin(1, 200, noise=0, off_deg=3)
     found = solved(s, Noise(), rounds=4)
@@ -306,6 +335,8 @@ def both(s: Skin) -> Solved:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found, gloss = solved(s, Noise(), rounds=2), evidence(s, Noise())
+        left_out = held_out(given_by(s, Noise()), GROUPS)
+    assert not (left_out < 0).any()
     check_sane(found, gloss)
     return found
 

@@ -72,7 +72,7 @@ def eight(s: Skin, table: np.ndarray, noise: Noise, rounds: int = 2) -> np.ndarr
     given = spread_of(noise, s.around)
     solve_eight(
         ws, 0, NODE, STATE, PLACE, LAST, COUNT, rounds,
-        given.sensor2, given.model2, given.shade2, given.kept, node_light.WIDEST_TAN**2,
+        given.read2, given.shot2, given.model2, given.shade2, given.kept, node_light.WIDEST_TAN**2,
     )  # fmt: skip
     return rows[LAST:].T.copy()
 
@@ -277,13 +277,13 @@ def ball_maps() -> tuple[lit_ball.Sight, SolvedView, SolvedView]:
     frames = Frames.of(PATTERNS, images, np.ones(truth.mask.shape, bool))
     config = RefineConfig(
         shadow_offset_mm=0.3, smoothing_mm=0, occlusion_directions=64, finest_mm=4.0,
-        bounce_rays=0, depth_step_mm=20.0, gloss_pixels=600, family_pixels=0, scattering=(0.0,),
+        bounce_rays=0, depth_step_mm=20.0, gloss_pixels=600, choice_pixels=0, scattering=(0.0,),
         light_step_mm=3.01 / px_per_mm(camera),
     )  # fmt: skip
     mesh = test_reflectance.ball_mesh(ball)
     scene = prepare_scene(mesh, test_joint.LIGHTS, [(camera, truth.mask)], config)
     grid = read_view(frames, camera, truth.mask, scene, config, config.gloss_pixels)
-    scene, found = find_gloss(scene, [grid], config)
+    scene, found, _ = find_gloss(scene, [grid], config)
     nodes, alone = (
         solve_view(scene, frames, camera, truth.mask, grid, found[0], each)
         for each in (config, dataclasses.replace(config, light_step_mm=0.0))

@@ -215,11 +215,12 @@ def test_rounds_of_averaging_spread_like_the_gaussian() -> None:
     np.testing.assert_allclose((values * y**2).sum(), sigma**2, rtol=0.06)
 
 
-def test_depth_edges_are_steps_and_the_end_of_the_surface() -> None:
+def test_depth_edges_are_steps_and_the_end_of_the_surface_and_no_slopes() -> None:
     depth = np.full((20, 30), 500, np.float32)
     depth += np.arange(30, dtype=np.float32)
     depth[:, 15:] += 10
     depth[0] = np.inf
+    depth += np.arange(20, dtype=np.float32)[:, None] * 6
     found = depth_edges(depth, 4.0)
     assert found[5:15, [14, 15]].all()
     assert found[:2].all()
