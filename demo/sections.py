@@ -24,6 +24,7 @@ from processing.closest import ClosestPoints
 from processing.frames.read import read_frames
 from processing.pages import SPECULAR_WHITE, show
 from processing.report import (
+    Link,
     Picture,
     Section,
     display,
@@ -336,7 +337,7 @@ def _losses(demo: Demo) -> str | Picture:
 def relit_section(demo: Demo) -> Section:
     """The captured head under new light beside the truth."""
     crop = demo.crop(FRONT)
-    parts: list[str | Picture] = [
+    parts: list[str | Link | Picture] = [
         "The purpose of it all: the captured head under light in which it was never photographed, "
         "drawn by the project's renderer from the captured maps, beside the picture that the "
         "simulator makes of the true head by other code. Both show skin's surface as a rough "
@@ -361,6 +362,10 @@ def relit_section(demo: Demo) -> Section:
                 f"relit {relit.name}",
             )
         )
+    page = (demo.at.head / "page.html").relative_to(demo.at.root)
+    parts.append(
+        Link(str(page), "Turn the head and its light in the browser, captured or inferred.")
+    )
     return Section("Relighting", parts)
 
 

@@ -118,6 +118,11 @@ class Layout:
         return self.root / "relit"
 
     @property
+    def head(self) -> Path:
+        """The captured head beside the inferred one, as a page for a browser."""
+        return self.root / "head"
+
+    @property
     def steps(self) -> Path:
         """What each step cost."""
         return self.root / "steps.json"
@@ -213,3 +218,8 @@ def steps(config: DemoConfig, at: Layout) -> Iterator[Step]:
             " --template {template} --background black",
             light=light,
         )
+    yield step(
+        "export",
+        "a page on which the head turns, captured beside inferred",
+        "learning export {at.processed} --format page --compare {at.inferred} --out {at.head}",
+    )

@@ -7,6 +7,7 @@ import dataclasses
 import html
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import quote
 
 import cv2
 import numpy as np
@@ -59,11 +60,24 @@ class Table:
 
 
 @dataclasses.dataclass(frozen=True)
+class Link:
+    """A link to another file, alone in its paragraph.
+
+    Attributes:
+        target: relative to the report.
+        text: what is seen there.
+    """
+
+    target: str
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
 class Section:
-    """A heading and what stands under it: paragraphs (str), pictures and tables, in order."""
+    """A heading and what stands under it: paragraphs (str), links, pictures, tables, in order."""
 
     title: str
-    parts: Sequence[str | Picture | Table]
+    parts: Sequence[str | Link | Picture | Table]
 
 
 def write_report(path: Path, title: str, sections: Sequence[Section], footer: str = "") -> Path:
@@ -179,9 +193,11 @@ def encode(image: np.ndarray, *, lossless: bool = False, quality: int = 85) -> b
     return bytes(data.tobytes())
 
 
-def _part(part: str | Picture | Table, title: str) -> str:
+def _part(part: str | Link | Picture | Table, title: str) -> str:
     if isinstance(part, str):
         return f"<p>{_text(part)}</p>"
+    if isinstance(part, Link):
+        return f'<p><a href="{_text(quote(part.target))}">{_text(part.text)}</a></p>'
     if isinstance(part, Table):
         return _table(part)
     kind = "png" if part.lossless else "jpeg"

@@ -13,6 +13,7 @@ import pytest
 
 from lightstage.errors import LightstageError
 from processing.report import (
+    Link,
     Picture,
     Section,
     Table,
@@ -70,6 +71,16 @@ def test_page_is_balanced_and_loads_nothing(tmp_path: Path) -> None:
     assert not re.search(r"(src|href)=\"(?!data:)", text)
     assert "http" not in text
     assert any(attrs.get("name") == "viewport" for _, attrs in parsed.tags)
+
+
+def test_a_link_leads_to_a_file_beside_the_report_whatever_its_name(tmp_path: Path) -> None:
+    link = Link('head/a "page" & more.html', f"turn {EVIL}")
+    path = write_report(tmp_path / "r.html", "report", [Section("pages", [link])])
+    parsed = Balanced()
+    parsed.feed(path.read_text())
+    targets = [attrs["href"] for tag, attrs in parsed.tags if tag == "a"]
+    assert targets == ["head/a%20%22page%22%20%26%20more.html"]
+    assert f"turn {EVIL}" in parsed.text
 
 
 def test_text_is_shown_and_never_run(tmp_path: Path) -> None:
