@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from learning.four.config import FourTrainConfig
 from learning.limits import LIMITS, require_within
 from learning.networks.generator import GeneratorConfig
+from learning.mesostructure.config import MesostructureTrainConfig
 from learning.patch_config import TrainConfig
 from learning.presets import PRESETS, preset
 from learning.render.occlusion_training import OcclusionTrainConfig
@@ -23,6 +24,7 @@ CONFIGS = (
     FourTrainConfig(),
     WholeTrainConfig(),
     UpscaleTrainConfig(),
+    MesostructureTrainConfig(),
     OcclusionTrainConfig(),
 )
 
