@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from learning.four.config import FourTrainConfig
 from learning.limits import LIMITS, require_within
-from learning.networks.generator import GeneratorConfig
 from learning.mesostructure.config import MesostructureTrainConfig
+from learning.networks.generator import GeneratorConfig
 from learning.patch_config import TrainConfig
 from learning.presets import PRESETS, preset
 from learning.render.occlusion_training import OcclusionTrainConfig
