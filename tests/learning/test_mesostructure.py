@@ -359,8 +359,9 @@ def test_infer_tilts_the_meshs_normals_where_the_texture_tells_and_nowhere_else(
     maps = infer_whole_face(
         network, texture, elsewhere, refine_seconds=600, mesostructure=meso
     ).maps["diffuse_normal"]
-    cosine = (maps @ turn * found["with"]["diffuse_normal"]).sum(axis=2)[there]
-    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 0.1
+    # The files hold half floats, so that an arc cosine would tell their rounding.
+    apart = np.linalg.norm(maps @ turn - found["with"]["diffuse_normal"], axis=2)[there]
+    assert np.degrees(apart.mean()) < 0.1
 
 
 def called(arguments: list[str]) -> int:

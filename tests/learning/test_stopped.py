@@ -70,6 +70,18 @@ patch_px = 8
 count = 2
 shadow_sets = 1
 """,
+    "mesostructure": """
+seconds = 60
+batch = 2
+score_lights = 1
+[network]
+width = 2
+[patches]
+patch_px = 16
+textures = 2
+of_each = 2
+shadow_sets = 1
+""",
 }
 
 
