@@ -107,7 +107,9 @@ def test_two_processes_train_as_one_with_the_batch_of_both(
         assert [line["step"] for line in lines[1]] == [0, 1, 2, 3]
         for alone, both in zip(*lines, strict=True):
             for name in {n for n in alone if n != "seconds" and not n.startswith("share_")}:
-                assert both[name] == pytest.approx(alone[name], rel=2e-3, abs=1e-5), name
+                # A correlation lies between -1 and 1: of a hardly trained network it is almost 0.
+                least = 2e-3 if name.startswith("detail") else 1e-5
+                assert both[name] == pytest.approx(alone[name], rel=2e-3, abs=least), name
         first, second = (load(run)[0].state_dict() for run in runs)
         for name, values in first.items():
             # What instance norm takes away, a bias, has a gradient of rounding alone, which Adam
