@@ -254,7 +254,7 @@ def occlusion(
     The last line says how wrong table and network are under lights that were not baked, beside
     rays, and how long each takes.
     """
-    from learning.commands import occlusion_command
+    from learning.occlusion_command import occlusion_command
 
     heads = head or []
     # A head's shadows show whose they are; a template's are nobody's.
@@ -350,12 +350,12 @@ def infer(
         ),
     ] = None,
     mesostructure: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="Pores and folds of refined textures: run folder of a `mesostructure` training; "
-            "`shipped` weights; `none`, normals are the mesh's then."
+            help="Pores and folds of refined textures: run folder of a `mesostructure` training, "
+            "or `none`: normals are the mesh's then. The weights that are shipped else."
         ),
-    ] = "shipped",
+    ] = None,
     device: DeviceOption = "auto",
     as_json: bool = JsonFlag,
 ) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +30,9 @@ from learning.four.config import FourTrainConfig
 from learning.four.infer import infer_four
 from learning.four.networks import FourNetworks, load_four_networks
 from learning.infer import infer
-from learning.limits import require_within
 from learning.map_folders import require_texture_maps
 from learning.maps import TexturedHead, load_head
 from learning.mesostructure.infer import TrainedMesostructure
-from learning.occlusion_run import (
-    Head,
-    bake_heads,
-    fingerprint,
-    read_head,
-    save_occlusion,
-    table_of,
-    train_occlusion,
-)
 from learning.presets import preset
 from learning.processes import ALONE, Processes, joined
 from learning.relight import (
@@ -53,11 +43,9 @@ from learning.relight import (
     turned_camera,
     write_picture,
 )
-from learning.render.occlusion_model import OcclusionConfig
-from learning.render.occlusion_training import OcclusionTrainConfig
 from learning.render.shading import ShadeOptions
 from learning.resample import resampled_texture
-from learning.run import not_better, require_new
+from learning.run import not_better
 from learning.train import train
 from learning.upscale.infer import upscale
 from learning.whole.infer import infer_whole_face
@@ -70,14 +58,14 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import others_in
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import MAPS, ProcessedFolder, write_map
-from lightstage.formats.template import default_template_path, load_template
+from lightstage.formats.template import load_template
 from lightstage.rig import Camera, default_rig, load_rig
 from processing.dataset import open_store, read_head_pose
 
 DEFAULT_RIG_SCALE = 1080 / 6016
 """Without a rig, pictures are 720 x 1080 pixels."""
-SHIPPED, NONE = "shipped", "none"
-"""For `infer --mesostructure`, beside a run's folder."""
+NONE = "none"
+"""For `infer --mesostructure`, in place of a run's folder."""
 REFINE_SECONDS = 60.0
 """Of `infer`, at most, where nothing else is asked for; most textures take less."""
 LIGHT = "light.json"
@@ -171,91 +159,6 @@ def bake_command(request: RenderRequest, progress: ProgressCallback) -> dict[str
         "notes": list(head.notes),
         "seconds": time.monotonic() - began,
     }
-
-
-def occlusion_command(
-    template: Path | None,
-    heads: Sequence[Path],
-    out: Path,
-    rows: int,
-    count: int,
-    network: Path | None,
-    config: Path | None,
-    progress: ProgressCallback,
-) -> dict[str, Any]:
-    """Bake a table of cast shadows, and train a network if a folder is named for it; the facts."""
-    began = time.monotonic()
-    if not 8 <= rows <= 4096 or not 4 <= count <= 65536:
-        raise ConfigError(
-            "--rows, --directions",
-            found=f"{rows}, {count}",
-            expected="8 to 4096 rows, 4 to 65536 directions",
-        )
-    if template is not None and heads:
-        raise ConfigError("--template, --head", found="both", expected="one of them")
-    training = _occlusion_training(network, config, rows)
-    if heads:
-        chosen = [read_head(path) for path in heads]
-    else:
-        mesh = load_template(template or default_template_path()).mesh
-        chosen = [Head(mesh, fingerprint(mesh))]
-    baked = bake_heads(chosen, OcclusionConfig(rows, count), heads, progress)
-    table = table_of(baked)
-    facts: dict[str, Any] = {}
-    if network is None or training is None:
-        table.save(out)
-    else:
-        trained, score = train_occlusion(chosen, baked, table, training, progress)
-        table.save(out)
-        save_occlusion(network, trained, training, chosen, not heads, score)
-        facts = {
-            "network": str(network),
-            "steps": training.steps,
-            "joint_steps": training.joint_steps,
-            **{f"score_{name}": figure for name, figure in score.figures().items()},
-            "said": score.sentence(),
-        }
-    return {
-        "directions": count,
-        "heads": len(chosen),
-        "rows": rows,
-        "columns": table.covered.shape[1],
-        "bytes": out.stat().st_size,
-        **facts,
-        "seconds": time.monotonic() - began,
-    }
-
-
-def _occlusion_training(
-    network: Path | None, config: Path | None, rows: int
-) -> OcclusionTrainConfig | None:
-    """The configuration of a network's training; None where none is asked for."""
-    if network is None:
-        if config is not None:
-            raise ConfigError(
-                "--config",
-                found=f"{config} without --network",
-                expected="both or neither",
-                hint="It is the training's; a table has --rows and --directions.",
-            )
-        return None
-    require_new(network, "Choose another --network, or remove that run first.")
-    values = read_toml(config) if config else {}
-    where = config or "--rows"
-    sizes = values.get("occlusion", {})
-    if isinstance(sizes, dict):
-        if "rows" in sizes:
-            raise ConfigError(
-                where,
-                field="occlusion.rows",
-                found=str(sizes["rows"]),
-                expected="none",
-                hint="Give --rows: table and network are of the same pictures.",
-            )
-        values = {**values, "occlusion": {**sizes, "rows": rows}}
-    training = make_config(OcclusionTrainConfig, values, where)
-    require_within(training, where)
-    return training
 
 
 def _lit_head(
@@ -373,7 +276,7 @@ def infer_command(
     refine: float | None,
     progress: ProgressCallback,
     device_name: str = "auto",
-    mesostructure: str = SHIPPED,
+    mesostructure: str | None = None,
 ) -> dict[str, Any]:
     """Infer the maps of a texture, with the shipped weights where none are named; the facts."""
     began = time.monotonic()
@@ -408,16 +311,17 @@ def infer_command(
                 named,
                 refine_seconds=seconds,
                 device=device,
-                mesostructure=_mesostructure(mesostructure, device),
+                mesostructure=_mesostructure(mesostructure, seconds, device),
             )
     else:
-        if refine:
-            raise ConfigError(
-                "--refine",
-                found=f"{refine:g}, with a network of patches",
-                expected="none, or a whole-face network",
-                hint="Leave --checkpoint out for the weights that are shipped.",
-            )
+        for option, value in (("--refine", refine), ("--mesostructure", mesostructure)):
+            if value:
+                raise ConfigError(
+                    option,
+                    found=f"{value}, with a network of patches",
+                    expected="none, or a whole-face network",
+                    hint="Leave --checkpoint out for the weights that are shipped.",
+                )
         four = about.family == FourTrainConfig.family
         networks, _ = load_four_networks(about.folder) if four else load_generator(about.folder)
         image, notes = resampled_texture(image, about.texture_rows, texture)
@@ -450,12 +354,26 @@ def infer_command(
     }
 
 
-def _mesostructure(asked: str, device: torch.device) -> TrainedMesostructure | None:
-    """The network of `--mesostructure`, which finds pores and folds; None where none is asked."""
-    if asked == NONE:
+def _mesostructure(
+    asked: str | None, refine_seconds: float, device: torch.device
+) -> TrainedMesostructure | None:
+    """The network that finds pores and folds in a refined texture; None where none is asked for.
+
+    Args:
+        asked: a run's folder, or `NONE`; the shipped weights where None.
+        refine_seconds: of the refinement, without which no light is known.
+        device: where it runs.
+    """
+    if asked not in (None, NONE) and not refine_seconds:
+        raise ConfigError(
+            "--mesostructure",
+            found=f"{asked}, with --refine 0",
+            expected="a refined texture: pores and folds are found by its light",
+            hint="Give --refine more seconds, or leave --mesostructure out.",
+        )
+    if asked == NONE or not refine_seconds:
         return None
-    folder = shipped_mesostructure() if asked == SHIPPED else Path(asked)
-    network, about = load_mesostructure(folder)
+    network, about = load_mesostructure(Path(asked) if asked else shipped_mesostructure())
     return TrainedMesostructure(network, about.texture_rows, device)
 
 

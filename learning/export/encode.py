@@ -12,19 +12,15 @@ Maps are half floats, which have 65,536 values: a table of all of them encodes a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import cv2
 import numpy as np
 
-from learning.errors import MapsError
+from lightstage.formats.png import png_bytes
 from processing.colour import srgb_from_linear
 
-INDEX = 1.4
-"""Of refraction, of skin's surface, in which the maps were measured."""
-F0 = ((INDEX - 1) / (INDEX + 1)) ** 2
-"""Its reflectance at normal incidence, .0278."""
 SPECULAR_WHITE = 0.08
 """Specular albedo that a picture shows as white: what Unreal's input `Specular` and the specular
 level of other principled shaders with an index of 1.5 call 1."""
@@ -86,14 +82,6 @@ def quantised_normals(
     return out
 
 
-def png(pixels: np.ndarray, options: Sequence[int] = FASTEST) -> bytes:
+def png(pixels: np.ndarray) -> bytes:
     """The bytes of a PNG file: uint8 or uint16 of (h, w), (h, w, 3) rgb or (h, w, 4) rgba."""
-    turned = pixels
-    if pixels.ndim == 3:
-        turned = cv2.cvtColor(
-            pixels, cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
-        )
-    done, data = cv2.imencode(".png", turned, list(options))
-    if not done:
-        raise MapsError("picture", found=f"shape {pixels.shape}", expected="one that PNG can hold")
-    return bytes(data.tobytes())
+    return png_bytes(pixels, "picture", FASTEST)

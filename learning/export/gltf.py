@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from learning.export.encode import INDEX, perceptual
+from learning.export.encode import perceptual
 from learning.export.pictures import CONSTANT_ROUGHNESS, NORMAL, Pictures
 from learning.export.source import Source
+from learning.render.dielectric import INDEX
 from lightstage.formats.files import atomic_path
 
 METRES = 0.001

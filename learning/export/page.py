@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 
 from learning.errors import MapsError
-from learning.export.encode import INDEX, perceptual
+from learning.export.encode import perceptual
 from learning.export.gltf import METRES, corners_of, unit_normals
 from learning.export.pictures import CONSTANT_ROUGHNESS, Pictures
 from learning.export.source import Source
+from learning.render.dielectric import INDEX
 from lightstage.formats.files import write_text
 
 DATA = Path(__file__).parents[1] / "data"

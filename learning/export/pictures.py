@@ -7,7 +7,6 @@ import functools
 import numpy as np
 
 from learning.export.encode import (
-    F0,
     Curve,
     level,
     perceptual,
@@ -19,6 +18,7 @@ from learning.export.encode import (
 )
 from learning.export.source import Source
 from learning.maps import SHININESS
+from learning.render.dielectric import F0
 
 NORMAL = "specular_normal"
 """Whose directions a single normal map has: the surface's own, with its pores. Those of the diffuse

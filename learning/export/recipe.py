@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from learning.export.encode import F0, INDEX, SPECULAR_WHITE
+from learning.export.encode import SPECULAR_WHITE
 from learning.export.pictures import CONSTANT_ROUGHNESS
+from learning.render.dielectric import F0, INDEX
 
 RECIPE = f"""\
 Blender (4.0 and later), Principled BSDF

@@ -5,16 +5,18 @@ The library is Pixar's usd-core, an extra of this package: pip install 'lightsta
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from learning.errors import MapsError
-from learning.export.encode import F0, INDEX, SPECULAR_WHITE, perceptual
+from learning.export.encode import SPECULAR_WHITE, perceptual
 from learning.export.gltf import unit_normals
 from learning.export.pictures import CONSTANT_ROUGHNESS
 from learning.export.source import Source
+from learning.render.dielectric import F0, INDEX
 from lightstage.formats.files import atomic_path
 
 MM_IN_METRES = 0.001
@@ -24,15 +26,13 @@ SCATTERING_MM = 1.4
 
 def require_usd() -> None:
     """MapsError where usd-core is not installed."""
-    try:
-        import pxr  # noqa: F401
-    except ImportError:
+    if importlib.util.find_spec("pxr") is None:
         raise MapsError(
             "--format",
             found="usd, without the package usd-core",
             expected="the extra `usd`",
             hint="pip install 'lightstage[usd]', or leave usd out of --format.",
-        ) from None
+        )
 
 
 def write_usd(path: Path, source: Source, paths: dict[str, str]) -> Path:

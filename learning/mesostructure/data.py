@@ -81,22 +81,14 @@ class PatchPool:
             TrainingError: no patch tells of enough skin.
         """
         self._config = config
-        self._faces = Faces(
-            store,
-            subjects,
-            WholeFaceConfig(),
-            FacesConfig(shadow_sets=config.shadow_sets),
-            lights,
-            variation,
-            rng,
-            mode,
-        )
+        how = FacesConfig(shadow_sets=config.shadow_sets)
+        faces = Faces(store, subjects, WholeFaceConfig(), how, lights, variation, rng, mode)
         self.patches: list[tuple[Tensor, Tensor, Tensor]] = []
-        self.textures = max(1, round(config.textures / len(self._faces.faces)))
-        for index in range(len(self._faces.faces)):
-            for pair in self._faces.large(index, self.textures, rng):
+        of_each_scan = max(1, round(config.textures / len(faces.faces)))
+        for index in range(len(faces.faces)):
+            for pair in faces.large(index, of_each_scan, rng):
                 self._cut(lit_texture(pair, config, rng), rng)
-            progress(index + 1, len(self._faces.faces))
+            progress(index + 1, len(faces.faces))
         if not self.patches:
             raise TrainingError(
                 store.path,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 
 import cv2
 import numpy as np
@@ -35,9 +36,10 @@ class TrainedMesostructure:
     rows: int
     device: torch.device = CPU
 
-    def knows(self, rows: int) -> bool:
-        """Whether a texture of so many rows shows what the network knows."""
-        return rows >= LEAST_SHARE * self.rows
+    @property
+    def least_rows(self) -> int:
+        """Of a texture that shows what the network knows."""
+        return math.ceil(LEAST_SHARE * self.rows)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -69,19 +69,16 @@ def score_patches(network: Mesostructure, held_out: PatchPool) -> MesostructureS
         with torch.inference_mode():
             said = moved(network(given.to(device)), CPU)
         skin = weight[:, 0] > 0
-        nothing = torch.zeros_like(true)
-        for index, (found, wanted) in enumerate(
-            (
-                (said[:, :2], true[:, :2]),
-                (said[:, 2:4], true[:, 2:4]),
-                (nothing, true[:, :2]),
-                (nothing, true[:, 2:4]),
-            )
-        ):
-            sums[index] += float(angle_deg(found[:, :2], wanted)[skin].sum())
-        for index, shading in ((4, said[:, 4:]), (5, nothing[:, 4:])):
-            square = (shading - true[:, 4:]).square().mean(dim=1)
-            sums[index] += float(square[skin].sum())
+        shading = true[:, 4:]
+        each = (
+            angle_deg(said[:, :2], true[:, :2]),
+            angle_deg(said[:, 2:4], true[:, 2:4]),
+            angle_deg(0 * true[:, :2], true[:, :2]),
+            angle_deg(0 * true[:, 2:4], true[:, 2:4]),
+            (said[:, 4:] - shading).square().mean(dim=1),
+            shading.square().mean(dim=1),
+        )
+        sums += [float(values[skin].sum()) for values in each]
         texels += float(skin.sum())
     if not texels:
         raise TrainingError(

@@ -15,7 +15,9 @@ import torch
 from torch import Tensor
 
 INDEX = 1.4
+"""Of refraction, of skin's surface, with which maps are measured."""
 F0 = ((INDEX - 1) / (INDEX + 1)) ** 2
+"""Its reflectance at normal incidence, .0278."""
 LEAST_COSINE = 1e-4
 """Of the surface to the camera: normals of fine relief may turn away where the surface does not."""
 SMOOTHEST, ROUGHEST = 0.1, 0.7

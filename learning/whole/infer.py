@@ -128,6 +128,12 @@ def infer_whole_face(
             notes = [*notes, f"{named[0]} was not refined, the network's answer stands: {found}"]
         else:
             refined = found
+            if mesostructure is not None and found.normals is None:
+                notes = [
+                    *notes,
+                    f"{named[0]} has {counted(rows, 'row')}, too few for pores and folds, which "
+                    f"need {mesostructure.least_rows}: normals are the mesh's",
+                ]
     light = None if refined is None else in_mesh_axes(refined.light, head_from_mesh)
     if refined is None:
         if shares is None:

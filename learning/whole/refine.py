@@ -9,6 +9,7 @@ The texture over its own light then shows what the modes do not have.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 
 import cv2
@@ -16,8 +17,8 @@ import numpy as np
 
 from learning.encoding import shrink
 from learning.maps import SHININESS, from_batch, to_batch
-from learning.mesostructure.evidence import frame_of, slope_of
-from learning.mesostructure.infer import Found, TrainedMesostructure, find
+from learning.mesostructure.evidence import Frame, frame_of, slope_of
+from learning.mesostructure.infer import TrainedMesostructure, find
 from learning.networks.whole_face import DARKEST, WholeFaceNetwork
 from learning.render.uv import UvRaster, rasterise
 from learning.whole.detail import enlarged
@@ -143,10 +144,12 @@ def refine(
     followed = _Followed(mesh, raster, light, fit, here)
     unlit, known = followed.taken_out(texture, photographed, answer.specular, low_albedo)
     normals = None
-    if mesostructure is not None and mesostructure.knows(len(texture)):
+    if mesostructure is not None and len(texture) >= mesostructure.least_rows:
         found_there = find(mesostructure, unlit, known, followed.slope(), followed.level)
         unlit = np.clip(unlit * np.exp(-found_there.shading), DARKEST, 1.0)
-        normals = _tilted(mesh, raster, found_there)
+        frame = followed.frame if followed.raster is raster else _frame(mesh, raster)
+        tilts = (found_there.diffuse_tilt, found_there.specular_tilt)
+        normals = (frame.tilted(tilts[0]), frame.tilted(tilts[1]))
     sides = sides_mirror(network.mean_position_mm[0].permute(1, 2, 0).numpy())
     albedo = _with_marks(low_albedo, unlit, known, raster.covered, sides)
     return Refined(albedo, known, _light_set(light), normals)
@@ -208,7 +211,7 @@ class _Followed:
         rows, columns = raster.covered.shape
         if rows > LARGEST_ROWS:
             raster = rasterise(mesh, LARGEST_ROWS, round(columns * LARGEST_ROWS / rows))
-        self._mesh, self._raster, self._light = mesh, raster, light
+        self._mesh, self.raster, self._light = mesh, raster, light
         covered, self._lamps_mm = raster.covered, np.array(light.lamps_mm).reshape(-1, 3)
         surface = LitSurface(mesh, raster, CAMERA_MM)
         self._seen = surface.seen(self._lamps_mm)
@@ -237,7 +240,7 @@ class _Followed:
             low_albedo: (h, w, 3) diffuse albedo found so far.
         """
         rows, columns = photographed.shape
-        covered = self._raster.covered
+        covered = self.raster.covered
         edges = light_edges(self.level, covered)
         known = lit_enough(self.level, covered) & ~edges
         irradiance, lobe = self._irradiance, self._lobe
@@ -250,22 +253,25 @@ class _Followed:
         known &= photographed & matt(texture, shine)
         return unlit, known & ~misplaced(unlit / skin, edges, known)
 
+    @functools.cached_property
+    def frame(self) -> Frame:
+        """Directions at each of its texels."""
+        return _frame(self._mesh, self.raster)
+
     def slope(self) -> np.ndarray:
         """How the light changes with a tilt, see `slope_of`."""
-        covered = self._raster.covered
+        covered = self.raster.covered
         seen = np.zeros((len(self._seen), *covered.shape), np.float32)
         seen[:, covered] = self._seen
-        position_mm = self._raster.interpolate(self._mesh.vertices)
-        frame = frame_of(self._raster.normals(self._mesh), position_mm, covered)
+        position_mm = self.raster.interpolate(self._mesh.vertices)
         strength = self._light.rgb[:-1].mean(axis=1)
-        return slope_of(frame, position_mm, self._lamps_mm, strength, seen, self.level)
+        return slope_of(self.frame, position_mm, self._lamps_mm, strength, seen, self.level)
 
 
-def _tilted(mesh: Mesh, raster: UvRaster, found: Found) -> tuple[np.ndarray, np.ndarray]:
-    """(rows, columns, 3) unit normals of the diffuse and of the specular light."""
+def _frame(mesh: Mesh, raster: UvRaster) -> Frame:
+    """Directions at each texel of a mesh."""
     position_mm = raster.interpolate(mesh.vertices)
-    frame = frame_of(raster.normals(mesh), position_mm, raster.covered)
-    return frame.tilted(found.diffuse_tilt), frame.tilted(found.specular_tilt)
+    return frame_of(raster.normals(mesh), position_mm, raster.covered)
 
 
 def _with_marks(

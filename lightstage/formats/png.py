@@ -1,4 +1,4 @@
-"""PNG files of 8-bit pictures: encoded in memory, then written whole.
+"""PNG files of 8-bit and 16-bit pictures: encoded in memory, then written whole.
 
 OpenCV's own writer returns False where a disk is full or a folder is missing; the bytes written
 here raise what the system says.
@@ -21,7 +21,7 @@ def write_png(path: Path, pixels: np.ndarray, options: Sequence[int] = ()) -> Pa
 
     Args:
         path: the file.
-        pixels: (h, w), (h, w, 3) red green blue, or (h, w, 4) with alpha last; uint8.
+        pixels: (h, w), (h, w, 3) red green blue, or (h, w, 4) with alpha last; uint8 or uint16.
         options: OpenCV's `IMWRITE_PNG_..` in pairs.
 
     Returns:
@@ -43,11 +43,12 @@ def png_bytes(pixels: np.ndarray, where: str | Path, options: Sequence[int] = ()
         options: OpenCV's.
     """
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
-    if pixels.dtype != np.uint8 or pixels.ndim not in (2, 3) or channels not in (1, 3, 4):
+    kept = pixels.dtype in (np.uint8, np.uint16)
+    if not kept or pixels.ndim not in (2, 3) or channels not in (1, 3, 4):
         raise FormatError(
             where,
             found=f"{pixels.dtype} {pixels.shape}",
-            expected="uint8 of (h, w), (h, w, 3) or (h, w, 4)",
+            expected="uint8 or uint16 of (h, w), (h, w, 3) or (h, w, 4)",
         )
     order = {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[channels]
     turned = pixels if pixels.ndim == 2 else pixels[:, :, order]

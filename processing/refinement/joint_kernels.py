@@ -174,6 +174,26 @@ def solve_kernel(
         _keep(out, i, n, matte, rho, power, light, misfit, certainty, matte_turn2)
 
 
+@njit(cache=True)
+def _face(
+    pixels: Pixels, i: int, lamps: Lamps, spread: Spread
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A pixel's light, its diffuse part, albedo, axes across the normal, and normal equations."""
+    n, rgb, s = pixels.starts[i], pixels.rgb[i], float(pixels.specular[i])
+    light, diffuse = np.zeros((len(rgb), 12), np.float32), np.zeros((len(rgb), 3))
+    across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+    a, b, others = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
+    gather(
+        pixels.points[i], n, pixels.views[i], pixels.roughness[i],
+        pixels.corners[i], pixels.weights[i], lamps, light,
+    )  # fmt: skip
+    diffuse_light(light, spread.kept, pixels.rests[i], diffuse)
+    skin_albedo(light, diffuse, rgb, s, rho, power)
+    across_normal(n, across)
+    normal_equations(light, diffuse, rgb, rho, s, across, spread, a, b, others)
+    return light, diffuse, rho, across, a, b, others
+
+
 @njit(parallel=True, cache=True, error_model="numpy")
 def evidence_kernel(
     pixels: Pixels,
@@ -182,23 +202,12 @@ def evidence_kernel(
     out: np.ndarray,
 ) -> None:
     """Fill in what `joint.gloss_evidence` returns; arguments as there."""
-    rgb, points, views, roughness = pixels.rgb, pixels.points, pixels.views, pixels.roughness
-    corners, weights, rests = pixels.corners, pixels.weights, pixels.rests
-    patterns = rgb.shape[1]
-    for i in prange(len(rgb)):
+    patterns = pixels.rgb.shape[1]
+    for i in prange(len(pixels.rgb)):
         n = pixels.starts[i]
-        if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and roughness[i] > 0):
+        if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and pixels.roughness[i] > 0):
             continue
-        s = float(pixels.specular[i])
-        light = np.zeros((patterns, 12), np.float32)
-        across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
-        diffuse = np.zeros((patterns, 3))
-        a, b, others = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
-        gather(points[i], n, views[i], roughness[i], corners[i], weights[i], lamps, light)
-        diffuse_light(light, spread.kept, rests[i], diffuse)
-        skin_albedo(light, diffuse, rgb[i], s, rho, power)
-        across_normal(n, across)
-        normal_equations(light, diffuse, rgb[i], rho, s, across, spread, a, b, others)
+        _, _, _, _, a, b, others = _face(pixels, i, lamps, spread)
         free = b.copy()
         if not solve_in_place(a, free):
             continue
@@ -232,29 +241,18 @@ def held_out_kernel(
     out: np.ndarray,
 ) -> None:
     """Fill in what `joint.held_out` returns; arguments as there."""
-    rgb, points, views, roughness = pixels.rgb, pixels.points, pixels.views, pixels.roughness
-    corners, weights, rests = pixels.corners, pixels.weights, pixels.rests
-    patterns = rgb.shape[1]
-    for i in prange(len(rgb)):
+    for i in prange(len(pixels.rgb)):
         n = pixels.starts[i]
-        if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and roughness[i] > 0):
+        if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and pixels.roughness[i] > 0):
             continue
+        light, diffuse, rho, across, a, b, c = _face(pixels, i, lamps, spread)
         s = float(pixels.specular[i])
-        light = np.zeros((patterns, 12), np.float32)
-        across, rho, power = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
-        diffuse = np.zeros((patterns, 3))
-        a, b, c = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
         own_a, own_b, own_c = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 3))
-        gather(points[i], n, views[i], roughness[i], corners[i], weights[i], lamps, light)
-        diffuse_light(light, spread.kept, rests[i], diffuse)
-        skin_albedo(light, diffuse, rgb[i], s, rho, power)
-        across_normal(n, across)
-        normal_equations(light, diffuse, rgb[i], rho, s, across, spread, a, b, c)
         whole = left_when_fitted(a.copy(), b, c)
         for g in range(groups.max() + 1):
             some = np.flatnonzero(groups == g)
             normal_equations(
-                light[some], diffuse[some], rgb[i][some], rho, s, across, spread,
+                light[some], diffuse[some], pixels.rgb[i][some], rho, s, across, spread,
                 own_a, own_b, own_c,
             )  # fmt: skip
             rest = left_when_fitted(a - own_a, b - own_b, c - own_c)

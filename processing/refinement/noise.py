@@ -22,8 +22,6 @@ LEAST = 1e-4
 """A noise below this is not told from rounding to half floats."""
 NORMAL_MAD = 1.4826
 """A normal distribution's standard deviation over its median absolute deviation."""
-
-
 MIDDLE = 0.25
 """A reading of a typical face, at which two noises are compared."""
 

@@ -202,8 +202,7 @@ def test_an_untrained_network_says_that_all_detail_is_skin() -> None:
     level = np.ones((24, 16), np.float32)
     found = find(trained, unlit, known, np.zeros((24, 16, 2), np.float32), level)
     assert not any(np.any(x) for x in (found.diffuse_tilt, found.specular_tilt, found.shading))
-    assert trained.knows(24)
-    assert not trained.knows(23)
+    assert trained.least_rows == 24
 
 
 @pytest.mark.parametrize("rows", [24, 48, 96])
@@ -374,3 +373,30 @@ def called(arguments: list[str]) -> int:
     finally:
         sys.argv = before
     return 0
+
+
+def test_a_texture_with_too_few_rows_keeps_the_meshs_normals_and_says_so(
+    strangers: list[Path], run: Path
+) -> None:
+    person = ProcessedFolder(strangers[0])
+    mesh = read_mesh(person.registered_mesh)
+    head = load_head(person.root / "atlas", mesh, load_template(default_template_path()))
+    texture = lit_texture(head, LAMP, np.array([0.0, 0.0, 1100.0]), seen=shadows_of(head, LAMP))
+    network, _ = load_whole_face(shipped_weights())
+    coarse = TrainedMesostructure(load_mesostructure(run)[0], 400)
+    found = infer_whole_face(network, texture, mesh, refine_seconds=600, mesostructure=coarse)
+    plain = infer_whole_face(network, texture, mesh)
+    assert "192 rows, too few for pores and folds, which need 200" in found.notes[-1]
+    np.testing.assert_array_equal(found.maps["diffuse_normal"], plain.maps["diffuse_normal"])
+
+
+def test_a_network_that_would_not_be_used_is_refused(
+    strangers: list[Path], run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    person = ProcessedFolder(strangers[0])
+    write_exr(tmp_path / "T.exr", np.full((192, 128, 3), 0.3, np.float32))
+    asked = ["infer", "--texture", str(tmp_path / "T.exr"), "--mesh", str(person.registered_mesh)]
+    asked += ["--out", str(tmp_path / "out"), "--mesostructure", str(run), "--refine", "0"]
+    assert called(asked) == 2
+    assert "--mesostructure: found" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "diffuse_albedo.exr").exists()

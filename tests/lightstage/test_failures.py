@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import itertools
 import os
 
 import cv2
@@ -149,8 +150,9 @@ def test_a_defect_is_not_explained_away():
 
 def test_a_png_is_read_back_as_it_was_written(tmp_path):
     rng = np.random.default_rng(0)
-    for shape in ((5, 7), (5, 7, 3), (5, 7, 4)):
-        pixels = rng.integers(0, 256, shape, dtype=np.uint8)
+    shapes = ((5, 7), (5, 7, 3), (5, 7, 4))
+    for shape, kind in itertools.product(shapes, (np.uint8, np.uint16)):
+        pixels = rng.integers(0, np.iinfo(kind).max, shape, dtype=kind)
         back = cv2.imread(str(write_png(tmp_path / "a.png", pixels)), cv2.IMREAD_UNCHANGED)
         order = [2, 1, 0, 3][: shape[2]] if len(shape) == 3 else slice(None)
         np.testing.assert_array_equal(back[..., order] if len(shape) == 3 else back, pixels)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import base64
-import dataclasses
 import io
 import json
 import os
@@ -9,7 +8,6 @@ import re
 import shutil
 import struct
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,63 +16,20 @@ import numpy as np
 import pytest
 import trimesh
 
-from learning.__main__ import main
-from learning.export.encode import F0, SPECULAR_WHITE
+from learning.export.encode import SPECULAR_WHITE
 from learning.export.morphs import ARKIT, arkit_name
 from learning.export.source import read_source
-from learning.render.uv import rasterise
-from lightstage.formats.exr import read_exr, write_exr
+from learning.render.dielectric import F0
+from lightstage.formats.exr import read_exr
 from lightstage.formats.files import write_json
-from lightstage.formats.mesh import Mesh, read_mesh, read_obj, write_obj
+from lightstage.formats.mesh import read_mesh, read_obj
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.srgb import linear_from_srgb
 from lightstage.formats.template import Modes, Template, save_template
+from tests.learning.export.called import copied, run
 
 ROOT = Path(__file__).resolve().parents[3]
 NPM = ROOT / "build" / "npm"
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *words: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["lightstage-learning", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    return int(stopped.value.code or 0)
-
-
-@pytest.fixture(scope="session")
-def person(people: list[ProcessedFolder], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ball with rough and smooth skin, fine normals and a reflectance above that of n = 1.4.
-
-    Its texture leaves a border free.
-    """
-    root = tmp_path_factory.mktemp("export") / "person"
-    shutil.copytree(people[0].root, root)
-    folder = ProcessedFolder(root)
-    rng = np.random.default_rng(5)
-    mesh = read_obj(folder.registered_mesh)
-    assert mesh.uvs is not None
-    mesh = dataclasses.replace(mesh, uvs=0.1 + 0.8 * mesh.uvs)
-    write_obj(mesh, folder.registered_mesh)
-    shape = folder.read_atlas("diffuse_albedo").shape
-    raster = rasterise(mesh, *shape[:2])
-    folder.write_atlas("position", raster.interpolate(mesh.vertices))
-    smooth = raster.normals(mesh)
-    folder.write_atlas("diffuse_normal", smooth)
-    normal = smooth + 0.2 * rng.normal(size=shape)
-    folder.write_atlas("specular_normal", normal / np.linalg.norm(normal, axis=2, keepdims=True))
-    folder.write_atlas("diffuse_albedo", rng.uniform(0, 1, shape))
-    folder.write_atlas("specular_albedo", rng.uniform(0, 0.07, shape[:2]))
-    folder.write_atlas("roughness", rng.uniform(0.1, 0.5, shape[:2]))
-    folder.write_atlas("ambient_occlusion", rng.uniform(0, 1, shape[:2]))
-    return root
-
-
-@pytest.fixture(scope="session")
-def exported(person: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("exported") / "out"
-    with pytest.MonkeyPatch.context() as patch:
-        assert run(patch, "export", person, "--out", out) == 0
-    return out
 
 
 @pytest.fixture(scope="session")
@@ -290,101 +245,6 @@ def test_the_official_validator_finds_no_error_and_no_warning(exported: Path) ->
     )
     issues = json.loads(ended.stdout)
     assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"]
-
-
-def copied(person: Path, folder: Path) -> ProcessedFolder:
-    shutil.copytree(person, folder / "copy")
-    return ProcessedFolder(folder / "copy")
-
-
-def without_a_map(folder: ProcessedFolder) -> None:
-    folder.atlas_path("specular_albedo").unlink()
-
-
-def of_another_size(folder: ProcessedFolder) -> None:
-    folder.write_atlas("roughness", np.full((48, 32), 0.3))
-
-
-def with_nan(folder: ProcessedFolder) -> None:
-    image = folder.read_atlas("diffuse_albedo")
-    image[5, 5] = np.nan
-    write_exr(folder.atlas_path("diffuse_albedo"), image)
-
-
-def negative(folder: ProcessedFolder) -> None:
-    folder.write_atlas("specular_albedo", -folder.read_atlas("specular_albedo"))
-
-
-def of_another_head(folder: ProcessedFolder) -> None:
-    mesh = read_obj(folder.registered_mesh)
-    write_obj(mesh.with_vertices(mesh.vertices + np.array([30, 0, 0])), folder.registered_mesh)
-
-
-def in_other_axes(folder: ProcessedFolder) -> None:
-    folder.atlas_path("position").unlink()
-    mesh = read_obj(folder.registered_mesh)
-    write_obj(mesh.with_vertices(mesh.vertices[:, [2, 0, 1]]), folder.registered_mesh)
-
-
-def without_uv(folder: ProcessedFolder) -> None:
-    mesh = read_obj(folder.registered_mesh)
-    write_obj(Mesh(mesh.vertices, mesh.faces), folder.registered_mesh)
-
-
-def in_metres(folder: ProcessedFolder) -> None:
-    mesh = read_obj(folder.registered_mesh)
-    write_obj(mesh.with_vertices(mesh.vertices / 1000), folder.registered_mesh)
-
-
-def without_mesh(folder: ProcessedFolder) -> None:
-    folder.registered_mesh.unlink()
-
-
-@pytest.mark.parametrize(
-    ("spoil", "said"),
-    [
-        (without_a_map, "specular_albedo.exr"),
-        (of_another_size, "expected 96 x 64, as diffuse_albedo"),
-        (with_nan, "diffuse_albedo.exr"),
-        (negative, "negative"),
-        (of_another_head, "position.exr"),
-        (in_other_axes, "maps of the mesh's own template, in its axes"),
-        (without_uv, "uv: found none"),
-        (in_metres, "Multiply it by 1000"),
-        (without_mesh, "Name it by --mesh"),
-    ],
-)
-def test_bad_input_is_one_message_that_names_it_and_nothing_is_written(
-    spoil: Any,
-    said: str,
-    person: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    folder = copied(person, tmp_path)
-    spoil(folder)
-    before = sorted(tmp_path.iterdir())
-    assert run(monkeypatch, "export", folder.root, "--out", tmp_path / "out") == 2
-    err = capsys.readouterr().err
-    assert said in err
-    assert "Traceback" not in err
-    assert sorted(tmp_path.iterdir()) == before
-
-
-def test_a_place_that_is_taken_and_a_format_that_is_unknown_are_refused(
-    person: Path,
-    exported: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    before = (exported / "head.glb").read_bytes()
-    assert run(monkeypatch, "export", person, "--out", exported) == 2
-    assert "expected a new folder" in capsys.readouterr().err
-    assert (exported / "head.glb").read_bytes() == before
-    assert run(monkeypatch, "export", person, "--out", exported / "new", "--format", "fbx") == 2
-    assert "some of gltf, obj, maps, usd, page" in capsys.readouterr().err
-    assert not (exported / "new").exists()
 
 
 def test_maps_without_a_processed_folder_take_the_mesh_that_is_named_and_a_constant_roughness(

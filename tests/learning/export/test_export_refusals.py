@@ -1,0 +1,104 @@
+"""What `export` refuses: one message, and nothing is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lightstage.formats.exr import write_exr
+from lightstage.formats.mesh import Mesh, read_obj, write_obj
+from lightstage.formats.processed import ProcessedFolder
+from tests.learning.export.called import copied, run
+
+
+def without_a_map(folder: ProcessedFolder) -> None:
+    folder.atlas_path("specular_albedo").unlink()
+
+
+def of_another_size(folder: ProcessedFolder) -> None:
+    folder.write_atlas("roughness", np.full((48, 32), 0.3))
+
+
+def with_nan(folder: ProcessedFolder) -> None:
+    image = folder.read_atlas("diffuse_albedo")
+    image[5, 5] = np.nan
+    write_exr(folder.atlas_path("diffuse_albedo"), image)
+
+
+def negative(folder: ProcessedFolder) -> None:
+    folder.write_atlas("specular_albedo", -folder.read_atlas("specular_albedo"))
+
+
+def of_another_head(folder: ProcessedFolder) -> None:
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(mesh.with_vertices(mesh.vertices + np.array([30, 0, 0])), folder.registered_mesh)
+
+
+def in_other_axes(folder: ProcessedFolder) -> None:
+    folder.atlas_path("position").unlink()
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(mesh.with_vertices(mesh.vertices[:, [2, 0, 1]]), folder.registered_mesh)
+
+
+def without_uv(folder: ProcessedFolder) -> None:
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(Mesh(mesh.vertices, mesh.faces), folder.registered_mesh)
+
+
+def in_metres(folder: ProcessedFolder) -> None:
+    mesh = read_obj(folder.registered_mesh)
+    write_obj(mesh.with_vertices(mesh.vertices / 1000), folder.registered_mesh)
+
+
+def without_mesh(folder: ProcessedFolder) -> None:
+    folder.registered_mesh.unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (without_a_map, "specular_albedo.exr"),
+        (of_another_size, "expected 96 x 64, as diffuse_albedo"),
+        (with_nan, "diffuse_albedo.exr"),
+        (negative, "negative"),
+        (of_another_head, "position.exr"),
+        (in_other_axes, "maps of the mesh's own template, in its axes"),
+        (without_uv, "uv: found none"),
+        (in_metres, "Multiply it by 1000"),
+        (without_mesh, "Name it by --mesh"),
+    ],
+)
+def test_bad_input_is_one_message_that_names_it_and_nothing_is_written(
+    spoil: Any,
+    said: str,
+    person: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = copied(person, tmp_path)
+    spoil(folder)
+    before = sorted(tmp_path.iterdir())
+    assert run(monkeypatch, "export", folder.root, "--out", tmp_path / "out") == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert "Traceback" not in err
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_place_that_is_taken_and_a_format_that_is_unknown_are_refused(
+    person: Path,
+    exported: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = (exported / "head.glb").read_bytes()
+    assert run(monkeypatch, "export", person, "--out", exported) == 2
+    assert "expected a new folder" in capsys.readouterr().err
+    assert (exported / "head.glb").read_bytes() == before
+    assert run(monkeypatch, "export", person, "--out", exported / "new", "--format", "fbx") == 2
+    assert "some of gltf, obj, maps, usd, page" in capsys.readouterr().err
+    assert not (exported / "new").exists()
