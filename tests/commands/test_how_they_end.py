@@ -87,7 +87,7 @@ def test_ctrl_c_while_a_program_starts_ends_it_without_a_traceback(program, modu
 
 def test_ctrl_c_while_a_command_imports_what_it_needs_ends_it_in_order(tmp_path):
     words = ["occlusion", "--out", str(tmp_path / "a.npz"), "--json"]
-    for module in ("learning.commands", "torch", "torch.nn"):
+    for module in ("learning.occlusion_command", "torch", "torch.nn"):
         script = WITH_CTRL_C.format(program="learning", module=module, words=words)
         done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
         assert (done.returncode, done.stderr) == (130, "Interrupted.\n"), module
