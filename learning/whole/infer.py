@@ -29,7 +29,7 @@ from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
 from learning.render.uv import rasterise
 from learning.whole.detail import enlarged, with_detail
-from learning.whole.refine import Answer, Refined, refine
+from learning.whole.refine import CAMERA_MM, Answer, Refined, refine
 from lightstage.counting import counted
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
@@ -58,6 +58,7 @@ def infer_whole_face(
     refine_seconds: float = 0.0,
     device: torch.device = CPU,
     mesostructure: TrainedMesostructure | None = None,
+    camera_mm: np.ndarray | None = None,
 ) -> Inferred:
     """Infer a texture's reflectance.
 
@@ -74,6 +75,8 @@ def infer_whole_face(
             `learning.whole.refine`); 0 for the network's answer.
         device: where the network runs, as a copy; all else is the processor's.
         mesostructure: with refinement, finds pores and folds.
+        camera_mm: (3,) from where the texture was photographed, in the mesh's axes; from in front
+            of the face where None.
 
     Returns:
         Maps of the texture's size in the mesh's axes; zero where no surface is. Normals are the
@@ -122,7 +125,10 @@ def infer_whole_face(
         answer = Answer(_image(small), _image(shown)[..., 0] > 0, log_albedo, low_specular, trust)
         placed = mesh.vertices @ head_from_mesh[:, :3].T + head_from_mesh[:, 3]
         head = dataclasses.replace(mesh, vertices=placed)
-        asked = (texture, photographed, head, raster, refine_seconds, mesostructure)
+        viewed = CAMERA_MM
+        if camera_mm is not None:
+            viewed = head_from_mesh[:, :3] @ camera_mm + head_from_mesh[:, 3]
+        asked = (texture, photographed, head, raster, refine_seconds, mesostructure, viewed)
         found = refine(network, answer, *asked)
         if isinstance(found, str):
             notes = [*notes, f"{named[0]} was not refined, the network's answer stands: {found}"]

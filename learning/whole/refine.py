@@ -100,6 +100,7 @@ def refine(
     raster: UvRaster,
     seconds: float,
     mesostructure: TrainedMesostructure | None = None,
+    camera_mm: np.ndarray = CAMERA_MM,
 ) -> Refined | str:
     """Take the light out of a texture, beginning with a network's answer.
 
@@ -112,6 +113,7 @@ def refine(
         raster: the texture's.
         seconds: to search, at most; what is found by then is used.
         mesostructure: finds pores and folds in the texture's detail; all detail is skin where None.
+        camera_mm: (3,) from where the texture was photographed, head frame.
 
     Returns:
         The light and the skin, or why there are none, in words.
@@ -122,7 +124,7 @@ def refine(
     weight = (answer.seen & here)[here] * answer.trust[here] ** 2
     colours = answer.texture[here].astype(float)
     skin = known_skin(network, answer, here, weight)
-    fit = LightFit(LitSurface(mesh, low, CAMERA_MM), colours, weight)
+    fit = LightFit(LitSurface(mesh, low, camera_mm), colours, weight)
     light: Light | None = None
     found = Explained(skin.said, np.zeros((0, 3)), 1.0, skin.doubt)
     for _ in range(ROUNDS):
@@ -141,7 +143,7 @@ def refine(
     low_albedo = np.exp(answer.log_albedo)
     low_albedo[here] = skin.albedo(found.along)
     answer = dataclasses.replace(answer, specular=found.gloss * answer.specular)
-    followed = _Followed(mesh, raster, light, fit, here)
+    followed = _Followed(mesh, raster, light, fit, here, camera_mm)
     unlit, known = followed.taken_out(texture, photographed, answer.specular, low_albedo)
     normals = None
     if mesostructure is not None and len(texture) >= mesostructure.least_rows:
@@ -206,14 +208,20 @@ class _Followed:
     """A light in a texture's texels, in `LARGEST_ROWS` at most."""
 
     def __init__(
-        self, mesh: Mesh, raster: UvRaster, light: Light, fit: LightFit, here: np.ndarray
+        self,
+        mesh: Mesh,
+        raster: UvRaster,
+        light: Light,
+        fit: LightFit,
+        here: np.ndarray,
+        camera_mm: np.ndarray,
     ) -> None:
         rows, columns = raster.covered.shape
         if rows > LARGEST_ROWS:
             raster = rasterise(mesh, LARGEST_ROWS, round(columns * LARGEST_ROWS / rows))
         self._mesh, self.raster, self._light = mesh, raster, light
         covered, self._lamps_mm = raster.covered, np.array(light.lamps_mm).reshape(-1, 3)
-        surface = LitSurface(mesh, raster, CAMERA_MM)
+        surface = LitSurface(mesh, raster, camera_mm)
         self._seen = surface.seen(self._lamps_mm)
         given, lobes = surface.under(self._lamps_mm, fit.shininess, self._seen)
         openness = np.zeros(here.shape)

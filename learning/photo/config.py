@@ -1,0 +1,45 @@
+"""What the fit of a head to photographs is configured by."""
+
+from __future__ import annotations
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class FitConfig:
+    """The only defaults of `fit`.
+
+    Attributes:
+        rows: of the texture, a multiple of 3 (rows : columns = 3 : 2).
+        landmark_percent: standard deviation of a landmark, of the distance between the eyes'
+            outer corners.
+        focal_spread: standard deviation of the focal length's logarithm where no file tells it.
+        focal_told_spread: the same where EXIF tells it.
+        identity_modes: of the template, at most.
+        depth_ratio: of people's faces to the template's, from the ears to the front. Our template
+            is deeper than people are: a scanned head (Lee Perry-Smith's) has .88 of its depth, the
+            mean of ICT's model .73.
+        depth_deviation: standard deviation of that ratio.
+        free_modes: smooth changes of the shape beside the template's modes.
+        free_mm: standard deviations of these changes on the face, one for each of their sizes.
+        free_length_mm: distances over which they are alike, for each of these sizes.
+        asymmetry: standard deviation of what the two sides of a face do not share, of `free_mm`.
+        expression_spread: standard deviation of an expression's strength; 1 is its full one.
+        refine_seconds: for the search of the light and the skin under it, at most.
+        rounds: of light, skin and mask in turns.
+    """
+
+    rows: int = 1536
+    landmark_percent: float = 2.0
+    focal_spread: float = 0.35
+    focal_told_spread: float = 0.03
+    identity_modes: int = 100
+    depth_ratio: float = 0.85
+    depth_deviation: float = 0.12
+    free_modes: int = 100
+    free_mm: tuple[float, ...] = (3.0, 1.0)
+    free_length_mm: tuple[float, ...] = (40.0, 18.0)
+    asymmetry: float = 0.25
+    expression_spread: float = 0.25
+    refine_seconds: float = 20.0
+    rounds: int = 2

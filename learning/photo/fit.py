@@ -1,0 +1,387 @@
+"""One photograph, or several of one person, to a head: shape, camera, light and texture.
+
+Landmarks tell the camera and the shape. The first photograph is then brought into the template's
+texture; the whole-face network and refinement (`learning.whole`) find its light and the skin under
+it, which also fills what the photograph does not show: the skin there, under the same light.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+
+from learning.errors import MapsError
+from learning.infer import Inferred
+from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
+from learning.mesostructure.infer import TrainedMesostructure
+from learning.networks.whole_face import WholeFaceNetwork
+from learning.photo.config import FitConfig
+from learning.photo.landmark_fit import LandmarkFit, Sighting, Taken, fit_landmarks
+from learning.photo.model import ShapeModel, shape_model
+from learning.photo.unwrap import Unwrapped, unwrap
+from learning.relight import lit_texture, shadows_of
+from learning.render.uv import UvRaster, rasterise
+from learning.whole.gaps import continued
+from learning.whole.infer import infer_whole_face
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.environment import LightSet
+from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.template import Template
+from lightstage.rig import Camera
+
+COARSE_ROWS = 384
+"""Of the texture on which the mask of the skin is found."""
+FIRST_SECONDS = 6.0
+"""For the light of the coarse texture."""
+NOT_SKIN = 0.9
+"""Difference in natural logarithms from the mean person's pattern, over some millimetres, from
+which a place shows no skin: hair, glasses, a hand's shadow. Freckles and lips stay below .5."""
+SPREAD = 1 / 64
+"""Of such a place around it, of the texture's rows."""
+FEATURES = ("eyes", "lips")
+"""Regions of a template that may differ from the mean person as they please."""
+BROWS = slice(17, 27)
+"""In iBUG's order."""
+BROW_MM = 14.0
+LEAST_SEEN = 0.05
+"""Share of the face's texels that a photograph must show."""
+DARK = 0.01
+"""Added to both before a photograph is compared with its model."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Photograph:
+    """A photograph and the landmarks on it.
+
+    Attributes:
+        name: for messages.
+        rgb_linear: (h, w, 3) float32, 1 = the picture's white.
+        landmarks_px: (p, 2), NaN where hidden.
+        focal_px: where the file tells it.
+    """
+
+    name: str
+    rgb_linear: np.ndarray
+    landmarks_px: np.ndarray
+    focal_px: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Places:
+    """Where landmarks lie on a template: corners and weights, (p, 3) each."""
+
+    triangles: np.ndarray
+    weights: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """A person's shape and how each photograph was taken.
+
+    Attributes:
+        model: that was fitted.
+        landmarks: the fit's answer.
+        cameras: of the photographs, world = the head frame.
+        meshes: of the photographs: the person with each one's expression, head frame.
+        neutral: the person without an expression, head frame.
+        deviation_mm: (n,) standard deviation of each vertex by what the photographs do not tell.
+    """
+
+    model: ShapeModel
+    landmarks: LandmarkFit
+    cameras: tuple[Camera, ...]
+    meshes: tuple[Mesh, ...]
+    neutral: Mesh
+    deviation_mm: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class FittedHead:
+    """A head as the first photograph shows it.
+
+    Attributes:
+        shape: the person.
+        texture: (rows, columns, 3) float32 linear, with the photograph's light in it, whole.
+        seen: (rows, columns) bool, taken from the photograph; the rest is filled.
+        confidence: (rows, columns) float32, 0..1, of the texture: the cosine to the camera where it
+            was seen, 0 where it was filled.
+        inferred: the maps of the skin, in the head frame.
+        light: of the photograph, head frame; None where none explained it.
+        misfit: root mean square of the difference between the photograph and the model under its
+            light, over the seen texels, sRGB-like (natural logarithms); NaN without a light.
+        masked: share of the face's seen texels that were found to be no skin.
+        notes: what a user should know, a line each.
+    """
+
+    shape: Shape
+    texture: np.ndarray
+    seen: np.ndarray
+    confidence: np.ndarray
+    inferred: Inferred
+    light: LightSet | None
+    misfit: float
+    masked: float
+    notes: tuple[str, ...]
+
+
+def fit_shape(
+    photographs: list[Photograph], template: Template, places: Places, config: FitConfig
+) -> Shape:
+    """Find the shape of the person, the cameras and the expressions.
+
+    Args:
+        photographs: of one person.
+        template: whose topology the head has.
+        places: of the landmarks on it.
+        config: what is known before.
+
+    Raises:
+        MapsError: a photograph with too few landmarks, or none that agree with a face.
+    """
+    model = shape_model(template, config)
+    there = model.at(places.triangles, places.weights)
+    normals = vertex_normals(model.mean, template.mesh.triangles())
+    facing = np.einsum("pck,pc->pk", normals[places.triangles], places.weights)
+    sightings = []
+    for photograph in photographs:
+        height, width = photograph.rgb_linear.shape[:2]
+        known = np.isfinite(photograph.landmarks_px).all(axis=1).sum()
+        if known < 8:
+            raise MapsError(
+                photograph.name,
+                field="landmarks",
+                found=f"{known} of {len(photograph.landmarks_px)}",
+                expected="8 or more",
+            )
+        sightings.append(Sighting(photograph.landmarks_px, width, height, photograph.focal_px))
+    found = fit_landmarks(there, sightings, config, facing)
+    for photograph, taken in zip(photographs, found.photographs, strict=True):
+        if not (taken.used > 0.25).sum() >= 8:
+            raise MapsError(
+                photograph.name,
+                field="landmarks",
+                found="landmarks that fit no head",
+                expected="those of one face, in the scheme's order",
+            )
+    cameras, meshes = [], []
+    for photograph, taken in zip(photographs, found.photographs, strict=True):
+        cameras.append(_camera(photograph, taken))
+        meshes.append(template.mesh.with_vertices(model.vertices(found.identity, taken.expression)))
+    neutral = model.vertices(found.identity, np.zeros(len(model.expression)))
+    deviation = np.linalg.norm(found.deviation_mm(model.identity), axis=1)
+    return Shape(
+        model,
+        found,
+        tuple(cameras),
+        tuple(meshes),
+        template.mesh.with_vertices(neutral),
+        deviation,
+    )
+
+
+def fit_head(
+    photographs: list[Photograph],
+    template: Template,
+    places: Places,
+    network: WholeFaceNetwork,
+    config: FitConfig,
+    mesostructure: TrainedMesostructure | None = None,
+    progress: ProgressCallback = quiet,
+) -> FittedHead:
+    """Fit a head to photographs of one person; shape from all, texture and light from the first.
+
+    Args:
+        photographs: the first one gives the texture.
+        template: whose topology and UV the head has.
+        places: of the landmarks on it.
+        network: in evaluation mode.
+        config: of the fit.
+        mesostructure: finds pores and folds.
+        progress: called with steps done and their number.
+
+    Raises:
+        MapsError: see `fit_shape`; a photograph that shows too little of the face.
+    """
+    steps = config.rounds + 2
+    shape = fit_shape(photographs, template, places, config)
+    progress(1, steps)
+    photograph, mesh, camera = photographs[0], shape.meshes[0], shape.cameras[0]
+    coarse = _Texels(photograph, mesh, camera, COARSE_ROWS)
+    face = coarse.raster.interpolate(shape.model.face[:, None].astype(float))[..., 0] > 0.5
+    share = (coarse.unwrapped.seen & face).sum() / max(face.sum(), 1)
+    if share < LEAST_SEEN:
+        raise MapsError(
+            photograph.name,
+            found=f"{100 * share:.0f} % of the face",
+            expected=f"{100 * LEAST_SEEN:.0f} % or more",
+            hint="Take a photograph from farther in front.",
+        )
+    keep = features(template, coarse.raster)
+    skin = coarse.unwrapped.seen
+    for done in range(config.rounds - 1):
+        found = coarse.inferred(network, skin, FIRST_SECONDS, camera, None)
+        other = no_skin(found.maps["diffuse_albedo"], network, skin, keep)
+        before, skin = skin, coarse.unwrapped.seen & ~other
+        progress(2 + done, steps)
+        if (before != skin).mean() < 1e-3:
+            break
+    texels = _Texels(photograph, mesh, camera, config.rows)
+    masked = 1 - (skin & face).sum() / max((coarse.unwrapped.seen & face).sum(), 1)
+    size = texels.raster.covered.shape[::-1]
+    allowed = cv2.resize((coarse.unwrapped.seen & ~skin).astype(np.float32), size) < 0.5
+    seen = texels.unwrapped.seen & allowed
+    inferred = texels.inferred(network, seen, config.refine_seconds, camera, mesostructure)
+    progress(steps - 1, steps)
+    notes = list(inferred.notes)
+    model = None
+    if inferred.light is not None:
+        model = _lit(texels, inferred, inferred.light, camera)
+    texture = joined(texels.unwrapped.texture, seen, texels.raster.covered, model)
+    misfit = float("nan") if model is None else _misfit(texels.unwrapped.texture, model, seen)
+    if model is None:
+        notes.append(
+            f"{photograph.name}: no light was found that explains it; what it does not show was "
+            "continued from what it shows"
+        )
+    confidence = np.where(seen, np.clip(texels.unwrapped.facing, 0, 1), 0).astype(np.float32)
+    progress(steps, steps)
+    return FittedHead(
+        shape,
+        texture,
+        seen,
+        confidence,
+        inferred,
+        inferred.light,
+        misfit,
+        float(masked),
+        tuple(notes),
+    )
+
+
+class _Texels:
+    """A photograph in the texels of its mesh."""
+
+    def __init__(self, photograph: Photograph, mesh: Mesh, camera: Camera, rows: int) -> None:
+        self.name, self.mesh = photograph.name, mesh
+        self.raster: UvRaster = rasterise(mesh, rows, rows * 2 // 3)
+        self.unwrapped: Unwrapped = unwrap(photograph.rgb_linear, mesh, self.raster, camera)
+
+    def inferred(
+        self,
+        network: WholeFaceNetwork,
+        shown: np.ndarray,
+        seconds: float,
+        camera: Camera,
+        mesostructure: TrainedMesostructure | None,
+    ) -> Inferred:
+        """Skin and light of the texels that are shown."""
+        texture = np.where(shown[..., None], self.unwrapped.texture, 0)
+        return infer_whole_face(
+            network,
+            texture.astype(np.float32),
+            self.mesh,
+            np.eye(3, 4),
+            (self.name, "the fitted mesh"),
+            refine_seconds=seconds,
+            mesostructure=mesostructure,
+            camera_mm=camera.centre_mm,
+        )
+
+
+def features(template: Template, raster: UvRaster) -> np.ndarray:
+    """(rows, columns) bool, eyes, lips and brows of a template: they differ between people."""
+    vertices = template.mesh.vertices
+    chosen = np.zeros(len(vertices), bool)
+    for name in FEATURES:
+        chosen[template.regions.get(name, np.zeros(0, int))] = True
+    brows = vertices[template.landmarks[BROWS]]
+    for place in brows:
+        chosen |= np.linalg.norm(vertices - place, axis=1) < BROW_MM
+    return np.asarray(raster.interpolate(chosen[:, None].astype(float))[..., 0] > 0)
+
+
+def no_skin(
+    albedo: np.ndarray, network: WholeFaceNetwork, seen: np.ndarray, keep: np.ndarray
+) -> np.ndarray:
+    """(rows, columns) bool, places whose albedo is far from what skin has there.
+
+    Args:
+        albedo: (rows, columns, 3) found.
+        network: with the mean person's pattern.
+        seen: (rows, columns) bool.
+        keep: (rows, columns) bool, never taken for something else.
+    """
+    rows, columns = seen.shape
+    mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy().mean(axis=2)
+    mean = cv2.resize(mean, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    off = np.log(np.maximum(albedo.mean(axis=2), 1e-3)) - mean
+    weight = seen.astype(np.float32)
+    if not seen.any():
+        return seen
+    off = np.where(seen, off - np.median(off[seen]), 0).astype(np.float32)
+    sigma = rows / 192
+    around = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
+    smooth = cv2.GaussianBlur(off, (0, 0), sigma) / around
+    far = (np.abs(smooth) > NOT_SKIN) & seen & ~keep
+    reach = max(1, round(SPREAD * rows))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    return np.asarray((cv2.dilate(far.astype(np.uint8), disc) > 0) & ~keep)
+
+
+def joined(
+    photographed: np.ndarray, seen: np.ndarray, covered: np.ndarray, model: np.ndarray | None
+) -> np.ndarray:
+    """A whole texture: the photograph where it is seen, its model elsewhere, without a step.
+
+    Args:
+        photographed: (rows, columns, 3) linear.
+        seen: (rows, columns) bool.
+        covered: (rows, columns) bool, where a surface is.
+        model: (rows, columns, 3) of the skin under the photograph's light; None for none, where the
+            photograph is continued.
+    """
+    base = np.ones_like(photographed) if model is None else np.maximum(model, 0) + DARK
+    ratio = np.log((np.maximum(photographed, 0) + DARK) / base)
+    own = np.where(seen[..., None], ratio, 0).astype(np.float32)
+    filled = np.exp(continued(own, seen)) * base - DARK
+    texture = np.where(seen[..., None], photographed, np.maximum(filled, 0))
+    return (texture * covered[..., None]).astype(np.float32)
+
+
+def _lit(texels: _Texels, inferred: Inferred, light: LightSet, camera: Camera) -> np.ndarray:
+    """(rows, columns, 3) the skin that was found under the light that was found."""
+    covered = texels.raster.covered
+    maps = {**inferred.maps, "position": texels.raster.interpolate(texels.mesh.vertices)}
+    ones = np.ones(covered.shape, np.float32)
+    skin = skin_maps_from(maps, covered, SHININESS * ones, TRANSLUCENCY * ones)
+    head = TexturedHead(texels.mesh, texels.raster, skin, covered)
+    return lit_texture(head, light, camera.centre_mm, None, shadows_of(head, light))
+
+
+def _misfit(photographed: np.ndarray, model: np.ndarray, seen: np.ndarray) -> float:
+    """Root mean square of the logarithm of the ratio, over the seen texels."""
+    if not seen.any():
+        return float("nan")
+    off = np.log((np.maximum(photographed[seen], 0) + DARK) / (np.maximum(model[seen], 0) + DARK))
+    return float(np.sqrt((off**2).mean()))
+
+
+def _camera(photograph: Photograph, taken: Taken) -> Camera:
+    """The photograph's camera; its world is the head frame."""
+    height, width = photograph.rgb_linear.shape[:2]
+    pose = np.column_stack([taken.rotation, taken.offset_mm])
+    return Camera(
+        id=photograph.name,
+        serial="",
+        model="",
+        width_px=width,
+        height_px=height,
+        fx_px=taken.focal_px,
+        fy_px=taken.focal_px,
+        cx_px=width / 2,
+        cy_px=height / 2,
+        dist=(0.0, 0.0, 0.0, 0.0, 0.0),
+        cam_from_world=pose,
+    )

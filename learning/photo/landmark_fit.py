@@ -1,0 +1,359 @@
+"""Cameras, poses, one identity and expressions from landmarks, by damped least squares.
+
+Unknown are one identity, and for each photograph the focal length, the pose and the expression.
+Each landmark's distance in pixels counts over its standard deviation, cut off robustly
+[GemanMcClure1985]; each unknown counts by what is known of it before. The inverse of the last
+normal matrix is the covariance of the answer: it says what the photographs do not tell.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from learning.photo.config import FitConfig
+from learning.photo.model import ShapeModel
+
+ROUNDS = 60
+SETTLED = 1e-6
+"""A step that lowers the cost by less than this share is the last."""
+CUT_OFF = 3.0
+"""Standard deviations at which a landmark loses its weight."""
+FIRST_FOCAL = 1.3
+"""Focal length of an unknown camera, of the picture's longer side: between a phone's .75 and a
+portrait lens's 3, where most portraits are."""
+NEAREST_MM, FARTHEST_MM = 150.0, 20_000.0
+_PER_PHOTO = 7
+"""Unknowns of a photograph before its expression: the logarithm of the focal length, a rotation
+vector, the image of the head's origin (2) and the logarithm of its distance."""
+STEEPEST = 0.05
+"""Cosine between a landmark's normal and the direction to the camera below which it is hidden."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sighting:
+    """The landmarks of one photograph.
+
+    Attributes:
+        points_px: (p, 2), NaN where there is none; the top-left pixel's centre is (0.5, 0.5).
+        width_px: of the picture.
+        height_px: of the picture.
+        focal_px: where the file tells it, else None.
+        sigma_px: standard deviation of a landmark; None for the configuration's share of the eyes'
+            distance.
+    """
+
+    points_px: np.ndarray
+    width_px: int
+    height_px: int
+    focal_px: float | None = None
+    sigma_px: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Taken:
+    """How one photograph was taken, and with which face.
+
+    Attributes:
+        focal_px: focal length.
+        rotation: (3, 3) of cam_from_head.
+        offset_mm: (3,) of cam_from_head.
+        expression: (m,) strengths.
+        residual_px: root mean square over its landmarks, those that lost their weight left out.
+        used: (p,) 0..1, how much each landmark counts at the end.
+    """
+
+    focal_px: float
+    rotation: np.ndarray
+    offset_mm: np.ndarray
+    expression: np.ndarray
+    residual_px: float
+    used: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class LandmarkFit:
+    """A person and how they were photographed.
+
+    Attributes:
+        identity: (k,) coefficients.
+        photographs: one for each sighting.
+        covariance: (u, u) of identity, then of each photograph's unknowns.
+    """
+
+    identity: np.ndarray
+    photographs: tuple[Taken, ...]
+    covariance: np.ndarray
+
+    def deviation_mm(self, identity_modes: np.ndarray) -> np.ndarray:
+        """(n, 3) standard deviation of vertices by what is not known of the identity.
+
+        Args:
+            identity_modes: (k, n, 3).
+        """
+        count = len(self.identity)
+        values, vectors = np.linalg.eigh(self.covariance[:count, :count])
+        spread = np.tensordot((vectors * np.sqrt(np.maximum(values, 0))).T, identity_modes, 1)
+        found: np.ndarray = np.sqrt((spread**2).sum(axis=0))
+        return found
+
+
+@dataclasses.dataclass
+class _Unknowns:
+    """Where the search stands."""
+
+    identity: np.ndarray
+    log_focal: np.ndarray
+    rotation: list[Rotation]
+    image: np.ndarray
+    log_depth: np.ndarray
+    expression: np.ndarray
+
+    def moved(self, step: np.ndarray) -> _Unknowns:
+        """After a step in the order of the normal equations."""
+        kept = len(self.identity)
+        each = step[kept:].reshape(len(self.log_focal), -1)
+        return _Unknowns(
+            self.identity + step[:kept],
+            self.log_focal + each[:, 0],
+            [
+                Rotation.from_rotvec(turn) * before
+                for turn, before in zip(each[:, 1:4], self.rotation, strict=True)
+            ],
+            self.image + each[:, 4:6],
+            np.clip(self.log_depth + each[:, 6], np.log(NEAREST_MM), np.log(FARTHEST_MM)),
+            self.expression + each[:, 7:],
+        )
+
+
+def fit_landmarks(
+    model: ShapeModel,
+    sightings: list[Sighting],
+    config: FitConfig,
+    normals: np.ndarray | None = None,
+    fixed_shape: bool = False,
+) -> LandmarkFit:
+    """Fit a person to the landmarks of one or several photographs.
+
+    Args:
+        model: of the p landmarks (`ShapeModel.at`).
+        sightings: of the photographs.
+        config: what is known before.
+        normals: (p, 3) of the mean surface there, head frame: landmarks turned away from the
+            camera do not count.
+        fixed_shape: keep the mean shape: cameras, poses and expressions alone.
+
+    Raises:
+        ValueError: a photograph with fewer than 8 landmarks.
+    """
+    for sighting in sightings:
+        if np.isfinite(sighting.points_px).all(axis=1).sum() < 8:
+            raise ValueError("a fit needs 8 landmarks at least")
+    if fixed_shape:
+        model = dataclasses.replace(model, identity=model.identity[:0])
+    problem = _Problem(model, sightings, config, normals)
+    here = problem.begin()
+    damping = 1e-3
+    cost, matrix, right = problem.equations(here)
+    for _ in range(ROUNDS):
+        step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), -right)
+        there = here.moved(step)
+        new_cost, new_matrix, new_right = problem.equations(there)
+        if not new_cost < cost:
+            damping *= 8
+            if damping > 1e6:
+                break
+            continue
+        gain = (cost - new_cost) / max(cost, 1e-12)
+        here, cost, matrix, right = there, new_cost, new_matrix, new_right
+        damping = max(damping / 5, 1e-9)
+        if gain < SETTLED:
+            break
+    return problem.answer(here, np.linalg.inv(matrix))
+
+
+class _Problem:
+    """The equations of one fit."""
+
+    def __init__(
+        self,
+        model: ShapeModel,
+        sightings: list[Sighting],
+        config: FitConfig,
+        normals: np.ndarray | None,
+    ) -> None:
+        self.model, self.sightings, self.config = model, sightings, config
+        self.normals = normals
+        self.seen = [np.isfinite(s.points_px).all(axis=1) for s in sightings]
+        self.sigma = [
+            s.sigma_px or max(config.landmark_percent / 100 * _extent(s.points_px), 0.25)
+            for s in sightings
+        ]
+        self.focal = [
+            (np.log(s.focal_px), config.focal_told_spread)
+            if s.focal_px
+            else (np.log(FIRST_FOCAL * max(s.width_px, s.height_px)), config.focal_spread)
+            for s in sightings
+        ]
+
+    def begin(self) -> _Unknowns:
+        """The mean person at rest, turned and moved onto each photograph's landmarks."""
+        count, m = len(self.sightings), len(self.model.expression)
+        rotations, images, depths, focals = [], [], [], []
+        for index, sighting in enumerate(self.sightings):
+            seen = self.seen[index]
+            focal = float(np.exp(self.focal[index][0]))
+            rotation, scale, offset = _weak_perspective(
+                self.model.mean[seen], sighting.points_px[seen]
+            )
+            rotations.append(rotation)
+            depths.append(np.log(np.clip(focal / scale, NEAREST_MM, FARTHEST_MM)))
+            images.append((offset - self._centre(index)) / focal)
+            focals.append(np.log(focal))
+        return _Unknowns(
+            np.zeros(len(self.model.identity)),
+            np.array(focals),
+            rotations,
+            np.array(images),
+            np.array(depths),
+            np.zeros((count, m)),
+        )
+
+    def equations(self, at: _Unknowns) -> tuple[float, np.ndarray, np.ndarray]:
+        """Cost, normal matrix and gradient at a place."""
+        k, m = len(at.identity), len(self.model.expression)
+        per = _PER_PHOTO + m
+        size = k + per * len(self.sightings)
+        matrix, right = np.zeros((size, size)), np.zeros(size)
+        matrix[range(k), range(k)] += 1.0
+        right[:k] += at.identity
+        cost = float((at.identity**2).sum())
+        for index in range(len(self.sightings)):
+            off, jacobian, weight = self._photo(at, index)
+            columns = np.r_[0:k, k + per * index : k + per * (index + 1)]
+            # Geman and McClure's function weighs by (c / (c + r^2))^2.
+            squared = (off**2).sum(axis=1)
+            cut = CUT_OFF**2
+            cost += float((weight * squared / (1 + squared / cut)).sum())
+            robust = weight / (1 + squared / cut) ** 2
+            rows = jacobian.reshape(-1, len(columns))
+            each = np.repeat(robust, 2)
+            matrix[np.ix_(columns, columns)] += rows.T @ (each[:, None] * rows)
+            right[columns] += rows.T @ (each * off.reshape(-1))
+            prior = self._priors(at, index)
+            for place, (value, spread) in zip(columns[k:], prior, strict=True):
+                matrix[place, place] += 1 / spread**2
+                right[place] += value / spread**2
+                cost += value**2 / spread**2
+        return cost, matrix, right
+
+    def answer(self, at: _Unknowns, covariance: np.ndarray) -> LandmarkFit:
+        """What was found."""
+        taken = []
+        for index in range(len(self.sightings)):
+            off, _, weight = self._photo(at, index)
+            squared = (off**2).sum(axis=1)
+            used = weight / (1 + squared / CUT_OFF**2) ** 2
+            kept = used > 0.25
+            mean = float(squared[kept].mean() / 2) if kept.any() else float("nan")
+            taken.append(
+                Taken(
+                    float(np.exp(at.log_focal[index])),
+                    at.rotation[index].as_matrix(),
+                    _offset(at, index),
+                    at.expression[index],
+                    self.sigma[index] * mean**0.5,
+                    used,
+                )
+            )
+        return LandmarkFit(at.identity, tuple(taken), covariance)
+
+    def _centre(self, index: int) -> np.ndarray:
+        sighting = self.sightings[index]
+        return np.array([sighting.width_px, sighting.height_px]) / 2
+
+    def _photo(self, at: _Unknowns, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(p, 2) residuals over their deviation, (p, 2, u) their slopes, (p,) weights."""
+        model, sighting = self.model, self.sightings[index]
+        rotation = at.rotation[index].as_matrix()
+        shape = model.vertices(at.identity, at.expression[index])
+        turned = shape @ rotation.T
+        offset = _offset(at, index)
+        local = turned + offset
+        focal = float(np.exp(at.log_focal[index]))
+        depth = np.maximum(local[:, 2], 1.0)
+        image = local[:, :2] / depth[:, None]
+        found = focal * image + self._centre(index)
+        seen = self.seen[index] & (local[:, 2] > 1.0)
+        weight = seen.astype(float)
+        if self.normals is not None:
+            toward = -local / np.linalg.norm(local, axis=1, keepdims=True)
+            cosine = ((self.normals @ rotation.T) * toward).sum(axis=1)
+            weight *= np.clip((cosine - STEEPEST) / 0.25, 0, 1)
+        sigma = self.sigma[index]
+        off = np.where(seen[:, None], (found - sighting.points_px) / sigma, 0.0)
+        # Slope of the picture's place by the place in the camera's axes: (p, 2, 3).
+        by_local = np.zeros((len(shape), 2, 3))
+        by_local[:, 0, 0] = by_local[:, 1, 1] = focal / depth
+        by_local[:, :, 2] = -focal * image / depth[:, None]
+        modes = np.concatenate([model.identity, model.expression]) @ rotation.T
+        by_modes = np.einsum("pij,kpj->pik", by_local, modes)
+        k = len(model.identity)
+        by_turn = np.einsum("pij,pjk->pik", by_local, _cross(-turned))
+        own_depth = float(np.exp(at.log_depth[index]))
+        by_offset = np.einsum(
+            "pij,jk->pik",
+            by_local,
+            np.column_stack([own_depth * np.eye(3)[:, 0], own_depth * np.eye(3)[:, 1], offset]),
+        )
+        by_focal = (focal * image)[:, :, None]
+        slopes = [by_modes[:, :, :k], by_focal, by_turn, by_offset, by_modes[:, :, k:]]
+        return off, np.concatenate(slopes, axis=2) / sigma, weight
+
+    def _priors(self, at: _Unknowns, index: int) -> list[tuple[float, float]]:
+        """What is known before of a photograph's unknowns: how far off, and the deviation."""
+        mean, spread = self.focal[index]
+        free = [(0.0, 1e6)] * 5
+        depth = (0.0, 1e6)
+        expression = [(float(e), self.config.expression_spread) for e in at.expression[index]]
+        return [(float(at.log_focal[index] - mean), spread), *free, depth, *expression]
+
+
+def _offset(at: _Unknowns, index: int) -> np.ndarray:
+    """(3,) of cam_from_head in mm."""
+    depth = float(np.exp(at.log_depth[index]))
+    return np.array([*(at.image[index] * depth), depth])
+
+
+def _cross(vectors: np.ndarray) -> np.ndarray:
+    """(p, 3, 3) matrices of the cross product with (p, 3) vectors."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _extent(points_px: np.ndarray) -> float:
+    """A measure of a face's size in the picture: about the distance between the eyes' corners."""
+    known = points_px[np.isfinite(points_px).all(axis=1)]
+    # Of points spread over a face, twice the root of the product of the deviations is about that.
+    return float(2.0 * np.prod(np.maximum(known.std(axis=0), 1e-9)) ** 0.5)
+
+
+def _weak_perspective(
+    points_mm: np.ndarray, points_px: np.ndarray
+) -> tuple[Rotation, float, np.ndarray]:
+    """Rotation, scale in px / mm and the origin's picture, of a camera far away.
+
+    The least-squares affine camera is brought to the nearest scaled rotation.
+    """
+    rows = np.column_stack([points_mm, np.ones(len(points_mm))])
+    affine = np.linalg.lstsq(rows, points_px, rcond=None)[0].T
+    first, second = affine[0, :3], affine[1, :3]
+    both = np.stack([first, second])
+    left, scale, right = np.linalg.svd(both, full_matrices=False)
+    upper = left @ right
+    rotation = Rotation.from_matrix(np.vstack([upper, np.cross(upper[0], upper[1])]))
+    return rotation, max(float(scale.mean()), 1e-6), affine[:, 3]

@@ -1,0 +1,161 @@
+"""A photograph brought into the texture of the mesh that it shows."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import open3d
+
+from learning.render.uv import UvRaster
+from lightstage.formats.mesh import Mesh
+from lightstage.rig import Camera
+
+SAME_MM = 1.0
+"""A texel is seen where a ray toward it meets the surface no farther from it than that."""
+STEP_MM = 8.0
+"""A change of depth within `EDGE_PX` that is an edge: what lies behind it may show what is before
+it, as the shape is never quite that of the photograph."""
+EDGE_PX = 4
+GRAZING = 0.2
+"""Cosine to the camera below which a texel is not taken from the photograph."""
+LARGEST_DEPTH_PX = 1024
+"""Edges of depth are looked for in a picture of so many pixels a side at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Unwrapped:
+    """A photograph in texels.
+
+    Attributes:
+        texture: (rows, columns, 3) float32 linear; zero where nothing is seen.
+        seen: (rows, columns) bool.
+        facing: (rows, columns) float32, cosine between the surface and the direction to the camera.
+    """
+
+    texture: np.ndarray
+    seen: np.ndarray
+    facing: np.ndarray
+
+
+def unwrap(rgb_linear: np.ndarray, mesh: Mesh, raster: UvRaster, camera: Camera) -> Unwrapped:
+    """Sample a photograph at each texel of a mesh that it shows.
+
+    Args:
+        rgb_linear: (h, w, 3).
+        mesh: in the camera's world, mm.
+        raster: of the texture.
+        camera: the photograph's; its size is that of `rgb_linear`.
+    """
+    covered = raster.covered
+    position = raster.interpolate(mesh.vertices)[covered].astype(float)
+    normal = raster.normals(mesh)[covered]
+    toward = camera.centre_mm - position
+    distance = np.linalg.norm(toward, axis=1)
+    cosine = (normal * toward).sum(axis=1) / np.maximum(distance, 1e-9)
+    place, depth = camera.project(position)
+    inside = (depth > 0) & (place > 0.5).all(axis=1)
+    inside &= (place < [camera.width_px - 0.5, camera.height_px - 0.5]).all(axis=1)
+    seen = inside & (cosine > GRAZING)
+    scene = scene_of(mesh)
+    rays = np.empty((int(seen.sum()), 6), np.float32)
+    rays[:, :3] = camera.centre_mm
+    rays[:, 3:] = -toward[seen] / distance[seen, None]
+    met = scene.cast_rays(open3d.core.Tensor(rays))["t_hit"].numpy()
+    seen[seen] = met > distance[seen] - SAME_MM / np.maximum(cosine[seen], GRAZING)
+    seen[seen] = ~_edges(scene, camera, place[seen])
+    texture = np.zeros((*covered.shape, 3), np.float32)
+    texture[covered] = _sampled(rgb_linear, place, seen, covered)
+    return Unwrapped(texture, _spread(seen, covered), _spread(cosine.astype(np.float32), covered))
+
+
+def scene_of(mesh: Mesh) -> open3d.t.geometry.RaycastingScene:
+    """The mesh for rays."""
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        open3d.core.Tensor(np.ascontiguousarray(mesh.vertices, np.float32)),
+        open3d.core.Tensor(np.ascontiguousarray(mesh.triangles(), np.uint32)),
+    )
+    return scene
+
+
+def smaller(camera: Camera, largest_px: int) -> Camera:
+    """The camera with a picture of so many pixels a side at most."""
+    scale = min(1.0, largest_px / max(camera.width_px, camera.height_px))
+    width, height = (max(1, round(scale * s)) for s in (camera.width_px, camera.height_px))
+    across, down = width / camera.width_px, height / camera.height_px
+    return dataclasses.replace(
+        camera,
+        width_px=width,
+        height_px=height,
+        fx_px=camera.fx_px * across,
+        cx_px=camera.cx_px * across,
+        fy_px=camera.fy_px * down,
+        cy_px=camera.cy_px * down,
+    )
+
+
+def _edges(
+    scene: open3d.t.geometry.RaycastingScene, camera: Camera, place_px: np.ndarray
+) -> np.ndarray:
+    """(n,) bool, whether (n, 2) places lie beside a step of depth."""
+    small = smaller(camera, LARGEST_DEPTH_PX)
+    origin, directions = small.pixel_rays()
+    rays = np.empty((small.height_px * small.width_px, 6), np.float32)
+    rays[:, :3] = origin
+    rays[:, 3:] = directions.reshape(-1, 3)
+    met = scene.cast_rays(open3d.core.Tensor(rays))["t_hit"].numpy()
+    depth = np.where(np.isfinite(met), met, 1e6).reshape(small.height_px, small.width_px)
+    kernel = np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)
+    step = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) > STEP_MM
+    # Only what lies behind the step is in doubt.
+    behind = step & (depth > cv2.erode(depth, kernel) + STEP_MM / 2)
+    doubtful = behind | (step & (cv2.dilate(depth, kernel) >= 1e5))
+    across, down = small.width_px / camera.width_px, small.height_px / camera.height_px
+    columns = np.clip((place_px[:, 0] * across).astype(int), 0, small.width_px - 1)
+    rows = np.clip((place_px[:, 1] * down).astype(int), 0, small.height_px - 1)
+    found: np.ndarray = doubtful[rows, columns]
+    return found
+
+
+def _sampled(
+    rgb: np.ndarray, place_px: np.ndarray, seen: np.ndarray, covered: np.ndarray
+) -> np.ndarray:
+    """(n, 3) colours; a photograph finer than the texels is averaged before."""
+    factor = _pixels_of_texel(place_px, seen, covered)
+    if factor > 1:
+        size = (max(1, rgb.shape[1] // factor), max(1, rgb.shape[0] // factor))
+        small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+        scale = np.array([size[0] / rgb.shape[1], size[1] / rgb.shape[0]])
+        rgb, place_px = small, place_px * scale
+    out = np.zeros((len(place_px), 3), np.float32)
+    at = (place_px[seen] - 0.5).astype(np.float32)
+    # OpenCV's maps have at most 32,767 rows.
+    for start in range(0, len(at), 30_000):
+        part = at[start : start + 30_000]
+        got = cv2.remap(
+            rgb.astype(np.float32),
+            part[:, 0],
+            part[:, 1],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        out[np.flatnonzero(seen)[start : start + 30_000]] = got.reshape(-1, 3)
+    return out
+
+
+def _pixels_of_texel(place_px: np.ndarray, seen: np.ndarray, covered: np.ndarray) -> int:
+    """Whole pixels of the photograph on the side of the median seen texel, 1 at least."""
+    image = np.full((*covered.shape, 2), np.nan)
+    image[covered] = np.where(seen[:, None], place_px, np.nan)
+    step = np.linalg.norm(np.diff(image, axis=1), axis=2)
+    known = step[np.isfinite(step)]
+    return max(1, int(np.median(known))) if known.size else 1
+
+
+def _spread(values: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """(n,) values of the texels with a surface as (rows, columns); zero elsewhere."""
+    out = np.zeros(covered.shape, values.dtype)
+    out[covered] = values
+    return out
