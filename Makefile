@@ -36,13 +36,14 @@ bench: $(READY) ## every benchmark; tables go to benchmarks/RESULTS.md; keeps 23
 
 setup: $(READY) ## system packages and the virtual environment, pinned
 
-$(READY): requirements.lock pyproject.toml scripts/system-packages
+$(READY): requirements.lock requirements-faces.txt pyproject.toml scripts/system-packages
 	PYTHON=$(PYTHON) scripts/system-packages
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) --upgrade pip
 	@[ -e $(READY) ] || scripts/disk-space $(VENV)
 	@echo "Installing the packages of requirements.lock into $(VENV): a minute to five, without a word."
 	$(INSTALL) --requirement requirements.lock
+	$(INSTALL) --no-deps --require-hashes --requirement requirements-faces.txt
 	$(INSTALL) --no-deps --editable .
 	@touch $(READY)
 	@echo "Ready. \`. $(BIN)/activate\` brings the commands into this shell; README.md says what to run."

@@ -59,6 +59,10 @@ class MotionError(LightstageError):
     """Photographs that do not tell where their cameras stood, or how large anything is."""
 
 
+class FaceError(LightstageError):
+    """A picture in which no face can be looked for, or that shows none."""
+
+
 class PatternError(LightstageError):
     """An unknown pattern, or one that the rig cannot show."""
 
