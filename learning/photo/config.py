@@ -3,6 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+
+from lightstage.errors import ConfigError
+
+BOUNDS: dict[str, tuple[float, float]] = {
+    "rows": (192, 12288),
+    "landmark_percent": (0.1, 50),
+    "focal_spread": (1e-3, 2),
+    "focal_told_spread": (1e-3, 1),
+    "identity_modes": (0, 1000),
+    "depth_ratio": (0.3, 3),
+    "depth_deviation": (1e-3, 1),
+    "free_modes": (0, 400),
+    "asymmetry": (0, 1),
+    "expression_spread": (1e-3, 2),
+    "refine_seconds": (0, 3600),
+    "rounds": (1, 5),
+}
+"""Least and most of each number."""
+SIZES_MM = (1e-3, 500.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +50,7 @@ class FitConfig:
     """
 
     rows: int = 1536
-    landmark_percent: float = 2.0
+    landmark_percent: float = 8.0
     focal_spread: float = 0.35
     focal_told_spread: float = 0.03
     identity_modes: int = 100
@@ -43,3 +63,24 @@ class FitConfig:
     expression_spread: float = 0.25
     refine_seconds: float = 20.0
     rounds: int = 2
+
+    def __post_init__(self) -> None:
+        """ConfigError where a number is out of its bounds."""
+        for name, (least, most) in BOUNDS.items():
+            _require(name, getattr(self, name), least, most)
+        for name in ("free_mm", "free_length_mm"):
+            for value in getattr(self, name):
+                _require(name, value, *SIZES_MM)
+        if len(self.free_mm) != len(self.free_length_mm):
+            raise ConfigError(
+                "free_length_mm",
+                found=f"{len(self.free_length_mm)} distances",
+                expected=f"{len(self.free_mm)}, as many as free_mm has",
+            )
+        if self.rows % 3:
+            raise ConfigError("rows", found=str(self.rows), expected="a multiple of 3")
+
+
+def _require(name: str, value: float, least: float, most: float) -> None:
+    if not (math.isfinite(value) and least <= value <= most):
+        raise ConfigError(name, found=f"{value:g}", expected=f"{least:g} to {most:g}")

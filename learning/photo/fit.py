@@ -45,6 +45,10 @@ FEATURES = ("eyes", "lips")
 BROWS = slice(17, 27)
 """In iBUG's order."""
 BROW_MM = 14.0
+STEADY_MM = 3.0
+"""Spread at which a landmark counts half."""
+NOT_SKIN_TINT = 0.35
+"""The same of red or blue over green: grey cloth and walls."""
 LEAST_SEEN = 0.05
 """Share of the face's texels that a photograph must show."""
 DARK = 0.01
@@ -70,10 +74,18 @@ class Photograph:
 
 @dataclasses.dataclass(frozen=True)
 class Places:
-    """Where landmarks lie on a template: corners and weights, (p, 3) each."""
+    """Where landmarks lie on a template.
+
+    Attributes:
+        triangles: (p, 3) vertex indices.
+        weights: (p, 3) of these corners.
+        spread_mm: (p,) how far views of a head lie apart that found them; zeros where it is not
+            known.
+    """
 
     triangles: np.ndarray
     weights: np.ndarray
+    spread_mm: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,7 +168,8 @@ def fit_shape(
                 expected="8 or more",
             )
         sightings.append(Sighting(photograph.landmarks_px, width, height, photograph.focal_px))
-    found = fit_landmarks(there, sightings, config, facing)
+    trust = 1 / (1 + (places.spread_mm / STEADY_MM) ** 2)
+    found = fit_landmarks(there, sightings, config, facing, trust)
     for photograph, taken in zip(photographs, found.photographs, strict=True):
         if not (taken.used > 0.25).sum() >= 8:
             raise MapsError(
@@ -314,17 +327,22 @@ def no_skin(
         keep: (rows, columns) bool, never taken for something else.
     """
     rows, columns = seen.shape
-    mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy().mean(axis=2)
-    mean = cv2.resize(mean, (columns, rows), interpolation=cv2.INTER_LINEAR)
-    off = np.log(np.maximum(albedo.mean(axis=2), 1e-3)) - mean
-    weight = seen.astype(np.float32)
     if not seen.any():
         return seen
-    off = np.where(seen, off - np.median(off[seen]), 0).astype(np.float32)
+    mean = network.mean_log_albedo[0].permute(1, 2, 0).numpy()
+    mean = cv2.resize(mean, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    beside = np.log(np.maximum(albedo, 1e-3)) - mean
+    green = beside[..., 1]
+    parts = [(beside.mean(axis=2), NOT_SKIN)]
+    parts += [(beside[..., c] - green, NOT_SKIN_TINT) for c in (0, 2)]
+    weight = seen.astype(np.float32)
     sigma = rows / 192
     around = np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
-    smooth = cv2.GaussianBlur(off, (0, 0), sigma) / around
-    far = (np.abs(smooth) > NOT_SKIN) & seen & ~keep
+    far = np.zeros_like(seen)
+    for part, most in parts:
+        off = np.where(seen, part - np.median(part[seen]), 0).astype(np.float32)
+        far |= np.abs(cv2.GaussianBlur(off, (0, 0), sigma) / around) > most
+    far &= seen & ~keep
     reach = max(1, round(SPREAD * rows))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     return np.asarray((cv2.dilate(far.astype(np.uint8), disc) > 0) & ~keep)

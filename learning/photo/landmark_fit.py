@@ -133,6 +133,7 @@ def fit_landmarks(
     sightings: list[Sighting],
     config: FitConfig,
     normals: np.ndarray | None = None,
+    trust: np.ndarray | None = None,
     fixed_shape: bool = False,
 ) -> LandmarkFit:
     """Fit a person to the landmarks of one or several photographs.
@@ -143,6 +144,7 @@ def fit_landmarks(
         config: what is known before.
         normals: (p, 3) of the mean surface there, head frame: landmarks turned away from the
             camera do not count.
+        trust: (p,) 0..1, how much each landmark counts; all the same where None.
         fixed_shape: keep the mean shape: cameras, poses and expressions alone.
 
     Raises:
@@ -153,7 +155,7 @@ def fit_landmarks(
             raise ValueError("a fit needs 8 landmarks at least")
     if fixed_shape:
         model = dataclasses.replace(model, identity=model.identity[:0])
-    problem = _Problem(model, sightings, config, normals)
+    problem = _Problem(model, sightings, config, normals, trust)
     here = problem.begin()
     damping = 1e-3
     cost, matrix, right = problem.equations(here)
@@ -183,7 +185,9 @@ class _Problem:
         sightings: list[Sighting],
         config: FitConfig,
         normals: np.ndarray | None,
+        trust: np.ndarray | None,
     ) -> None:
+        self.trust = np.ones(len(model.mean)) if trust is None else trust
         self.model, self.sightings, self.config = model, sightings, config
         self.normals = normals
         self.seen = [np.isfinite(s.points_px).all(axis=1) for s in sightings]
@@ -287,7 +291,7 @@ class _Problem:
         image = local[:, :2] / depth[:, None]
         found = focal * image + self._centre(index)
         seen = self.seen[index] & (local[:, 2] > 1.0)
-        weight = seen.astype(float)
+        weight = seen * self.trust
         if self.normals is not None:
             toward = -local / np.linalg.norm(local, axis=1, keepdims=True)
             cosine = ((self.normals @ rotation.T) * toward).sum(axis=1)

@@ -1,0 +1,282 @@
+"""What `fit` does: read photographs, find faces, fit, write a folder, return the facts."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learning.checkpoint import (
+    load_mesostructure,
+    load_whole_face,
+    read_checkpoint,
+    shipped_mesostructure,
+    shipped_weights,
+)
+from learning.errors import MapsError
+from learning.mesostructure.infer import TrainedMesostructure
+from learning.photo.config import FitConfig
+from learning.photo.fit import FittedHead, Photograph, Places, fit_head
+from learning.photo.page import write_page
+from learning.photo.picture import read_photograph
+from lightstage.commands import ProgressCallback
+from lightstage.counting import counted
+from lightstage.errors import ConfigError
+from lightstage.faces import detect_faces
+from lightstage.faces.schemes import FACE_MESH, IBUG, seen_points
+from lightstage.formats.config import make_config, read_toml
+from lightstage.formats.environment import write_lights
+from lightstage.formats.exr import write_exr
+from lightstage.formats.files import atomic_folder, read_json, write_json
+from lightstage.formats.landmarks import read_points_px
+from lightstage.formats.mesh import write_obj
+from lightstage.formats.processed import write_map
+from lightstage.formats.template import Template, load_template
+from processing.colour import srgb_from_linear
+
+SCHEMA = "lightstage.fit/1"
+FIT, PAGE, TEXTURE, LIGHT = "fit.json", "fit.html", "texture.exr", "light.json"
+MESH, NEUTRAL = "registered_mesh.obj", "neutral_mesh.obj"
+MAPS = "atlas"
+MOST_PHOTOGRAPHS = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class FitRequest:
+    """What `fit` is asked for.
+
+    Attributes:
+        photographs: of one person; the first gives the texture.
+        template: folder.
+        out: folder to make.
+        landmarks: file with the points of each photograph; detected where None.
+        face: which face of a photograph, the largest is 1.
+        film_mm: 35 mm equivalent of the focal length, in place of what the files tell.
+        checkpoint: a run of a whole-face network; the shipped weights where None.
+        rows: of the texture; the configuration's where None.
+        refine: seconds; the configuration's where None.
+        config: TOML file, or None.
+    """
+
+    photographs: tuple[Path, ...]
+    template: Path
+    out: Path
+    landmarks: Path | None = None
+    face: int = 1
+    film_mm: float | None = None
+    checkpoint: Path | None = None
+    rows: int | None = None
+    refine: float | None = None
+    config: Path | None = None
+
+
+def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, Any]:
+    """Fit a head to photographs of one person; the facts.
+
+    Raises:
+        LightstageError: bad input; nothing is written then.
+    """
+    began = time.monotonic()
+    config = _config(request)
+    template = load_template(request.template)
+    about = read_checkpoint(request.checkpoint or shipped_weights())
+    if about.family != "whole_face":
+        raise ConfigError(
+            "--checkpoint",
+            found=f"a network of the family {about.family!r}",
+            expected="a whole-face network",
+            hint="Leave --checkpoint out for the weights that are shipped.",
+        )
+    network, _ = load_whole_face(about.folder)
+    meso, about_meso = load_mesostructure(shipped_mesostructure())
+    photographs, places, notes = read_all(request, template)
+    fitted = fit_head(
+        photographs,
+        template,
+        places,
+        network,
+        config,
+        TrainedMesostructure(meso, about_meso.texture_rows),
+        progress,
+    )
+    facts = _facts(photographs, fitted, config, notes, request.template)
+    with atomic_folder(request.out, FIT) as folder:
+        write_fitted(folder, fitted)
+        write_json(folder / FIT, {"schema": SCHEMA, **facts})
+        write_page(folder / PAGE, photographs, fitted)
+    return {**facts, "seconds": time.monotonic() - began}
+
+
+def read_all(
+    request: FitRequest, template: Template
+) -> tuple[list[Photograph], Places, list[str]]:
+    """The photographs with their landmarks, where these lie on the template, and notes."""
+    paths = request.photographs
+    if not 1 <= len(paths) <= MOST_PHOTOGRAPHS:
+        raise ConfigError(
+            "PHOTO", found=counted(len(paths), "file"), expected=f"1 to {MOST_PHOTOGRAPHS}"
+        )
+    if request.face < 1:
+        raise ConfigError("--face", found=str(request.face), expected="1 for the largest, or more")
+    marks = Marks(request, template)
+    notes: list[str] = []
+    photographs = []
+    for path in paths:
+        rgb, focal = read_photograph(path, request.film_mm)
+        points = marks.of(path, rgb, notes)
+        photographs.append(Photograph(path.name, rgb, points, focal))
+        if focal is None:
+            notes.append(
+                f"{path.name} does not tell its focal length: it was fitted, and the face's depth "
+                "is less certain (--focal-35mm)"
+            )
+    return photographs, marks.places, notes
+
+
+class Marks:
+    """Landmarks of photographs: from a file, or detected."""
+
+    def __init__(self, request: FitRequest, template: Template) -> None:
+        """The template must know where the scheme's points lie.
+
+        Raises:
+            MapsError: a template without the detector's points.
+            FormatError: a file of landmarks that cannot be read.
+        """
+        self._face = request.face
+        self._file = request.landmarks
+        self._told: dict[str, np.ndarray] = {}
+        scheme = FACE_MESH
+        if self._file is not None:
+            scheme = str(read_json(self._file, "lightstage.landmarks/1").get("scheme"))
+            self._told = read_points_px(self._file, scheme if scheme == FACE_MESH else IBUG)
+        if scheme == FACE_MESH:
+            points = template.face_points
+            if points is None:
+                raise MapsError(
+                    request.template,
+                    field=f"{FACE_MESH}.json",
+                    found="none",
+                    expected="where the detector's points lie on the template",
+                    hint="`lightstage-learning template-points --template TEMPLATE` finds them.",
+                )
+            self._there = points.triangles[:, 0] >= 0
+            self.places = Places(
+                points.triangles[self._there],
+                points.weights[self._there],
+                points.spread_mm[self._there],
+            )
+        else:
+            self._there = np.ones(len(template.landmarks), bool)
+            corners = np.repeat(template.landmarks[:, None], 3, axis=1)
+            weights = np.tile([1.0, 0.0, 0.0], (len(corners), 1))
+            self.places = Places(corners, weights, np.zeros(len(corners)))
+
+    def of(self, path: Path, rgb_linear: np.ndarray, notes: list[str]) -> np.ndarray:
+        """(p, 2) landmarks of a photograph, NaN where hidden.
+
+        Raises:
+            MapsError: no face, fewer than asked for, or none in the file.
+        """
+        if self._file is not None:
+            for name in (path.name, path.stem):
+                if name in self._told:
+                    return self._told[name][self._there]
+            raise MapsError(
+                self._file,
+                field="points_px",
+                found=f"no {path.name}",
+                expected="the landmarks of each photograph, by its file's name",
+            )
+        shown = np.round(255 * srgb_from_linear(rgb_linear)).astype(np.uint8)
+        faces = detect_faces(shown)
+        if len(faces) < self._face:
+            found = counted(len(faces), "face") if faces else "no face"
+            raise MapsError(
+                path,
+                found=found,
+                expected="a face that looks at the camera, or half away from it"
+                if self._face == 1
+                else f"{self._face} faces (--face)",
+                hint="Cut the picture around the face, or give its points by --landmarks.",
+            )
+        if len(faces) > 1 and self._face == 1:
+            notes.append(
+                f"{path.name} shows {len(faces)} faces: the largest was taken (--face 2 for the "
+                "next)"
+            )
+        return seen_points(faces[self._face - 1], FACE_MESH)[self._there]
+
+
+def write_fitted(folder: Path, fitted: FittedHead) -> None:
+    """Write the meshes, the texture, the maps and the light into a folder that exists."""
+    shape = fitted.shape
+    write_obj(shape.meshes[0], folder / MESH)
+    write_obj(shape.neutral, folder / NEUTRAL)
+    write_exr(folder / TEXTURE, fitted.texture)
+    maps = dict(fitted.inferred.maps)
+    maps["confidence"] = np.minimum(maps["confidence"], fitted.confidence)
+    (folder / MAPS).mkdir()
+    for name, image in maps.items():
+        write_map(folder / MAPS / f"{name}.exr", name, image)
+    if fitted.light is not None:
+        write_lights(fitted.light, folder / LIGHT)
+
+
+def _config(request: FitRequest) -> FitConfig:
+    values: dict[str, Any] = read_toml(request.config) if request.config else {}
+    config = make_config(FitConfig, values, request.config or "FitConfig")
+    more: dict[str, Any] = {}
+    if request.rows is not None:
+        more["rows"] = request.rows
+    if request.refine is not None:
+        more["refine_seconds"] = request.refine
+    return dataclasses.replace(config, **more)
+
+
+def _facts(
+    photographs: list[Photograph],
+    fitted: FittedHead,
+    config: FitConfig,
+    notes: list[str],
+    template: Path,
+) -> dict[str, Any]:
+    """What fit.json holds."""
+    shape = fitted.shape
+    names = shape.model.expression_names
+    taken = [
+        {
+            "name": photograph.name,
+            "width_px": camera.width_px,
+            "height_px": camera.height_px,
+            "focal_px": camera.fx_px,
+            "focal_told": photograph.focal_px is not None,
+            "cam_from_head": camera.cam_from_world.tolist(),
+            "landmark_px": found.residual_px,
+            "landmarks_used": float((found.used > 0.25).mean()),
+            "expression": dict(zip(names, found.expression.tolist(), strict=True)),
+        }
+        for photograph, camera, found in zip(
+            photographs, shape.cameras, shape.landmarks.photographs, strict=True
+        )
+    ]
+    face = shape.model.face
+    return {
+        "template": template.name,
+        "config": dataclasses.asdict(config),
+        "photographs": taken,
+        "identity": shape.landmarks.identity[: shape.model.named_modes].tolist(),
+        "shape_deviation_mm": float(shape.deviation_mm[face].mean()),
+        "rows": fitted.texture.shape[0],
+        "columns": fitted.texture.shape[1],
+        "seen_percent": float(100 * fitted.seen.mean()),
+        "not_skin_percent": 100 * fitted.masked,
+        "lamps": None if fitted.light is None else len(fitted.light.rgb),
+        "misfit": None if np.isnan(fitted.misfit) else fitted.misfit,
+        "notes": [*notes, *fitted.notes],
+    }
+
+

@@ -1,0 +1,80 @@
+"""A photograph's file: linear light, and the focal length that it tells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from learning.errors import MapsError
+from lightstage.developed import read_developed
+from lightstage.exif import read_exif
+from lightstage.formats.exr import read_exr
+
+FILM_MM = 36.0
+"""Width of the film that a 35 mm equivalent is told for."""
+LARGEST_PX = 6000
+"""Longer side above which a photograph is made smaller: a texture shows no more."""
+SMALLEST_PX = 64
+"""Shorter side of a photograph at least."""
+FOCAL_RANGE = (0.3, 30.0)
+"""Focal length over the longer side, from a fisheye to a telescope."""
+
+
+def read_photograph(path: Path, film_mm: float | None = None) -> tuple[np.ndarray, float | None]:
+    """Read a JPEG, PNG or TIFF (its profile or sRGB is undone), or a linear OpenEXR.
+
+    Args:
+        path: the file.
+        film_mm: 35 mm equivalent of the focal length, in place of what the file tells.
+
+    Returns:
+        (h, w, 3) float32 linear, upright, and the focal length in pixels or None.
+
+    Raises:
+        FormatError: see `read_developed` and `read_exr`.
+        MapsError: a picture too small to hold a face, or a focal length that is none.
+    """
+    if path.is_dir():
+        raise MapsError(path, found="a folder", expected="a photograph")
+    if path.suffix.lower() == ".exr":
+        rgb = read_exr(path, finite=True)
+        if rgb.ndim != 3:
+            raise MapsError(path, found="one channel", expected="R G B")
+    else:
+        rgb = read_developed(path).rgb
+    height, width = rgb.shape[:2]
+    if min(height, width) < SMALLEST_PX:
+        raise MapsError(
+            path,
+            found=f"{width} x {height} px",
+            expected=f"{SMALLEST_PX} px a side at least",
+        )
+    longer = max(height, width)
+    scale = min(1.0, LARGEST_PX / longer)
+    if scale < 1:
+        size = (round(width * scale), round(height * scale))
+        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    focal = _focal(path, longer, film_mm)
+    return np.ascontiguousarray(rgb, np.float32), None if focal is None else focal * scale
+
+
+def _focal(path: Path, longer_px: int, film_mm: float | None) -> float | None:
+    """Focal length in pixels of the file as it is; None where nobody tells it."""
+    if film_mm is not None:
+        least, most = (FILM_MM * share for share in FOCAL_RANGE)
+        if not least <= film_mm <= most:
+            raise MapsError(
+                "--focal-35mm", found=f"{film_mm:g}", expected=f"{least:g} to {most:g} mm"
+            )
+        return film_mm / FILM_MM * longer_px
+    told = read_exif(path)
+    focal = None
+    if told.focal_35mm_mm:
+        focal = told.focal_35mm_mm / FILM_MM * longer_px
+    elif told.focal_mm and told.focal_plane_px_per_mm:
+        focal = told.focal_mm * told.focal_plane_px_per_mm
+    if focal is None or not FOCAL_RANGE[0] <= focal / longer_px <= FOCAL_RANGE[1]:
+        return None
+    return float(focal)
