@@ -1,4 +1,4 @@
-"""Commands of the learning package: train, infer, upscale, render, bake, export, occlusion."""
+"""Commands of the learning package: train, infer, upscale, render, bake, export and others."""
 
 from __future__ import annotations
 
@@ -267,6 +267,38 @@ def occlusion(
     finish(
         f"{out}: {facts['directions']} directions at {facts['rows']} x {facts['columns']} texels, "
         f"{facts['bytes'] / 1000:.0f} kB{trained}; {facts['seconds']:.1f} s",
+        facts,
+        as_json,
+    )
+
+
+@app.command("template-points")
+def template_points(
+    template: Annotated[Path, typer.Option(help="Template's folder: mesh, landmarks, regions.")],
+    out: Path | None = output_file(
+        "--out",
+        help="Points to write, JSON; mediapipe468.json in the template's folder without it.",
+        default=None,
+        shared=True,
+    ),
+    picture: Path | None = output_file(
+        "--picture",
+        help="Picture of the head with its points, .png.",
+        suffixes=[".png"],
+        default=None,
+        shared=True,
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Find where the face detector's 468 points lie on a template, from pictures all round."""
+    from learning.points.command import template_points as find_template_points
+
+    with progress_bar("template-points") as progress:
+        facts = find_template_points(template, out, picture, progress)
+    finish(
+        f"{facts['points']}: {facts['found']} points, {facts['absent']} without a place, lines of "
+        f"sight {facts['spread_median_mm']} mm apart (median), a face in {facts['faces']} of "
+        f"{facts['pictures']} pictures, {facts['seconds']:.0f} s",
         facts,
         as_json,
     )

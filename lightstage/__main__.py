@@ -1,4 +1,4 @@
-"""Commands of the stage: capture, retake, watch, check, import, calibrate, patterns."""
+"""Commands of the stage: capture, retake, watch, check, import, landmarks, calibrate."""
 
 from __future__ import annotations
 
@@ -45,6 +45,10 @@ COMMANDS = {
     "import": (
         "lightstage.motion.command",
         "Make a session of photographs taken elsewhere.",
+    ),
+    "landmarks": (
+        "lightstage.faces.command",
+        "Find a face's points in photographs and write them as landmarks.json.",
     ),
 }
 """Each command's module, whose `register(app)` adds it, and the first sentence of its help."""

@@ -173,7 +173,9 @@ def register_mesh(
         None, "--landmarks", help="JSON with points_mm, 68 iBUG."
     ),
     landmark_command: str | None = typer.Option(
-        None, "--landmark-command", help="Or a program that finds them in pictures of the mesh."
+        None,
+        "--landmark-command",
+        help="Or a program that finds them in pictures of the mesh; our own detector without both.",
     ),
     out: Path = output_file(
         "--out", help="Registered mesh, .obj, in the template's UV.", suffixes=[".obj"]
@@ -189,7 +191,11 @@ def register_mesh(
     from lightstage.formats.mesh import read_mesh, write_obj
     from lightstage.formats.template import load_template
     from processing import pipeline
-    from processing.registration.providers import CommandLandmarks, landmarks_of_mesh
+    from processing.registration.providers import (
+        CommandLandmarks,
+        DetectedLandmarks,
+        landmarks_of_mesh,
+    )
     from processing.registration.stage import register_mesh as register_scan
     from processing.registration.start import landmarks_unit, require_surface
     from processing.units import MM, axis_name, largest_side, likely_unit
@@ -203,23 +209,18 @@ def register_mesh(
         points_mm = read_points_mm(landmarks)
         unit = landmarks_unit(scan, points_mm, shape)
         points_mm = unit.mm * points_mm
-    elif command:
+    else:
         require_surface(scan)
+        provider = CommandLandmarks(command) if command else DetectedLandmarks(shape)
         unit = likely_unit(scan.vertices)
         scaled = scan.with_vertices(unit.mm * scan.vertices)
         marks_mm = shape.mesh.vertices[shape.landmarks]
-        agree_mm = settings.click_agree_mm
-        found = landmarks_of_mesh(scaled, CommandLandmarks(command), agree_mm, marks_mm)
+        agree_mm = settings.click_agree_mm if command else settings.detected_agree_mm
+        found = landmarks_of_mesh(scaled, provider, agree_mm, marks_mm)
         points_mm = found.landmarks.points_mm
         if not np.array_equal(found.turn, np.eye(3)):
             ahead, up = (axis_name(found.turn[row]) for row in (2, 1))
             notes.append(f"the face was found looking along {ahead} with {up} up")
-    else:
-        raise ProcessingError(
-            "register-mesh",
-            found="no landmarks",
-            expected="--landmarks L.json or --landmark-command PROGRAM",
-        )
     if unit is not MM:
         side = largest_side(scan.vertices)
         notes.append(

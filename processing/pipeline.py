@@ -42,7 +42,7 @@ from processing.records import (
 )
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
-from processing.registration.stage import RegisterConfig, clicked_landmarks, register
+from processing.registration.stage import RegisterConfig, register, require_landmarks
 from processing.separation.choice import no_normals, tell_normals
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
@@ -187,9 +187,8 @@ def run(
     template, template_hash = None, ""
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
         template, template_hash = load_template(template_path), hash_folder(template_path)
-        if not config.register.landmark_command:
-            # Registration needs them an hour later at full size: said now.
-            clicked_landmarks(session)
+        # Registration needs them an hour later at full size: said now.
+        require_landmarks(session, config.register)
     job = Job(session, out, config, template, template_hash, normals)
     # What these refuse is refused before the folder is made.
     require_given(config.reconstruct)

@@ -66,6 +66,12 @@ def outputs_of(weights: Weights, picture: np.ndarray, names: tuple[str, ...]) ->
     return [np.ravel(values).astype(float) for values in net.forward(names)]
 
 
+def require_weights() -> None:
+    """FaceError where the detector could not run."""
+    for weights in (DETECTION, LANDMARKS):
+        _checked(weights)
+
+
 def _net(weights: Weights) -> Any:
     """The network, read once a thread: OpenCV's may not be used by two at a time."""
     import cv2

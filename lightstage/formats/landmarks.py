@@ -1,4 +1,8 @@
-"""68 iBUG landmarks [Sagonas2016]: in pictures (landmarks.json) and on meshes (register-mesh)."""
+"""Landmarks: iBUG's 68 [Sagonas2016] in pictures (landmarks.json) and on meshes (register-mesh).
+
+In pictures there may be the 468 of MediaPipe's face mesh [Kartynnik2019] instead, for what asks for
+them.
+"""
 
 from __future__ import annotations
 
@@ -13,34 +17,46 @@ SCHEMA = "lightstage.landmarks/1"
 LANDMARKS = "landmarks.json"
 """What a session calls its landmarks."""
 SCHEME = "ibug68"
-COUNT = 68
+COUNTS = {SCHEME: 68, "mediapipe468": 468}
+"""Points of each scheme."""
 
 
-def read_points_px(path: Path) -> dict[str, np.ndarray]:
+def read_points_px(path: Path, scheme: str = SCHEME) -> dict[str, np.ndarray]:
     """Landmarks in a session's pictures.
 
+    Args:
+        path: the file.
+        scheme: the one that is asked for, of `COUNTS`.
+
     Returns:
-        Camera id to (68, 2) pixels, NaN where hidden.
+        Camera id to (n, 2) pixels, NaN where hidden.
 
     Raises:
-        FormatError: another scheme, or not 68 entries a camera.
+        FormatError: another scheme, or not as many entries a camera as it has.
     """
     value = read_json(path, SCHEMA)
     _require_not_the_other(path, value, "points_px", "points_mm")
     points = value.get("points_px")
-    if value.get("scheme") != SCHEME or not isinstance(points, dict):
+    if value.get("scheme") != scheme or not isinstance(points, dict):
         raise FormatError(
-            path, field="scheme", found=repr(value.get("scheme")), expected=repr(SCHEME)
+            path,
+            field="scheme",
+            found=repr(value.get("scheme")),
+            expected=repr(scheme),
+            hint="`lightstage landmarks --scheme` writes either."
+            if value.get("scheme") in COUNTS
+            else "",
         )
     return {
-        camera: _array(path, f"points_px.{camera}", entry, 2) for camera, entry in points.items()
+        camera: _array(path, f"points_px.{camera}", entry, 2, COUNTS[scheme])
+        for camera, entry in points.items()
     }
 
 
-def write_points_px(points_px: dict[str, np.ndarray], path: Path) -> Path:
+def write_points_px(points_px: dict[str, np.ndarray], path: Path, scheme: str = SCHEME) -> Path:
     """Write landmarks.json; NaN rows become null."""
     value = {camera: _entries(points) for camera, points in points_px.items()}
-    return write_json(path, {"schema": SCHEMA, "scheme": SCHEME, "points_px": value})
+    return write_json(path, {"schema": SCHEMA, "scheme": scheme, "points_px": value})
 
 
 def read_points_mm(path: Path) -> np.ndarray:
@@ -49,7 +65,7 @@ def read_points_mm(path: Path) -> np.ndarray:
     if not isinstance(value, dict) or value.get("scheme") != SCHEME:
         raise FormatError(path, field="scheme", found="another", expected=repr(SCHEME))
     _require_not_the_other(path, value, "points_mm", "points_px")
-    return _array(path, "points_mm", value.get("points_mm"), 3)
+    return _array(path, "points_mm", value.get("points_mm"), 3, COUNTS[SCHEME])
 
 
 def write_points_mm(points_mm: np.ndarray, path: Path) -> Path:
@@ -76,11 +92,11 @@ def _require_not_the_other(path: Path, value: dict[str, object], wanted: str, ot
         )
 
 
-def _array(path: Path, field: str, entries: object, size: int) -> np.ndarray:
-    if not isinstance(entries, list) or len(entries) != COUNT:
+def _array(path: Path, field: str, entries: object, size: int, count: int) -> np.ndarray:
+    if not isinstance(entries, list) or len(entries) != count:
         found = len(entries) if isinstance(entries, list) else type(entries).__name__
-        raise FormatError(path, field=field, found=str(found), expected=f"{COUNT} entries")
-    out = np.full((COUNT, size), np.nan)
+        raise FormatError(path, field=field, found=str(found), expected=f"{count} entries")
+    out = np.full((count, size), np.nan)
     for index, entry in enumerate(entries):
         if entry is None:
             continue

@@ -12,8 +12,15 @@ from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.fields import Fields
 from lightstage.formats.files import atomic_path, read_json, write_json
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
+from lightstage.formats.surface_points import (
+    SurfacePoints,
+    file_name,
+    read_surface_points,
+    write_surface_points,
+)
 
 SCHEMA = "lightstage.template/1"
+FACE_SCHEME = "mediapipe468"
 REGIONS = ("skin", "lips", "eyes", "ears", "hair")
 
 
@@ -47,6 +54,8 @@ class Template:
     modes: Modes | None = None
     maps: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
     """shininess (exponent), translucency (0..1): (rows, columns) float32, where present."""
+    face_points: SurfacePoints | None = None
+    """Where the face detector's 468 points lie on the mesh, where the folder tells it."""
 
 
 def default_template_path() -> Path:
@@ -59,7 +68,7 @@ def load_template(path: Path) -> Template:
 
     Raises:
         FormatError: a missing file, no UV, UV outside the tile, landmarks that are not 68 vertices,
-            or modes of another vertex count.
+            modes of another vertex count, or points beyond the mesh.
     """
     if not (path / "template.json").is_file():
         raise FormatError(
@@ -114,6 +123,7 @@ def load_template(path: Path) -> Template:
         file = path / "maps" / f"{name}.exr"
         if file.exists():
             maps[name] = read_exr(file, finite=True)
+    points = path / file_name(FACE_SCHEME)
     return Template(
         name=str(value.get("name", path.name)),
         mesh=mesh,
@@ -123,6 +133,7 @@ def load_template(path: Path) -> Template:
         source=str(value.get("source", "")),
         modes=_load_modes(path / "modes.npz", count),
         maps=maps,
+        face_points=read_surface_points(points, count) if points.exists() else None,
     )
 
 
@@ -131,6 +142,8 @@ def save_template(template: Template, path: Path) -> Path:
     write_obj(template.mesh, path / "mesh.obj")
     for name, image in template.maps.items():
         write_exr(path / "maps" / f"{name}.exr", image)
+    if template.face_points is not None:
+        write_surface_points(template.face_points, path / file_name(FACE_SCHEME))
     if template.modes is not None:
         with atomic_path(path / "modes.npz") as beside:
             np.savez_compressed(

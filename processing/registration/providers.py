@@ -1,4 +1,4 @@
-"""Who finds landmarks: a file of clicks, or any program that looks at pictures and prints our JSON.
+"""Who finds landmarks: a file of clicks, our detector, or any program that prints our JSON.
 
 A program is called as ``COMMAND FOLDER``. FOLDER holds CAMERA.png, one a view; what it prints on
 standard output is landmarks.json: ``{"schema": "lightstage.landmarks/1", "scheme": "ibug68",
@@ -20,8 +20,12 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from lightstage.faces import detect_faces
+from lightstage.faces.of_template import landmark_weights, template_landmarks
+from lightstage.faces.schemes import IBUG, seen_points
 from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.mesh import Mesh, vertex_normals
+from lightstage.formats.template import Template
 from lightstage.rig import Camera, look_at
 from processing.errors import RegistrationError
 from processing.rays import MeshRays, interpolate
@@ -69,6 +73,41 @@ class ClickedLandmarks:
         """The file's landmarks, of whatever pictures."""
         del pictures
         return read_points_px(self.path)
+
+
+@dataclasses.dataclass(frozen=True)
+class DetectedLandmarks:
+    """The project's own face detector.
+
+    Where the template tells where the detector's points lie on it, its own landmarks are told from
+    them, those of the jaw's sides not; else the points that stand for iBUG's are taken.
+    """
+
+    template: Template
+
+    def find(self, pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """The largest face's landmarks in each picture that shows one.
+
+        Raises:
+            FaceError: the detector's weights are not installed.
+        """
+        found = {}
+        vertices, points = self.template.mesh.vertices, self.template.face_points
+        weights = (
+            None
+            if points is None
+            else landmark_weights(points.on(vertices), vertices[self.template.landmarks])
+        )
+        for name, picture in pictures.items():
+            faces = detect_faces(np.ascontiguousarray(picture))
+            if faces:
+                face = faces[0]
+                found[name] = (
+                    seen_points(face, IBUG)
+                    if weights is None
+                    else template_landmarks(face, weights)
+                )
+        return found
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,6 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lightstage.commands import ProgressCallback, quiet
+from lightstage.counting import counted
+from lightstage.errors import FaceError
+from lightstage.faces.weights import require_weights
 from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import LANDMARKS
 from lightstage.formats.mesh import Mesh, read_ply, vertex_normals, write_obj
@@ -26,7 +29,11 @@ from processing.registration.flips import against_scan
 from processing.registration.landmarks import triangulate
 from processing.registration.modes import ModesConfig, fit_modes
 from processing.registration.nonrigid import Fit, NonrigidConfig, fit_nonrigid
-from processing.registration.providers import ClickedLandmarks, CommandLandmarks
+from processing.registration.providers import (
+    ClickedLandmarks,
+    CommandLandmarks,
+    DetectedLandmarks,
+)
 from processing.registration.quiet import quieted
 from processing.registration.residual import residual, scan_in_common, write_residual
 from processing.registration.rigid import Similarity, robust_umeyama
@@ -35,6 +42,11 @@ from processing.registration.start import first_pose, require_surface
 from processing.registration.target import Target
 from processing.splitting import unsplit
 
+CLICK = (
+    "Click them in the photographs (docs/registration.md shows landmarks.json), or name a program "
+    "as landmark_command in the table [register] of --config."
+)
+DETECTOR = "detector"
 ENOUGH_FACES = 100_000
 """A mesh that was split for its finest relief is taken as it was before, where it had so many."""
 
@@ -44,10 +56,12 @@ class RegisterConfig:
     """Registration's settings."""
 
     landmark_command: str = ""
-    """A program that finds the landmarks in the views' albedo, in place of landmarks.json; see
-    `providers`."""
+    """A program that finds the landmarks in the views' albedo, in place of landmarks.json and of
+    our own detector; see `providers`."""
     click_agree_mm: float = 2.5
     """How far a click's ray may pass from its landmark; farther ones are left out and named."""
+    detected_agree_mm: float = 5.0
+    """The same for our own detector, which no view contradicts as surely as a person's click."""
     landmark_outlier_mm: float = 18.0
     """A landmark this far from the fitted shape model, with no neighbour alike, is left out."""
     least_open_sky: float = 0.08
@@ -72,7 +86,7 @@ def register(
     for the report, work/registration/residual.npz and .png.
 
     Args:
-        session: with landmarks.json in its folder, unless a program finds them.
+        session: with landmarks.json in its folder, unless they are to be found in the views.
         out: processed folder with base_mesh.ply.
         template: what is laid onto the scan.
         config: settings.
@@ -87,11 +101,11 @@ def register(
     """
     folder = ProcessedFolder(out)
     scan = unsplit(read_ply(folder.base_mesh), ENOUGH_FACES)
-    points_px = _landmarks(session, folder, config)
+    points_px, by = _landmarks(session, folder, template, config)
     found = triangulate(
         points_px,
         {camera.id: camera for camera in session.rig.cameras},
-        agree_mm=config.click_agree_mm,
+        agree_mm=config.detected_agree_mm if by == DETECTOR else config.click_agree_mm,
         surface=MeshRays(scan.vertices, scan.triangles()),
     )
     vertices, facts = register_mesh(scan, found.points_mm, template, config, progress)
@@ -111,6 +125,7 @@ def register(
     several = found.views >= 2
     rays = found.residual_mm[several]
     return {
+        "landmarks_by": by,
         "landmarks_triangulated": int(several.sum()),
         "landmarks_of_one_view": int((found.views == 1).sum()),
         "landmark_rays_rms_mm": float(np.sqrt(np.mean(rays**2))) if several.any() else None,
@@ -122,23 +137,61 @@ def register(
 
 
 def _landmarks(
-    session: Session, folder: ProcessedFolder, config: RegisterConfig
-) -> dict[str, np.ndarray]:
-    """Camera id to (68, 2) pixels, from the session's file or the program that finds them."""
+    session: Session, folder: ProcessedFolder, template: Template, config: RegisterConfig
+) -> tuple[dict[str, np.ndarray], str]:
+    """Camera id to (68, 2) pixels, and who told them."""
     if config.landmark_command:
-        pictures = {}
-        for camera in sorted(set(folder.view_ids()) & {c.id for c in session.rig.cameras}):
-            if folder.view_path(camera, "diffuse_albedo").is_file():
-                linear = folder.read_view(camera, "diffuse_albedo")
-            else:  # photographs that tell no normals tell no albedo either
-                linear = read_frames(folder.root, camera).brightest()
-            lit = linear[folder.read_mask(camera)]
-            white = max(float(np.quantile(lit, 0.99)), 1e-6) if len(lit) else 1.0
-            pictures[camera] = (255 * srgb_from_linear(np.clip(linear / white, 0, 1))).astype(
-                np.uint8
-            )
-        return CommandLandmarks(config.landmark_command).find(pictures)
-    return clicked_landmarks(session)
+        finder = CommandLandmarks(config.landmark_command)
+        return finder.find(_pictures(session, folder)), "program"
+    if (session.root / LANDMARKS).is_file():
+        return clicked_landmarks(session), "landmarks.json"
+    pictures = _pictures(session, folder)
+    found = DetectedLandmarks(template).find(pictures)
+    if not found:
+        raise RegistrationError(
+            "landmarks",
+            found=f"no face in {counted(len(pictures), 'view')}, and no {LANDMARKS}",
+            expected="a face in two or more",
+            hint=CLICK,
+        )
+    return found, DETECTOR
+
+
+def _pictures(session: Session, folder: ProcessedFolder) -> dict[str, np.ndarray]:
+    """Camera id to (h, w, 3) uint8: its view's albedo, or its brightest photograph."""
+    pictures = {}
+    for camera in sorted(set(folder.view_ids()) & {c.id for c in session.rig.cameras}):
+        if folder.view_path(camera, "diffuse_albedo").is_file():
+            linear = folder.read_view(camera, "diffuse_albedo")
+        else:  # photographs that tell no normals tell no albedo either
+            linear = read_frames(folder.root, camera).brightest()
+        lit = linear[folder.read_mask(camera)]
+        white = max(float(np.quantile(lit, 0.99)), 1e-6) if len(lit) else 1.0
+        pictures[camera] = (255 * srgb_from_linear(np.clip(linear / white, 0, 1))).astype(np.uint8)
+    return pictures
+
+
+def require_landmarks(session: Session, config: RegisterConfig) -> None:
+    """Make sure that landmarks are there, or that somebody can find them.
+
+    Raises:
+        FormatError: landmarks.json is not in its form.
+        RegistrationError: there are none and no detector, or they name a camera that the rig lacks.
+    """
+    if config.landmark_command:
+        return
+    if (session.root / LANDMARKS).is_file():
+        clicked_landmarks(session)
+        return
+    try:
+        require_weights()
+    except FaceError as error:
+        raise RegistrationError(
+            session.root / LANDMARKS,
+            found="no such file, and no detector",
+            expected="68 iBUG landmarks in two cameras or more",
+            hint=f"{CLICK} Or install the detector: {error.hint}",
+        ) from None
 
 
 def clicked_landmarks(session: Session) -> dict[str, np.ndarray]:
@@ -146,17 +199,9 @@ def clicked_landmarks(session: Session) -> dict[str, np.ndarray]:
 
     Raises:
         FormatError: the file is not in its form.
-        RegistrationError: no such file, or a camera that the rig lacks.
+        RegistrationError: a camera that the rig lacks.
     """
     path = session.root / LANDMARKS
-    if not path.is_file():
-        raise RegistrationError(
-            path,
-            found="no such file",
-            expected="68 iBUG landmarks in two cameras or more",
-            hint="Click them in the photographs (docs/registration.md shows landmarks.json), or "
-            "name a program as landmark_command in the table [register] of --config.",
-        )
     points_px = ClickedLandmarks(path).find({})
     unknown = sorted(set(points_px) - {camera.id for camera in session.rig.cameras})
     if unknown:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import typer
@@ -25,6 +26,7 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import write_json
 from lightstage.formats.mesh import Mesh, write_obj
 from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.template import default_template_path
 from lightstage.importing import import_session
 from lightstage.rig import default_rig, save_rig
 from processing.dataset import build_store
@@ -115,6 +117,10 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     for camera in rig.cameras:
         size = (camera.height_px, camera.width_px, 3)
         write_exr(at["photographs"] / "full" / f"{camera.id}.exr", rng.random(size))
+    at["template"] = default_template_path()
+    at["portrait"] = folder / "portrait.png"
+    people = cv2.imread(str(Path(__file__).parents[2] / "docs" / "people.jpg"))
+    cv2.imwrite(str(at["portrait"]), people[:270, 327:490])
     at["session"] = folder / "session"
     import_session(at["photographs"], rig, at["session"], "P1", "neutral")
     at["lab"] = folder / "lab"
@@ -190,6 +196,7 @@ RUNNABLE = {
         "learning", "upscale", "{texture}", "--checkpoint", "{super-resolution}",
         "--out", "{new}.exr",
     ),
+    "landmarks": ("lightstage", "landmarks", "{portrait}", "--out", "{new}"),
     "targets": ("sim", "targets", "--rig", "{rig}", "--scale", "1", "--out", "{new}"),
 }  # fmt: skip
 """Words of each command; `{name}` is a file of `world`, `{new}` a place that is not there yet."""

@@ -21,6 +21,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "lightstage rig check": {"rig": "rig"},
     "lightstage patterns": {"sequence": "binary", "--rig": "rig"},
     "lightstage import": {"folder": "photographs", "--rig": "rig", "--out": NEW},
+    "lightstage landmarks": {"photo": "portrait", "--out": NEW},
     "lightstage check": {"session": "session"},
     "processing calibrate": {"lab": "lab", "--out": NEW},
     "processing calibrate-cameras": {"lab": "lab", "--out": NEW},
@@ -40,6 +41,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "learning bake": {"--maps": "maps", "--mesh": "mesh", "--environment": "lights", "--out": NEW},
     "learning export": {"maps": "mesh's maps", "--mesh": "mesh", "--out": NEW},
     "learning occlusion": {"--out": NEW},
+    "learning template-points": {"--template": "template", "--out": NEW},
     "learning train": {"--data": "store", "--out": NEW},
     "learning infer": {
         "--texture": "texture", "--mesh": "mesh", "--checkpoint": "run", "--out": NEW,
@@ -75,7 +77,7 @@ RIGHT_TOO = {
 CHOICES = {
     "kind", "--drive", "--do", "--mode", "--background", "--shadows", "--light", "--until",
     "--sequence", "sequence", "--preset", "--flaws", "--people", "--camera",
-    "--format",
+    "--format", "--scheme",
 }  # fmt: skip
 """Options that take one of some words."""
 

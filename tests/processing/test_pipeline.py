@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from lightstage.errors import ConfigError, FormatError
+from lightstage.faces import weights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.processed import ProcessedFolder
@@ -211,9 +212,15 @@ def test_atlas_rows_are_refused_before_any_stage_runs(
     assert not (tmp_path / "out").exists()
 
 
-def test_missing_landmarks_are_told_before_any_stage_runs(session: Path, tmp_path: Path) -> None:
+def test_no_landmarks_and_no_detector_are_told_before_any_stage_runs(
+    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (session / "landmarks.json").unlink(missing_ok=True)
-    said = r"landmarks\.json: found no such file, expected 68 iBUG.*Click them.*landmark_command"
+    monkeypatch.setattr(weights, "PACKAGE", "no_such_package_at_all")
+    said = (
+        r"landmarks\.json: found no such file, and no detector, expected 68 iBUG.*"
+        r"Click them.*landmark_command.*Or install the detector: Run `make setup`"
+    )
     with pytest.raises(RegistrationError, match=said):
         run(session, tmp_path / "out", TEMPLATE, PipelineConfig())
     assert not (tmp_path / "out").exists()

@@ -1,0 +1,1 @@
+"""Where a face detector's points lie on a template, found in pictures of it."""

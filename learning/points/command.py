@@ -1,0 +1,75 @@
+"""What `template-points` does: find the detector's points on a template, and write them."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learning.points.find import SCHEME, find_points
+from learning.points.paint import painted
+from learning.points.pictures import Coloured, Lamp, camera_at, pictures_of
+from lightstage.commands import ProgressCallback
+from lightstage.formats.png import write_png
+from lightstage.formats.surface_points import SurfacePoints, file_name, write_surface_points
+from lightstage.formats.template import load_template
+
+SHOWN_YAWS_DEG = (-35.0, 0.0, 35.0)
+FINER = 2.5
+DOT_PX = 1
+DOT = (0, 255, 0)
+
+
+def template_points(
+    path: Path, out: Path | None, picture: Path | None, progress: ProgressCallback
+) -> dict[str, Any]:
+    """Find and write a template's points.
+
+    Args:
+        path: the template's folder.
+        out: the file; the template's own where absent.
+        picture: of the head with its points, or None.
+        progress: of views.
+
+    Returns:
+        Facts.
+
+    Raises:
+        LightstageError: no template, or one on which no face is seen.
+    """
+    began = time.monotonic()
+    template = load_template(path)
+    middle = template.mesh.vertices[template.landmarks[17:]].mean(axis=0)
+    head = Coloured(template.mesh, painted(template), middle)
+    points, counts = find_points(head, progress=progress)
+    written = write_surface_points(points, out or path / file_name(SCHEME))
+    if picture is not None:
+        write_png(picture, drawn(head, points))
+    there = points.triangles[:, 0] >= 0
+    return {
+        "points": str(written),
+        "found": int(there.sum()),
+        "absent": int((~there).sum()),
+        "spread_median_mm": round(float(np.median(points.spread_mm[there])), 2),
+        "spread_p90_mm": round(float(np.quantile(points.spread_mm[there], 0.9)), 2),
+        **counts,
+        "picture": None if picture is None else str(picture),
+        "seconds": round(time.monotonic() - began, 1),
+    }
+
+
+def drawn(head: Coloured, points: SurfacePoints) -> np.ndarray:
+    """(h, w, 3) uint8: the head from three sides, with its points."""
+    sides = []
+    for yaw in SHOWN_YAWS_DEG:
+        camera = camera_at(head.middle_mm, yaw, 0.0).scaled(FINER)
+        shown = pictures_of(head, camera, [Lamp(10.0, 25.0, 0.5)])[0]
+        for x, y in camera.project(points.on(head.mesh.vertices))[0]:
+            if np.isfinite(x + y):
+                column, row = int(x), int(y)
+                rows = slice(max(0, row - DOT_PX), row + DOT_PX + 1)
+                shown[rows, max(0, column - DOT_PX) : column + DOT_PX + 1] = DOT
+        sides.append(shown)
+    return np.concatenate(sides, axis=1)

@@ -1,0 +1,53 @@
+"""A photograph as a face is looked for in it: sRGB of 8 bits, upright, whatever else it holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from lightstage.developed import developed_kind
+from lightstage.errors import FormatError, unreadable_file
+
+
+def read_photo(path: Path) -> np.ndarray:
+    """Read a JPEG, PNG or TIFF for the detector.
+
+    What the detector does not need is not asked for: grey becomes colour, 16 bits become 8,
+    transparency is left out, and a colour profile counts for nothing. A JPEG is turned as it says.
+
+    Returns:
+        (h, w, 3) uint8, red green blue.
+
+    Raises:
+        FormatError: another kind of file, a damaged one, or one of too many pixels.
+    """
+    import cv2
+
+    try:
+        kind = developed_kind(path)
+        data = path.read_bytes() if kind else b""
+    except OSError as error:
+        raise unreadable_file(path, error) from None
+    if kind is None:
+        raise FormatError(
+            path,
+            found="another kind of file",
+            expected="a JPEG, PNG or TIFF",
+            hint="Develop a RAW, or export linear light, to one of these first.",
+        )
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB)
+    except cv2.error:
+        picture = None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if picture is None or picture.dtype != np.uint8 or picture.ndim != 3:
+        raise FormatError(
+            path,
+            found=f"a {kind} that cannot be read",
+            expected="a whole JPEG, PNG or TIFF of up to 300 megapixels",
+            hint="Is it damaged? Open it in another program and save it again.",
+        )
+    return np.asarray(picture)
