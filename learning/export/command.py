@@ -52,6 +52,7 @@ def export_command(
     template: Path | None,
     compare: Path | None,
     progress: ProgressCallback,
+    replace: bool = False,
 ) -> dict[str, Any]:
     """Export a head; returns the facts.
 
@@ -64,6 +65,7 @@ def export_command(
             roughness that is missing.
         compare: other maps of the same mesh, such as inferred ones, for the page's slider.
         progress: of the formats.
+        replace: an earlier export in `out`.
 
     Raises:
         LightstageError: bad input; nothing is written then.
@@ -72,7 +74,7 @@ def export_command(
     chosen = formats_of(formats)
     if "usd" in chosen:
         require_usd()
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if not replace and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise MapsError(
             out,
             field="--out",

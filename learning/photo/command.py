@@ -110,9 +110,7 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
     return {**facts, "seconds": time.monotonic() - began}
 
 
-def read_all(
-    request: FitRequest, template: Template
-) -> tuple[list[Photograph], Places, list[str]]:
+def read_all(request: FitRequest, template: Template) -> tuple[list[Photograph], Places, list[str]]:
     """The photographs with their landmarks, where these lie on the template, and notes."""
     paths = request.photographs
     if not 1 <= len(paths) <= MOST_PHOTOGRAPHS:
@@ -278,5 +276,3 @@ def _facts(
         "misfit": None if np.isnan(fitted.misfit) else fitted.misfit,
         "notes": [*notes, *fitted.notes],
     }
-
-
