@@ -50,7 +50,7 @@ class FitConfig:
     """
 
     rows: int = 1536
-    landmark_percent: float = 8.0
+    landmark_percent: float = 12.0
     focal_spread: float = 0.35
     focal_told_spread: float = 0.03
     identity_modes: int = 100

@@ -139,7 +139,11 @@ class FittedHead:
 
 
 def fit_shape(
-    photographs: list[Photograph], template: Template, places: Places, config: FitConfig
+    photographs: list[Photograph],
+    template: Template,
+    places: Places,
+    config: FitConfig,
+    model: ShapeModel | None = None,
 ) -> Shape:
     """Find the shape of the person, the cameras and the expressions.
 
@@ -148,11 +152,12 @@ def fit_shape(
         template: whose topology the head has.
         places: of the landmarks on it.
         config: what is known before.
+        model: of the template, where it was made already.
 
     Raises:
         MapsError: a photograph with too few landmarks, or none that agree with a face.
     """
-    model = shape_model(template, config)
+    model = shape_model(template, config) if model is None else model
     there = model.at(places.triangles, places.weights)
     normals = vertex_normals(model.mean, template.mesh.triangles())
     facing = np.einsum("pck,pc->pk", normals[places.triangles], places.weights)
@@ -183,7 +188,8 @@ def fit_shape(
         cameras.append(_camera(photograph, taken))
         meshes.append(template.mesh.with_vertices(model.vertices(found.identity, taken.expression)))
     neutral = model.vertices(found.identity, np.zeros(len(model.expression)))
-    deviation = np.linalg.norm(found.deviation_mm(model.identity), axis=1)
+    shapes = without_similarity(model.identity, model.mean, model.face)
+    deviation = np.linalg.norm(found.deviation_mm(shapes), axis=1)
     return Shape(
         model,
         found,
@@ -192,6 +198,27 @@ def fit_shape(
         template.mesh.with_vertices(neutral),
         deviation,
     )
+
+
+def without_similarity(modes: np.ndarray, mean: np.ndarray, face: np.ndarray) -> np.ndarray:
+    """(k, n, 3) modes without the part that moves, turns or scales a face as a whole.
+
+    Args:
+        modes: (k, n, 3).
+        mean: (n, 3) the shape that they change.
+        face: (n,) bool, where the part is measured.
+    """
+    about = mean - mean[face].mean(axis=0)
+    x, y, z = about.T
+    zero = np.zeros_like(x)
+    turns = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    moves = [np.broadcast_to(axis[:, None], (3, len(mean))) for axis in np.eye(3)]
+    basis = np.stack([*moves, *turns, about.T]).transpose(0, 2, 1)  # (7, n, 3)
+    flat = basis[:, face].reshape(len(basis), -1)
+    if not face.any():
+        return modes
+    share = np.linalg.lstsq(flat.T, modes[:, face].reshape(len(modes), -1).T, rcond=None)[0]
+    return modes - np.tensordot(share.T, basis, 1)
 
 
 def fit_head(

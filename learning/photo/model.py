@@ -123,27 +123,27 @@ def smooth_changes(
     """
     if count == 0 or not face.any():
         return np.zeros((0, *mean.shape))
-    chosen = mean[spread_out(mean, np.flatnonzero(face), SAMPLES)]
+    among = spread_out(mean, np.flatnonzero(face), SAMPLES)
+    chosen = mean[among]
     mirror = np.array([-1.0, 1.0, 1.0])
 
-    def covariance(one: np.ndarray, sign: float) -> np.ndarray:
-        def near(other: np.ndarray) -> np.ndarray:
-            squared = cdist(one, other, "sqeuclidean")
-            found = np.zeros_like(squared)
-            for deviation_mm, length_mm in scales:
-                found += deviation_mm**2 * np.exp(-squared / (2 * length_mm**2))
-            return found
+    def covariance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        squared = cdist(one, other, "sqeuclidean")
+        found = np.zeros_like(squared)
+        for deviation_mm, length_mm in scales:
+            found += deviation_mm**2 * np.exp(squared * (-0.5 / length_mm**2))
+        return found
 
-        # Half of each, so that the two signs add up to the plain squared exponential.
-        return 0.5 * (near(chosen) + sign * near(chosen * mirror))
-
+    straight, crossed = covariance(mean, chosen), covariance(mean, chosen * mirror)
     directions: list[tuple[float, np.ndarray, int]] = []
     for sign in (1.0, -1.0):
-        values, vectors = np.linalg.eigh(covariance(chosen, sign))
+        # Half of each, so that the two signs add up to the plain covariance.
+        shared_by = 0.5 * (straight + sign * crossed)
+        values, vectors = np.linalg.eigh(shared_by[among])
         kept = values > LEAST_SHARE * values[-1]
         values, vectors = values[kept], vectors[:, kept]
         # A field phi_i with sqrt(l_i) phi_i of unit variance in its coefficient.
-        fields = (covariance(mean, sign) @ vectors / np.sqrt(values)).T
+        fields = (shared_by @ vectors / np.sqrt(values)).T
         for axis in range(3):
             # Mirrored, x changes its sign: its symmetric fields are the odd ones.
             shared = (sign < 0) == (axis == 0)

