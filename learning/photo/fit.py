@@ -51,6 +51,9 @@ NOT_SKIN_TINT = 0.35
 """The same of red or blue over green: grey cloth and walls."""
 LEAST_SEEN = 0.05
 """Share of the face's texels that a photograph must show."""
+LARGEST_MISFIT = 3.0
+"""Of a light that explains a photograph. Shadows fall a little beside where the fitted shape casts
+them: hard lights leave 1.8 to 2.4 and are found within 7 to 17 degrees."""
 DARK = 0.01
 """Added to both before a photograph is compared with its model."""
 
@@ -327,6 +330,7 @@ class _Texels:
             refine_seconds=seconds,
             mesostructure=mesostructure,
             camera_mm=camera.centre_mm,
+            largest_misfit=LARGEST_MISFIT,
         )
 
 

@@ -29,7 +29,7 @@ from learning.networks.whole_face import WholeFaceNetwork, face_input
 from learning.render.shading import unit
 from learning.render.uv import rasterise
 from learning.whole.detail import enlarged, with_detail
-from learning.whole.refine import CAMERA_MM, Answer, Refined, refine
+from learning.whole.refine import CAMERA_MM, LARGEST_MISFIT, Answer, Refined, refine
 from lightstage.counting import counted
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
@@ -59,6 +59,7 @@ def infer_whole_face(
     device: torch.device = CPU,
     mesostructure: TrainedMesostructure | None = None,
     camera_mm: np.ndarray | None = None,
+    largest_misfit: float = LARGEST_MISFIT,
 ) -> Inferred:
     """Infer a texture's reflectance.
 
@@ -77,6 +78,8 @@ def infer_whole_face(
         mesostructure: with refinement, finds pores and folds.
         camera_mm: (3,) from where the texture was photographed, in the mesh's axes; from in front
             of the face where None.
+        largest_misfit: of a light that is taken for the texture's; a shape that is only near
+            leaves more than a true one.
 
     Returns:
         Maps of the texture's size in the mesh's axes; zero where no surface is. Normals are the
@@ -129,7 +132,7 @@ def infer_whole_face(
         if camera_mm is not None:
             viewed = head_from_mesh[:, :3] @ camera_mm + head_from_mesh[:, 3]
         asked = (texture, photographed, head, raster, refine_seconds, mesostructure, viewed)
-        found = refine(network, answer, *asked)
+        found = refine(network, answer, *asked, largest_misfit)
         if isinstance(found, str):
             notes = [*notes, f"{named[0]} was not refined, the network's answer stands: {found}"]
         else:

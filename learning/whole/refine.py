@@ -101,6 +101,7 @@ def refine(
     seconds: float,
     mesostructure: TrainedMesostructure | None = None,
     camera_mm: np.ndarray = CAMERA_MM,
+    largest_misfit: float = LARGEST_MISFIT,
 ) -> Refined | str:
     """Take the light out of a texture, beginning with a network's answer.
 
@@ -114,6 +115,7 @@ def refine(
         seconds: to search, at most; what is found by then is used.
         mesostructure: finds pores and folds in the texture's detail; all detail is skin where None.
         camera_mm: (3,) from where the texture was photographed, head frame.
+        largest_misfit: of a light that is taken for the texture's.
 
     Returns:
         The light and the skin, or why there are none, in words.
@@ -136,7 +138,7 @@ def refine(
         change = np.abs(np.log(skin.albedo(found.along) / before)).mean()
         if change < SETTLED or time.monotonic() > until:
             break
-    if light is None or light.misfit > LARGEST_MISFIT:
+    if light is None or light.misfit > largest_misfit:
         if time.monotonic() > until:
             return f"{seconds:g} s were too few to find the light; give more by --refine"
         return "no light explains it"
