@@ -17,7 +17,6 @@ from learning.points.pictures import Coloured, Lamp, camera_at, pictures_of
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.faces import detect_faces
 from lightstage.formats.surface_points import COUNTS, SurfacePoints
-from lightstage.lines import nearest_equations
 
 SCHEME = "mediapipe468"
 
@@ -119,14 +118,12 @@ def _away(point: np.ndarray, origins: np.ndarray, lines: np.ndarray) -> np.ndarr
 
 def _meeting(origins: np.ndarray, lines: np.ndarray, config: PointsConfig) -> np.ndarray:
     """(3,) the point that most lines pass near: least squares, reweighted [Holland1977]."""
+    across = np.eye(3) - lines[:, :, None] * lines[:, None, :]
+    right = np.einsum("vij,vj->vi", across, origins)
     share = np.ones(len(lines))
     point = np.zeros(3)
     for _ in range(config.rounds):
-        matrix, right = np.zeros((3, 3)), np.zeros(3)
-        for origin, line, weight in zip(origins, lines, share, strict=True):
-            part, side = nearest_equations(origin, line)
-            matrix, right = matrix + weight * part, right + weight * side
-        point = np.linalg.solve(matrix, right)
+        point = np.linalg.solve(np.einsum("v,vij->ij", share, across), share @ right)
         share = 1 / (1 + (_away(point, origins, lines) / config.soft_mm) ** 2)
     return point
 
