@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from lightstage.rig import Camera, Rig, look_at
+from benchmarks.record import record
+from lightstage.faces import Face, detect_faces
+from lightstage.faces.of_template import landmark_weights, template_landmarks
+from lightstage.faces.schemes import ibug68
+from lightstage.formats.template import default_template_path, load_template
+from lightstage.rig import Camera, Rig, default_rig, look_at
 from processing.colour import srgb_from_linear
 from processing.registration.landmarks import triangulate
 from processing.registration.providers import DetectedLandmarks
@@ -17,6 +23,7 @@ from sim.light.lamps import point_lamps
 from sim.light.relight import auto_exposure
 from sim.light.world import World
 from sim.people.subject import Subject
+from sim.people.subjects import load_subject
 from sim.truth import landmarks_px
 
 PICTURE_PX = 512
