@@ -404,7 +404,8 @@ def template_points(
     template: Annotated[Path, typer.Option(help="Template's folder: mesh, landmarks, regions.")],
     out: Path | None = output_file(
         "--out",
-        help="Points to write, JSON; mediapipe468.json in the template's folder without it.",
+        help="Points to write, .json; mediapipe468.json in the template's folder without it.",
+        suffixes=[".json"],
         default=None,
         shared=True,
     ),

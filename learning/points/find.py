@@ -8,6 +8,7 @@ view in which the detector slipped counts for little; the mesh's nearest place i
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 import open3d
@@ -16,10 +17,11 @@ from learning.errors import LearningError
 from learning.points.pictures import Coloured, Lamp, camera_at, pictures_of
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.faces import detect_faces
-from lightstage.formats.surface_points import COUNTS, SurfacePoints
-from lightstage.lines import nearest_equations
+from lightstage.formats.surface_points import SurfacePoints
 
 SCHEME = "mediapipe468"
+OFF_MM = 0.5
+"""Rays begin so far off the mesh, towards the camera and along the normal."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,72 +87,91 @@ def find_points(
 
 
 def _surface_points(
-    head: Coloured, origins: np.ndarray, directions: np.ndarray, config: PointsConfig
+    head: Coloured, origins: np.ndarray, lines: np.ndarray, config: PointsConfig
 ) -> SurfacePoints:
-    """Where (v, 468, 3) lines of sight from (v, 3) places meet, on the mesh."""
-    count = COUNTS[SCHEME]
-    triangles = np.full((count, 3), -1, np.int64)
-    weights = np.full((count, 3), np.nan)
-    spread = np.full(count, np.nan)
-    for index in range(count):
-        lines = directions[:, index]
-        point = _meeting(origins, lines, config)
-        # What sees the place can be told only when it is known about where it is.
-        for _ in range(2):
-            place = _on_mesh(head, point)
-            seen = _sees(head, place[0], place[1], origins, config.facing)
-            if seen.sum() < config.fewest_views:
-                break
-            point = _meeting(origins[seen], lines[seen], config)
-        else:
-            place = _on_mesh(head, point)
-            apart = float(np.median(_away(place[0], origins[seen], lines[seen])))
-            if apart <= config.largest_spread_mm:
-                triangles[index], weights[index], spread[index] = place[2], place[3], apart
-    return SurfacePoints(SCHEME, triangles, weights, spread)
+    """Where (v, n, 3) lines of sight from (v, 3) places meet, on the mesh."""
+    seen = np.ones(lines.shape[:2], bool)
+    there = np.ones(lines.shape[1], bool)
+    near = _on_mesh(head, _meeting(origins, lines, seen, config))
+    # What sees a place can be told only when it is known about where it is.
+    for _ in range(2):
+        sees = _sees(head, near, origins, config.facing)
+        there &= sees.sum(axis=0) >= config.fewest_views
+        seen = sees | ~there
+        near = _on_mesh(head, _meeting(origins, lines, seen, config))
+    away = np.where(seen, _away(near.places, origins, lines), np.nan)
+    spread = np.nanmedian(away, axis=0)
+    there &= spread <= config.largest_spread_mm
+    return SurfacePoints(
+        SCHEME,
+        np.where(there[:, None], near.corners, -1),
+        np.where(there[:, None], near.weights, np.nan),
+        np.where(there, spread, np.nan),
+    )
 
 
-def _away(point: np.ndarray, origins: np.ndarray, lines: np.ndarray) -> np.ndarray:
-    """(v,) distances of a point from lines, mm."""
-    offset = point - origins
-    along = np.einsum("vk,vk->v", offset, lines)
-    return np.asarray(np.linalg.norm(offset - along[:, None] * lines, axis=1))
+def _away(points: np.ndarray, origins: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """(v, n) distances of (n, 3) points from their lines in each view, mm."""
+    offset = points - origins[:, None]
+    along = np.einsum("vnk,vnk->vn", offset, lines)
+    return np.asarray(np.linalg.norm(offset - along[..., None] * lines, axis=2))
 
 
-def _meeting(origins: np.ndarray, lines: np.ndarray, config: PointsConfig) -> np.ndarray:
-    """(3,) the point that most lines pass near: least squares, reweighted [Holland1977]."""
-    share = np.ones(len(lines))
-    point = np.zeros(3)
-    for _ in range(config.rounds):
-        matrix, right = np.zeros((3, 3)), np.zeros(3)
-        for origin, line, weight in zip(origins, lines, share, strict=True):
-            part, side = nearest_equations(origin, line)
-            matrix, right = matrix + weight * part, right + weight * side
-        point = np.linalg.solve(matrix, right)
-        share = 1 / (1 + (_away(point, origins, lines) / config.soft_mm) ** 2)
-    return point
-
-
-def _on_mesh(
-    head: Coloured, point: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The mesh's nearest place: (3,) itself, its normal, its triangle's vertices and weights."""
-    query = open3d.core.Tensor(np.asarray(point, np.float32)[None])
-    found = head.scene.compute_closest_points(query)
-    corners = head.triangles[int(found["primitive_ids"].numpy()[0])]
-    u, v = (float(w) for w in found["primitive_uvs"].numpy()[0])
-    weights = np.clip([1 - u - v, u, v], 0, 1)
-    weights /= weights.sum()
-    return weights @ head.mesh.vertices[corners], weights @ head.normals[corners], corners, weights
-
-
-def _sees(
-    head: Coloured, place: np.ndarray, normal: np.ndarray, origins: np.ndarray, facing: float
+def _meeting(
+    origins: np.ndarray, lines: np.ndarray, seen: np.ndarray, config: PointsConfig
 ) -> np.ndarray:
-    """(v,) bool: which cameras see a place of the mesh."""
-    toward = origins - place
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    rays = np.empty((len(origins), 6), np.float32)
-    rays[:, :3], rays[:, 3:] = place + 0.5 * normal + 0.5 * toward, toward
+    """(n, 3) points that most of their lines pass near: reweighted least squares [Holland1977].
+
+    Args:
+        origins: (v, 3).
+        lines: (v, n, 3) unit.
+        seen: (v, n) bool, lines that count; at least two of each point.
+        config: settings.
+    """
+    across = np.eye(3) - lines[..., :, None] * lines[..., None, :]
+    right = np.einsum("vnij,vj->vni", across, origins)
+    share = seen.astype(float)
+    points = np.zeros(lines.shape[1:])
+    for _ in range(config.rounds):
+        matrix = np.einsum("vn,vnij->nij", share, across)
+        side = np.einsum("vn,vni->ni", share, right)
+        points = np.linalg.solve(matrix, side[..., None])[..., 0]
+        share = seen / (1 + (_away(points, origins, lines) / config.soft_mm) ** 2)
+    return points
+
+
+class _Near(NamedTuple):
+    """The mesh's nearest places to n points.
+
+    Attributes:
+        places: (n, 3) mm.
+        normals: (n, 3).
+        corners: (n, 3) vertex indices.
+        weights: (n, 3) of the corners.
+    """
+
+    places: np.ndarray
+    normals: np.ndarray
+    corners: np.ndarray
+    weights: np.ndarray
+
+
+def _on_mesh(head: Coloured, points: np.ndarray) -> _Near:
+    query = open3d.core.Tensor(np.ascontiguousarray(points, np.float32))
+    found = head.scene.compute_closest_points(query)
+    corners = head.triangles[found["primitive_ids"].numpy()].astype(np.int64)
+    uv = found["primitive_uvs"].numpy().astype(float)
+    weights = np.clip(np.column_stack([1 - uv.sum(axis=1), uv]), 0, 1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    at = np.einsum("nc,nck->nk", weights, head.mesh.vertices[corners])
+    return _Near(at, np.einsum("nc,nck->nk", weights, head.normals[corners]), corners, weights)
+
+
+def _sees(head: Coloured, near: _Near, origins: np.ndarray, facing: float) -> np.ndarray:
+    """(v, n) bool: which cameras see which places."""
+    toward = origins[:, None] - near.places
+    toward /= np.linalg.norm(toward, axis=2, keepdims=True)
+    start = near.places + OFF_MM * near.normals + OFF_MM * toward
+    rays = np.concatenate([start, toward], axis=2).astype(np.float32)
     hidden = head.scene.test_occlusions(open3d.core.Tensor(rays)).numpy()
-    return np.asarray((toward @ normal > facing) & ~hidden)
+    return np.asarray((np.einsum("vnk,nk->vn", toward, near.normals) > facing) & ~hidden)

@@ -34,7 +34,9 @@ def landmarks_command(
     photo: list[Path] = typer.Argument(
         help="JPEG, PNG or TIFF; several may be of several cameras.", show_default=False
     ),
-    out: Path = output_file("--out", help="Points by photograph's name, JSON."),
+    out: Path = output_file(
+        "--out", help="Points by photograph's name, .json.", suffixes=[".json"]
+    ),
     scheme: str = typer.Option(
         FACE_MESH, help="`mediapipe468`, or `ibug68` for `import` and `register`."
     ),

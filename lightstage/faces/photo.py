@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 
 from lightstage.developed import developed_kind
-from lightstage.errors import FormatError, unreadable_file
+from lightstage.errors import FormatError
+from lightstage.formats.values import open_regular
+
+EXPECTED = "a JPEG, PNG or TIFF"
 
 
 def read_photo(path: Path) -> np.ndarray:
@@ -24,21 +28,19 @@ def read_photo(path: Path) -> np.ndarray:
     """
     import cv2
 
-    try:
-        kind = developed_kind(path)
-        data = path.read_bytes() if kind else b""
-    except OSError as error:
-        raise unreadable_file(path, error) from None
+    # Told what it is before it is opened: a pipe would be waited for.
+    os.close(open_regular(path, EXPECTED))
+    kind = developed_kind(path)
     if kind is None:
         raise FormatError(
             path,
             found="another kind of file",
-            expected="a JPEG, PNG or TIFF",
+            expected=EXPECTED,
             hint="Develop a RAW, or export linear light, to one of these first.",
         )
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB)
+        picture = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR_RGB)
     except cv2.error:
         picture = None
     finally:

@@ -60,7 +60,9 @@ class Command:
     def suffix(self, option: str) -> str:
         """What a file of this output ends in; nothing for a folder."""
         text = self.outputs[option].help.lower()
-        return next((s for s in (".exr", ".png", ".npz", ".obj", ".svg") if s[1:] in text), "")
+        return next(
+            (s for s in (".exr", ".png", ".npz", ".obj", ".svg", ".json") if s[1:] in text), ""
+        )
 
     def words_with(self, option: str, value: Path) -> list[str]:
         """A command line with this output and something for all else that is required."""
@@ -196,7 +198,7 @@ RUNNABLE = {
         "learning", "upscale", "{texture}", "--checkpoint", "{super-resolution}",
         "--out", "{new}.exr",
     ),
-    "landmarks": ("lightstage", "landmarks", "{portrait}", "--out", "{new}"),
+    "landmarks": ("lightstage", "landmarks", "{portrait}", "--out", "{new}.json"),
     "targets": ("sim", "targets", "--rig", "{rig}", "--scale", "1", "--out", "{new}"),
 }  # fmt: skip
 """Words of each command; `{name}` is a file of `world`, `{new}` a place that is not there yet."""

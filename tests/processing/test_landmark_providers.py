@@ -1,9 +1,11 @@
 """Landmarks from programs of other environments, and of meshes that have none."""
 
+import dataclasses
 import json
 import re
 import sys
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,12 +13,15 @@ from scipy.spatial.transform import Rotation
 from lightstage.errors import FormatError, LightstageError
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.mesh import Mesh
+from lightstage.formats.template import Template, default_template_path, load_template
 from processing.errors import RegistrationError
 from processing.registration.providers import (
     ClickedLandmarks,
     CommandLandmarks,
+    DetectedLandmarks,
     landmarks_of_mesh,
 )
+from tests.documents import ROOT
 from tests.processing.shapes import ellipsoid_template, refined
 
 UPRIGHT = np.eye(3)
@@ -160,3 +165,37 @@ def test_a_missing_file_of_clicks_is_said(tmp_path):
     (tmp_path / "bad.json").write_text(json.dumps({"schema": "other/1"}))
     with pytest.raises(FormatError):
         ClickedLandmarks(tmp_path / "bad.json").find({})
+
+
+@pytest.fixture(scope="module")
+def template() -> Template:
+    return load_template(default_template_path())
+
+
+def test_the_detector_leaves_out_pictures_without_a_face(template: Template) -> None:
+    sheet = cv2.imread(str(ROOT / "docs" / "people.jpg"))[:270, :, ::-1]
+    pictures = {"cam0": sheet[:, 327:490], "cam1": np.zeros((90, 60, 3), np.uint8)}
+    found = {}
+    for name, shape in (
+        ("own", template),
+        ("ibug", dataclasses.replace(template, face_points=None)),
+    ):
+        told = DetectedLandmarks(shape).find(pictures)
+        assert [*told] == ["cam0"]
+        assert told["cam0"].shape == (68, 2)
+        found[name] = told["cam0"][17:]
+    # The two ways mean the same places but for what a landmark is taken to be.
+    away = np.linalg.norm(found["own"] - found["ibug"], axis=1)
+    eyes = np.linalg.norm(found["ibug"][45 - 17] - found["ibug"][36 - 17])
+    assert np.isfinite(away).mean() > 0.9
+    assert np.nanmean(away) < 0.06 * eyes
+    assert DetectedLandmarks(template).find({"cam1": pictures["cam1"]}) == {}
+
+
+def test_the_detector_finds_a_bare_meshs_landmarks(template: Template) -> None:
+    marks = template.mesh.vertices[template.landmarks]
+    found = landmarks_of_mesh(template.mesh, DetectedLandmarks(template), 5.0, marks)
+    away = np.linalg.norm(found.landmarks.points_mm - marks, axis=1)
+    assert np.isfinite(away[17:]).sum() > 45
+    assert np.nanmean(away) < 5.0
+    assert np.array_equal(found.turn, np.eye(3))
