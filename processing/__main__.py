@@ -28,10 +28,12 @@ from lightstage.formats.template import default_template_path
 from processing.calibration import cameras_command
 from processing.calibration import command as calibration_command
 from processing.errors import ProcessingError
+from processing.template import command as template_command
 
 app = make_app("Photographs of a light stage to reflectance maps, mesh, atlas and dataset.")
 dataset_app = make_app("The lab's store of many processed sessions, and its published form.")
 app.add_typer(dataset_app, name="dataset")
+app.add_typer(template_command.app, name="template")
 calibration_command.register(app)
 cameras_command.register(app)
 

@@ -1,0 +1,44 @@
+"""Settings of everything that is done to templates."""
+
+from __future__ import annotations
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportConfig:
+    """How a template is made of somebody's mesh."""
+
+    landmark_gap_mm: float = 4.0
+    """A landmark given as a point lies at most this far from the vertex that stands for it."""
+    smallest_size: float = 0.6
+    """A head's landmarks are at least so many times as far apart as our template's ..."""
+    largest_size: float = 1.6
+    """... and at most so many times."""
+    largest_misfit_mm: float = 12.0
+    """Median distance of the landmarks to ours after the best similarity, at most."""
+    region_gap_mm: float = 10.0
+    """A vertex this far from our template, laid onto the mesh, is in no region ..."""
+    region_angle_deg: float = 80.0
+    """... and so is one whose normal is so far from our template's."""
+    region_stiffness_mm: float = 10.0
+    """Regions need no more than our template laid on with stiffnesses down to this."""
+    least_open_sky: float = 0.08
+    """What sees less than this share of all directions is the inside of mouth or nose: no skin."""
+    gap_rings: int = 4
+    """Gaps in ears and hair that are narrower than twice so many rings of vertices belong to
+    them."""
+    eye_within_mm: float = 22.0
+    """A part that is not joined to the face, all of it within this of an eye's landmarks, is an
+    eye."""
+    map_rows: int = 768
+    """Rows of the maps of a template; columns are two thirds."""
+    soft_rings: int = 4
+    """Shininess and translucency change from region to region over about so many vertices."""
+
+
+SHININESS = {"skin": 24.0, "lips": 40.0, "eyes": 160.0, "ears": 20.0, "hair": 12.0, "": 80.0}
+"""Blinn-Phong exponent of each region, as our own template's; "" is what no region names, such as
+teeth."""
+TRANSLUCENCY = {"skin": 0.6, "lips": 0.8, "eyes": 0.1, "ears": 1.0, "hair": 0.3, "": 0.3}
+"""The same for the share of light that passes: our own template's numbers."""
