@@ -61,10 +61,10 @@ def import_ict(
     settings = config or ImportConfig()
     model = read_ict(path)
     unit = unit or likely_unit(model.mesh.vertices)
-    own = load_template(default_template_path())
     where = model.folder / NEUTRAL
     names = [FACE, HEAD, *EYES, *(INNER if mouth else ())]
     part = _parts(model, names)
+    own = load_template(default_template_path())
     triangle_part = np.repeat(part, 1 + (model.mesh.faces[:, 3:] >= 0).sum(axis=1))
     motion = head_from_mesh(
         model.mesh.vertices,
@@ -85,7 +85,7 @@ def import_ict(
         raise FormatError(where, field="landmarks", found="some off the skin", expected=FACE)
     part = part[kept]
     surface = _outer_skin(mesh, part)
-    regions = guessed_regions(mesh, landmarks, own, settings, surface, progress)
+    regions = guessed_regions(mesh, landmarks, own, settings, surface, False, progress)
     eyes = _of(faces, part, [names.index(name) for name in EYES], len(vertices))
     regions["eyes"] = np.flatnonzero(eyes)
     regions["ears"] = np.flatnonzero(_ears(model)[vertices])

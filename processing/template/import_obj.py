@@ -54,8 +54,8 @@ def import_obj(
     mesh = read_mesh(path)
     require_uv(mesh, path)
     unit = unit or likely_unit(mesh.vertices[np.unique(mesh.triangles())])
-    own = load_template(default_template_path())
     marks, gap_mm = read_landmarks(landmarks, mesh, unit, settings)
+    own = load_template(default_template_path())
     motion = head_from_mesh(
         mesh.vertices, marks, own.mesh.vertices[own.landmarks], unit, path, settings
     )

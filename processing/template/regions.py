@@ -38,6 +38,7 @@ def guessed_regions(
     own: Template,
     config: ImportConfig,
     surface: np.ndarray | None = None,
+    ears: bool = True,
     progress: ProgressCallback = quiet,
 ) -> dict[str, np.ndarray]:
     """Regions by our own template laid onto a mesh.
@@ -48,6 +49,7 @@ def guessed_regions(
         own: our template.
         config: settings.
         surface: (n,) bool, vertices that may be skin; None takes all parts that have a landmark.
+        ears: lay ears on as wholes, which takes half of the time; else their region is empty.
         progress: called with (done, total).
 
     Returns:
@@ -61,7 +63,9 @@ def guessed_regions(
     outer = triangles[chosen[triangles].all(axis=1)]
     settings = RegisterConfig()
     rough = dataclasses.replace(
-        settings, nonrigid=settings.nonrigid.down_to(config.region_stiffness_mm)
+        settings,
+        nonrigid=settings.nonrigid.down_to(config.region_stiffness_mm),
+        ears=dataclasses.replace(settings.ears, sought=ears),
     )
     laid, _ = register_mesh(Mesh(vertices, outer), vertices[landmarks], own, rough, progress)
     normals = vertex_normals(vertices, outer)
@@ -80,6 +84,8 @@ def guessed_regions(
         of_ours = np.zeros(len(laid), bool)
         of_ours[own.regions.get(name, np.zeros(0, int))] = True
         out[name] = np.flatnonzero(known & of_ours[there])
+    if not ears:
+        out["ears"] = out["ears"][:0]
     for name in ("hair", "ears"):
         whole = _closed(np.isin(np.arange(len(vertices)), out[name]), outer, config.gap_rings)
         out = {other: some[~whole[some]] for other, some in out.items()}
