@@ -12,6 +12,7 @@ from lightstage.commands import (
     JsonFlag,
     finish,
     make_app,
+    output_file,
     output_folder,
     progress_bar,
 )
@@ -83,6 +84,38 @@ def import_obj_command(
         )
         write_template(template, out, config)
     _finish_import(out, template.regions, facts, as_json)
+
+
+@app.command("check")
+def check_command(
+    template: Path = typer.Argument(..., metavar="T", help="Template folder.", show_default=False),
+    picture: Path | None = output_file(
+        "--picture",
+        help="Texture and mesh with the faults in colours, .png.",
+        suffixes=[".png"],
+        default=None,
+        shared=True,
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """What is wrong with a template; exit 2 only where it cannot be used."""
+    from lightstage.formats.png import write_png
+    from lightstage.formats.template import load_template
+    from processing.template.check import check_template, require_usable
+    from processing.template.picture import draw
+
+    shape = load_template(template)
+    found, facts = check_template(shape)
+    for each in found:
+        print(f"warning: {each.name}: {each.said}", file=sys.stderr)
+    if picture is not None:
+        write_png(picture, draw(shape, found))
+    require_usable(template, found)
+    said = f"{len(found)} findings" if found else "nothing found"
+    told = ("skin_angle_p95_deg", "skin_area_p95_times", "skin_texel_mm", "uv_overlap_share",
+            "open_borders")  # fmt: skip
+    said += "".join(f", {name} {facts[name]:.3g}" for name in told if name in facts)
+    finish(f"{template}: {said}", {"template": str(template), **facts}, as_json)
 
 
 def _finish_import(

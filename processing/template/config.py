@@ -42,3 +42,35 @@ SHININESS = {"skin": 24.0, "lips": 40.0, "eyes": 160.0, "ears": 20.0, "hair": 12
 teeth."""
 TRANSLUCENCY = {"skin": 0.6, "lips": 0.8, "eyes": 0.1, "ears": 1.0, "hair": 0.3, "": 0.3}
 """The same for the share of light that passes: our own template's numbers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CheckConfig:
+    """What counts as a fault of a template."""
+
+    uv_rows: int = 3072
+    """Overlaps are looked for at the texels of a texture of so many rows."""
+    texture_rows: int = 6144
+    """Of the atlas, by whose texels sizes are told."""
+    least_open_sky: float = 0.08
+    """A landmark that sees less than this share of all directions lies under other skin ..."""
+    hidden_rings: int = 2
+    """... where all vertices within so many rings around it see as little."""
+    joined_mm: float = 1e-3
+    """Two vertices of open borders that are no farther apart are one place that is not joined."""
+    eye_mm: float = 22.0
+    """A border whose middle is this near an eye's is its opening ..."""
+    mouth_mm: float = 30.0
+    """... and so for the mouth."""
+    landmark_mm: float = 25.0
+    """A landmark this far from our template's, after the best similarity, is told."""
+    largest_misfit_mm: float = 20.0
+    """Registration refuses landmarks whose median distance is larger."""
+    axes_deg: float = 20.0
+    """Axes are another head frame where the landmarks are turned by more."""
+    identity_deviations: float = 2.0
+    """Identity modes are tried at so many standard deviations either way."""
+    stretch_angle_deg: float = 60.0
+    """Angles of skin in the texture are told where 5 % of it are distorted by more ..."""
+    stretch_area: float = 4.0
+    """... and areas where 5 % of it have so many times more or fewer texels than the median."""

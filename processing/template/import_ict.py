@@ -10,11 +10,12 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError
 from lightstage.formats.mesh import Mesh, connected, directed_edges
-from lightstage.formats.template import Modes, Template, default_template_path, load_template
+from lightstage.formats.template import Modes, Template
 from processing.template.build import with_maps
 from processing.template.config import ImportConfig
 from processing.template.frame import head_from_mesh
 from processing.template.ict import EYES, FACE, HEAD, INNER, NEUTRAL, IctModel, read_ict
+from processing.template.own import own_template
 from processing.template.packing import packed
 from processing.template.regions import guessed_regions
 from processing.units import Unit, likely_unit
@@ -64,7 +65,7 @@ def import_ict(
     where = model.folder / NEUTRAL
     names = [FACE, HEAD, *EYES, *(INNER if mouth else ())]
     part = _parts(model, names)
-    own = load_template(default_template_path())
+    own = own_template()
     triangle_part = np.repeat(part, 1 + (model.mesh.faces[:, 3:] >= 0).sum(axis=1))
     motion = head_from_mesh(
         model.mesh.vertices,

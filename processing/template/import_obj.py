@@ -14,10 +14,11 @@ from lightstage.formats.fields import Fields
 from lightstage.formats.files import read_json
 from lightstage.formats.landmarks import COUNT, SCHEME, read_points_mm
 from lightstage.formats.mesh import Mesh, read_mesh
-from lightstage.formats.template import Template, default_template_path, load_template
+from lightstage.formats.template import Template
 from processing.template.build import with_maps
 from processing.template.config import ImportConfig
 from processing.template.frame import head_from_mesh
+from processing.template.own import own_template
 from processing.template.regions import guessed_regions, read_regions
 from processing.units import Unit, likely_unit
 
@@ -55,7 +56,7 @@ def import_obj(
     require_uv(mesh, path)
     unit = unit or likely_unit(mesh.vertices[np.unique(mesh.triangles())])
     marks, gap_mm = read_landmarks(landmarks, mesh, unit, settings)
-    own = load_template(default_template_path())
+    own = own_template()
     motion = head_from_mesh(
         mesh.vertices, marks, own.mesh.vertices[own.landmarks], unit, path, settings
     )
