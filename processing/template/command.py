@@ -16,6 +16,8 @@ from lightstage.commands import (
     output_folder,
     progress_bar,
 )
+from lightstage.counting import counted
+from lightstage.formats.access import group_of, limited_access
 from processing.errors import ProcessingError
 
 app = make_app("Templates people already have: import them, look for faults, carry maps over.")
@@ -118,6 +120,80 @@ def check_command(
     finish(f"{template}: {said}", {"template": str(template), **facts}, as_json)
 
 
+@app.command("transfer")
+def transfer_command(
+    maps: Path = typer.Argument(
+        ..., metavar="MAPS", help="Folder of maps, such as OUT/atlas.", show_default=False
+    ),
+    first: Path = typer.Option(
+        ..., "--from", help="Template in whose texture the maps are.", show_default=False
+    ),
+    second: Path = typer.Option(
+        ..., "--to", help="Template to whose texture they go.", show_default=False
+    ),
+    out: Path = output_folder("--out", help="Folder of maps to make."),
+    from_mesh: Path | None = typer.Option(
+        None,
+        "--from-mesh",
+        help="The person in the first template's topology.",
+        show_default="registered_mesh.obj beside the maps",
+    ),
+    to_mesh: Path | None = typer.Option(
+        None,
+        "--to-mesh",
+        help="The same person, in the same place, in the second's: then nothing is registered.",
+    ),
+    rows: int | None = typer.Option(
+        None, "--rows", min=6, max=16384, help="Of the new maps.", show_default="each map's own"
+    ),
+    config: Path | None = typer.Option(
+        None, "--config", help="TOML file; its table [register] lays the templates on each other."
+    ),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace maps that are there."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Carry all maps of a folder from one template's texture to another's."""
+    from lightstage.formats.template import load_template
+    from processing import pipeline
+    from processing.template.config import TransferConfig
+    from processing.template.transfer import (
+        MASK,
+        MESH,
+        find_maps,
+        pair_of_meshes,
+        registered_pair,
+        transfer,
+    )
+
+    _require_new(out, overwrite, MASK)
+    register = pipeline.read_config(config).register
+    settings = TransferConfig()
+    find_maps(maps)
+    one, other = load_template(first), load_template(second)
+    if to_mesh is not None and from_mesh is None:
+        raise ProcessingError(
+            "--to-mesh",
+            found="it without --from-mesh",
+            expected="both meshes of the person",
+            hint="Without either the templates are registered to each other.",
+        )
+    with limited_access(group_of([maps])), progress_bar("template transfer") as progress:
+        if from_mesh is not None and to_mesh is not None:
+            pair = pair_of_meshes(from_mesh, to_mesh, one, other)
+        else:
+            beside = [folder / MESH for folder in (maps, maps.parent)]
+            person = from_mesh or next((path for path in beside if path.is_file()), None)
+            pair = registered_pair(one, other, person, register, settings, progress)
+        facts = transfer(maps, pair, out, rows, settings, progress)
+    if not facts["carried_share"] > 0:
+        print("warning: the templates have no place in common", file=sys.stderr)
+    said = f"{counted(len(facts['maps']), 'map')}, {facts['carried_share']:.1%} of the texture "
+    said += "carried"
+    if facts["distance_median_mm"] is not None:
+        said += f", surfaces {facts['distance_median_mm']:.3g} mm apart (median)"
+    finish(f"{out}: {said}", {"out": str(out), **facts}, as_json)
+
+
 def _finish_import(
     out: Path, regions: dict[str, Any], facts: dict[str, Any], as_json: bool
 ) -> None:
@@ -144,12 +220,11 @@ def _unit(name: str | None) -> Any:
     return None if name is None else units[name]
 
 
-def _require_new(out: Path, overwrite: bool) -> None:
-    """Refuse to replace what is there, unless told to and a template."""
+def _require_new(out: Path, overwrite: bool, marker: str = "template.json") -> None:
+    """Refuse to replace what is there, unless told to and made by the same command."""
     from lightstage.formats.files import require_replaceable
-    from processing.template.build import MARKER
 
-    require_replaceable(out, MARKER)
+    require_replaceable(out, marker)
     if not overwrite and out.is_dir() and any(out.iterdir()):
         raise ProcessingError(
             out,

@@ -74,3 +74,23 @@ class CheckConfig:
     """Angles of skin in the texture are told where 5 % of it are distorted by more ..."""
     stretch_area: float = 4.0
     """... and areas where 5 % of it have so many times more or fewer texels than the median."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TransferConfig:
+    """How maps are carried from one template's texture to another's."""
+
+    farthest_mm: float = 4.0
+    """What of the one surface is farther from the other is not there."""
+    angle_deg: float = 75.0
+    """Normals of the two surfaces at one place differ by less."""
+    radian_mm: float = 10.0
+    """Among vertices that lie near a vertex, one whose normal is turned by a radian counts as so
+    much farther."""
+    neighbours: int = 24
+    """A vertex that the other template lacks goes as so many of the nearest that it has."""
+    gutter_px: int = 16
+    """Islands reach so far into the gutter."""
+    coarsest: int = 4
+    """Where texels of the new texture are larger, the old one is read at up to 2 to the power of
+    this times its texels' side."""

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.landmarks import write_points_mm
 from lightstage.formats.mesh import Mesh, read_obj, write_obj
 from lightstage.formats.template import default_template_path, load_template
@@ -131,6 +132,14 @@ def test_maps_and_fields_say_what_it_is_made_of(made, folder):
     assert made.maps["shininess"][at] > 100
 
 
+def quick(tmp_path):
+    """A rough registration."""
+    path = tmp_path / "quick.toml"
+    path.write_text("[register.nonrigid]\nstiffness_mm = [40.0, 10.0]\nmend_rounds = 0\n"
+                    "unfold_rounds = 0\n[register.ears]\nsought = false\n")  # fmt: skip
+    return path
+
+
 def test_register_mesh_lays_it_onto_another_of_icts_people(made, folder, tmp_path, run_command):
     # A person within the modes and a little beside them, scanned without eyes and neck.
     rng = np.random.default_rng(1)
@@ -140,9 +149,7 @@ def test_register_mesh_lays_it_onto_another_of_icts_people(made, folder, tmp_pat
     triangles = triangles[(triangles < FACE).all(axis=1)]
     scan = write_obj(Mesh(person[:FACE], triangles), tmp_path / "scan.obj")
     marks = write_points_mm(person[made.landmarks], tmp_path / "L.json")
-    config = tmp_path / "quick.toml"
-    config.write_text("[register.nonrigid]\nstiffness_mm = [40.0, 10.0]\nmend_rounds = 0\n"
-                      "unfold_rounds = 0\n[register.ears]\nsought = false\n")  # fmt: skip
+    config = quick(tmp_path)
     out = tmp_path / "M.obj"
     ended = run_command(
         "processing", "register-mesh", scan, "--landmarks", marks, "--template", folder,
@@ -156,6 +163,38 @@ def test_register_mesh_lays_it_onto_another_of_icts_people(made, folder, tmp_pat
     assert np.median(away[:FACE]) < 0.5
     # Eyeballs, which the scan does not show, go with the face.
     assert np.median(away[made.regions["eyes"]]) < 2.5
+
+
+def test_maps_of_our_own_texture_go_to_icts(made, folder, tmp_path, run_command):
+    own = load_template(default_template_path())
+    raster = rasterise(own.mesh.uvs, own.mesh.triangle_uvs(), 384, 256)
+    image = np.zeros((raster.face.size, 3), np.float32)
+    image[raster.texels()] = raster.at(own.mesh.vertices, own.mesh.triangles())
+    maps = tmp_path / "maps"
+    write_exr(maps / "position.exr", image.reshape(384, 256, 3), half=False)
+    out = tmp_path / "out"
+    ended = run_command(
+        "processing", "template", "transfer", maps, "--from", default_template_path(),
+        "--to", folder, "--out", out, "--config", quick(tmp_path),
+    )  # fmt: skip
+    assert ended.code == 0, ended.err
+    there = read_exr(out / "position.exr")
+    mask = cv2.imread(str(out / "mask.png"), cv2.IMREAD_GRAYSCALE) > 0
+    # The same places of a face: brows, nose, the outer lips.
+    marks = [*range(17, 36), *range(48, 60)]
+    corner = [made.mesh.face_uvs[made.mesh.faces == made.landmarks[k]][0] for k in marks]
+    u, v = made.mesh.uvs[corner].T
+    at = ((1 - v) * 384).astype(int), (u * 256).astype(int)
+    assert mask[at].mean() > 0.9
+    away = np.linalg.norm(there[at] - own.mesh.vertices[own.landmarks[marks]], axis=1)[mask[at]]
+    assert np.median(away) < 3
+    # Our template has no eyeballs: theirs are masked, but for what lies on our closed lids.
+    eyes = np.isin(made.mesh.triangles(), made.regions["eyes"]).all(axis=1)
+    raster = rasterise(made.mesh.uvs, made.mesh.triangle_uvs(), 384, 256)
+    assert mask[(raster.face >= 0) & eyes[raster.face]].mean() < 0.4
+    # And the person in ICT's topology, as our template is.
+    other = read_obj(out / "registered_mesh.obj")
+    np.testing.assert_array_equal(other.faces, made.mesh.faces)
 
 
 def copied(clone, tmp_path):
