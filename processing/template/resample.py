@@ -64,11 +64,20 @@ def sampled(
 def nearest(
     image: np.ndarray, covered: np.ndarray, uv: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same of the one texel that holds each coordinate, for numbers that have no mean."""
+    """The same of the nearest covered texel of the four around, for numbers that have no mean."""
     rows, columns = covered.shape
-    row = np.clip(np.floor((1 - uv[:, 1]) * rows), 0, rows - 1).astype(int)
-    column = np.clip(np.floor(uv[:, 0] * columns), 0, columns - 1).astype(int)
-    return np.asarray(image[row, column], np.float32), np.asarray(covered[row, column])
+    x, y = uv[:, 0] * columns - 0.5, (1 - uv[:, 1]) * rows - 0.5
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    best = np.full(len(uv), -1.0)
+    place = np.zeros((2, len(uv)), int)
+    for down in (0, 1):
+        for right in (0, 1):
+            row, column = np.clip(top + down, 0, rows - 1), np.clip(left + right, 0, columns - 1)
+            share = abs(1 - down - (y - top)) * abs(1 - right - (x - left))
+            better = covered[row, column] & (share > best)
+            best[better] = share[better]
+            place[:, better] = row[better], column[better]
+    return np.asarray(image[place[0], place[1]], np.float32), best >= 0
 
 
 @numba.njit(cache=True, parallel=True)

@@ -179,13 +179,11 @@ def transfer(
                 grids[size] = carrier.grid(*size)
             _write(beside / file.name, carrier.carry(file.stem, image, grids[size]), unit)
         largest = grids[max(grids)]
-        mask = np.zeros(largest.raster.face.shape, np.uint8)
-        mask.ravel()[largest.texels] = 255
+        seen = np.ones((*largest.raster.face.shape, 1), np.float32)
         if (maps / MASK).is_file():
-            image, _ = _read(maps / MASK)
-            there = carrier.carry(MASK, image, largest)[..., 0] > 0.5
-            mask[~there] = 0
-        write_png(beside / MASK, mask)
+            seen, _ = _read(maps / MASK)
+        there = carrier.carry(MASK, seen[..., :1], largest)[..., 0] > 0.5
+        write_png(beside / MASK, np.where(there, 255, 0).astype(np.uint8))
         write_obj(pair.second.with_vertices(pair.second_frames), beside / MESH)
         progress(len(files), len(files))
     away = largest.distance_mm
