@@ -18,9 +18,9 @@ class ImportConfig:
     largest_misfit_mm: float = 12.0
     """Median distance of the landmarks to ours after the best similarity, at most."""
     region_gap_mm: float = 10.0
-    """A vertex this far from our template, laid onto the mesh, is in no region ..."""
+    """A vertex this far from our template, laid onto the mesh, is beyond it: shoulders."""
     region_angle_deg: float = 80.0
-    """... and so is one whose normal is so far from our template's."""
+    """A vertex whose normal is so far from our template's is in no region."""
     region_stiffness_mm: float = 10.0
     """Regions need no more than our template laid on with stiffnesses down to this."""
     least_open_sky: float = 0.08
@@ -28,7 +28,7 @@ class ImportConfig:
     gap_rings: int = 4
     """Gaps in ears and hair that are narrower than twice so many rings of vertices belong to
     them."""
-    eye_within_mm: float = 22.0
+    eye_within_mm: float = 36.0
     """A part that is not joined to the face, all of it within this of an eye's landmarks, is an
     eye."""
     map_rows: int = 768

@@ -63,14 +63,14 @@ def _texture(template: Template, colour: np.ndarray) -> np.ndarray:
         lines, list(np.round((corners - 0.5) * 256).astype(np.int32)), True, (LINE, LINE, LINE),
         1, cv2.LINE_AA, 8,
     )  # fmt: skip
-    image = cv2.addWeighted(image, 0.7, lines, 0.3, 0)
+    image = np.asarray(cv2.addWeighted(image, 0.7, lines, 0.3, 0), np.uint8)
     triangles = mesh.triangles()
     for vertex in template.landmarks:
         at = np.argwhere(triangles == vertex)
         if len(at):
             x, y = corners[at[0][0], at[0][1]]
             cv2.circle(image, (round(x), round(y)), 2, MARK, -1, cv2.LINE_AA)
-    return np.asarray(image)
+    return image
 
 
 def _side(template: Template, colour: np.ndarray, side_deg: float, side_px: int) -> np.ndarray:
@@ -93,6 +93,7 @@ def _legend(
     template: Template, found: list[Finding], shown: list[Finding], width: int
 ) -> np.ndarray:
     """Lines of text on white, the colour of each finding before it."""
+    lines: list[tuple[int | None, str]]
     lines = [(None, f"{template.name}: {len(found)} findings" if found else
               f"{template.name}: nothing found")]  # fmt: skip
     for each in found:

@@ -77,13 +77,16 @@ def guessed_regions(
     near = np.linalg.norm(laid[there] - vertices, axis=1)
     agree = np.einsum("nk,nk->n", normals, laid_normals[there])
     open_air = open_to_sky(vertices, triangles, config.least_open_sky)
-    known = chosen & open_air & (near <= config.region_gap_mm)
+    beyond = near > config.region_gap_mm
+    known = chosen & open_air & ~beyond
     known &= agree >= np.cos(np.deg2rad(config.region_angle_deg))
     out = {}
     for name in REGIONS:
         of_ours = np.zeros(len(laid), bool)
         of_ours[own.regions.get(name, np.zeros(0, int))] = True
         out[name] = np.flatnonzero(known & of_ours[there])
+    # Shoulders, which our template does not have, are skin.
+    out["skin"] = np.union1d(out["skin"], np.flatnonzero(chosen & open_air & beyond))
     if not ears:
         out["ears"] = out["ears"][:0]
     for name in ("hair", "ears"):

@@ -81,9 +81,8 @@ def pair_of_meshes(first: Path, second: Path, one: Template, other: Template) ->
     Raises:
         FormatError: one is not of its template's topology.
     """
-    meshes = [read_of(first, one), read_of(second, other)]
-    places = [mesh.vertices for mesh in meshes]
-    return Pair(*meshes, *places, {})
+    mine, theirs = read_of(first, one), read_of(second, other)
+    return Pair(mine, theirs, mine.vertices, theirs.vertices, {})
 
 
 def registered_pair(
@@ -342,7 +341,7 @@ def _read(path: Path) -> tuple[np.ndarray, float]:
     stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if stored is None or stored.dtype not in (np.uint8, np.uint16):
         raise FormatError(path, found="no readable picture", expected="a PNG of 8 or 16 bits")
-    full = float(np.iinfo(stored.dtype).max)
+    full = 255.0 if stored.dtype == np.uint8 else 65535.0
     if stored.ndim == 2:
         return (stored / full).astype(np.float32)[..., None], full
     image = (stored[..., [2, 1, 0, *range(3, stored.shape[2])]] / full).astype(np.float32)
