@@ -11,6 +11,7 @@ import numpy as np
 from lightstage.counting import counted
 from lightstage.formats.mesh import connected, directed_edges, vertex_normals
 from lightstage.formats.template import REGIONS, Template
+from processing.errors import ProcessingError
 from processing.registration.flips import folded_triangles, grown
 from processing.registration.rigid import umeyama
 from processing.registration.stage import open_to_sky
@@ -191,7 +192,7 @@ def _landmarks(
     if turned > config.axes_deg:
         said = f"the face is turned by {turned:.0f} deg against the head frame (+y up, +z ahead)"
         found.append(Finding("axes", said, NOWHERE))
-    if not 0.6 < size < 1.6:
+    if not config.smallest_size <= size <= config.largest_size:
         said = f"the face is {size:.3g} times as large as usual: is the mesh in mm?"
         found.append(Finding("size", said, NOWHERE, unusable=True))
     normals = vertex_normals(vertices, triangles)[marks]
@@ -315,7 +316,7 @@ def _place_of(
     marks = template.mesh.vertices[template.landmarks]
     if not with_marks[border.vertices].any():
         return "parts of their own"
-    if border.middle[1] < marks[8, 1] and border.length_mm > 200:
+    if border.middle[1] < marks[8, 1] and border.length_mm > config.neck_mm:
         return "neck"
     for eye in (slice(36, 42), slice(42, 48)):
         if np.linalg.norm(border.middle - marks[eye].mean(axis=0)) < config.eye_mm:
@@ -327,8 +328,6 @@ def _place_of(
 
 def require_usable(path: Path, found: list[Finding]) -> None:
     """ProcessingError where a template cannot be used."""
-    from processing.errors import ProcessingError
-
     bad = [each for each in found if each.unusable]
     if bad:
         raise ProcessingError(

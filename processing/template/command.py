@@ -43,11 +43,12 @@ def import_ict_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """A template of ICT Face Model Light, as its users clone it."""
-    from processing.template.build import write_template
+    from lightstage.formats.files import require_new
+    from processing.template.build import MARKER, write_template
     from processing.template.config import ImportConfig
     from processing.template.import_ict import import_ict
 
-    _require_new(out, overwrite)
+    require_new(out, overwrite, MARKER)
     config = ImportConfig()
     with progress_bar("template import-ict") as progress:
         template, facts = import_ict(clone, config, _unit(unit), mouth, progress)
@@ -74,11 +75,12 @@ def import_obj_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """A template of any head mesh, with its own topology and UV."""
-    from processing.template.build import write_template
+    from lightstage.formats.files import require_new
+    from processing.template.build import MARKER, write_template
     from processing.template.config import ImportConfig
     from processing.template.import_obj import import_obj
 
-    _require_new(out, overwrite)
+    require_new(out, overwrite, MARKER)
     config = ImportConfig()
     with progress_bar("template import-obj") as progress:
         template, facts = import_obj(
@@ -153,6 +155,7 @@ def transfer_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Carry all maps of a folder from one template's texture to another's."""
+    from lightstage.formats.files import require_new
     from lightstage.formats.template import load_template
     from processing import pipeline
     from processing.template.config import TransferConfig
@@ -165,7 +168,7 @@ def transfer_command(
         transfer,
     )
 
-    _require_new(out, overwrite, MASK)
+    require_new(out, overwrite, MASK)
     register = pipeline.read_config(config).register
     settings = TransferConfig()
     find_maps(maps)
@@ -218,17 +221,3 @@ def _unit(name: str | None) -> Any:
     if name is not None and name not in units:
         raise ProcessingError("--unit", found=repr(name), expected=" or ".join(units))
     return None if name is None else units[name]
-
-
-def _require_new(out: Path, overwrite: bool, marker: str = "template.json") -> None:
-    """Refuse to replace what is there, unless told to and made by the same command."""
-    from lightstage.formats.files import require_replaceable
-
-    require_replaceable(out, marker)
-    if not overwrite and out.is_dir() and any(out.iterdir()):
-        raise ProcessingError(
-            out,
-            found="a folder that holds something",
-            expected="a new one",
-            hint="Name another, or pass --overwrite.",
-        )

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
+SMALLEST, LARGEST = 0.6, 1.6
+"""A head's landmarks are so many times as far apart as our template's, at least and at most."""
+
 
 @dataclasses.dataclass(frozen=True)
 class ImportConfig:
@@ -11,10 +14,8 @@ class ImportConfig:
 
     landmark_gap_mm: float = 4.0
     """A landmark given as a point lies at most this far from the vertex that stands for it."""
-    smallest_size: float = 0.6
-    """A head's landmarks are at least so many times as far apart as our template's ..."""
-    largest_size: float = 1.6
-    """... and at most so many times."""
+    smallest_size: float = SMALLEST
+    largest_size: float = LARGEST
     largest_misfit_mm: float = 12.0
     """Median distance of the landmarks to ours after the best similarity, at most."""
     region_gap_mm: float = 10.0
@@ -62,6 +63,10 @@ class CheckConfig:
     """A border whose middle is this near an eye's is its opening ..."""
     mouth_mm: float = 30.0
     """... and so for the mouth."""
+    neck_mm: float = 200.0
+    """A border below the chin that is longer is the neck's."""
+    smallest_size: float = SMALLEST
+    largest_size: float = LARGEST
     landmark_mm: float = 25.0
     """A landmark this far from our template's, after the best similarity, is told."""
     largest_misfit_mm: float = 20.0

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
+from lightstage.errors import FormatError
 from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import write_points_mm
 from lightstage.formats.mesh import Mesh, write_obj, write_ply
@@ -226,7 +227,7 @@ def test_the_smallest_mesh_is_refused_with_a_message(tmp_path, face):
         np.array([[0, 1, 2, 3]], np.int32),
     )
     marks = np.arange(68) % 4
-    with pytest.raises(Exception, match="4 different vertices"):
+    with pytest.raises(FormatError, match="4 different vertices"):
         head_from_mesh(square.vertices, marks, face.vertices, MM, tmp_path, ImportConfig())
 
 
@@ -250,3 +251,10 @@ def test_small_parts_are_packed_beside_the_large_ones_without_overlap(tmp_path):
             assert apart.any(), (one, other)
     # As dense as the face: a tenth of its side.
     np.testing.assert_allclose((high - low)[2] * [1, 1.5], 0.1, atol=0.005)
+
+
+def test_a_part_whose_uv_lies_in_several_tiles_is_refused(tmp_path):
+    uvs = np.array([[0.2, 0], [1.4, 0], [0.2, 1], [1.2, 0.5], [1.5, 0.5], [1.2, 0.9]])
+    triangles = np.array([[0, 1, 2], [3, 4, 5]])
+    with pytest.raises(FormatError, match="uv of face"):
+        packed(uvs, triangles, np.array([0, 1]), np.ones(2), tmp_path, ["face", "head"])

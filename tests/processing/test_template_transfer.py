@@ -225,6 +225,19 @@ def test_what_the_first_template_lacks_is_masked(pair, maps, folders, tmp_path, 
     assert (read_exr(out / "view.exr").ravel()[raster.texels()][y < -85] == -1).all()
 
 
+def test_a_mask_of_the_maps_goes_with_them(pair, maps, folders, tmp_path, run_command):
+    raster, places, _ = positions(pair[0])
+    seen = np.zeros(raster.face.size, np.uint8)
+    seen[raster.texels()[places[:, 0] > 0]] = 255
+    write_png(maps / "mask.png", seen.reshape(ROWS, COLUMNS))
+    out = tmp_path / "out"
+    assert carried(run_command, maps, folders, out, *meshes(folders)).code == 0
+    raster, places, _ = positions(pair[1])
+    mask = cv2.imread(str(out / "mask.png"), cv2.IMREAD_GRAYSCALE).ravel()[raster.texels()]
+    assert (mask[places[:, 0] > 2] == 255).mean() > 0.99
+    assert not mask[places[:, 0] < -2].any()
+
+
 def test_lips_that_touch_keep_their_own_colours():
     # Two sheets face each other at a distance of .01 mm; each point belongs to its own.
     flat = np.array([[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]], float)
