@@ -1,4 +1,4 @@
-"""Maps carried from our texture to ICT's and back: error and run time by rows, and by what is known.
+"""Maps carried from our texture to ICT's and back: error and run time by rows.
 
 python -m benchmarks.template_transfer
 """
@@ -80,7 +80,7 @@ def main() -> None:
             "place, median, mm",
             "place, 95 %, mm",
             "one way, five maps, s",
-        ],  # fmt: skip
+        ],
         lines,
         "A parametric person's maps from our texture to that of ICT Face Model Light and back; "
         "over the skin above the chin.",
