@@ -25,6 +25,7 @@ from processing.template.mesh_faults import (
     turned_against,
 )
 from processing.template.own import own_template
+from processing.template.regions import joined_to
 from processing.template.uv_faults import islands, mirrored, overlapping, stretch_of
 
 KEPT = 0.95
@@ -93,7 +94,7 @@ def _surface(
     if unused:
         said = f"{counted(unused, 'vertex', 'vertices')} in no face"
         found.append(Finding("unused vertices", said, NOWHERE))
-    with_marks = _with_landmarks(template)
+    with_marks = joined_to(template.landmarks, triangles, len(vertices))
     several = borders(vertices, triangles)
     facts["open_borders"] = len(several)
     facts["open_border_mm"] = float(sum(border.length_mm for border in several))
@@ -131,9 +132,13 @@ def _texture(
     stretch = stretch_of(mesh, config.texture_rows)
     skin = _skin(template)
     angle, area, texel = stretch.of(skin, KEPT)
-    facts["skin_angle_p95_deg"], facts["skin_area_p95_times"] = angle, area
-    facts["skin_angle_median_deg"] = stretch.of(skin, 0.5)[0]
-    facts["skin_texel_mm"] = texel
+    told = {
+        "skin_angle_p95_deg": angle,
+        "skin_area_p95_times": area,
+        "skin_angle_median_deg": stretch.of(skin, 0.5)[0],
+        "skin_texel_mm": texel,
+    }
+    facts |= {name: value for name, value in told.items() if np.isfinite(value)}
     if angle > config.stretch_angle_deg or area > config.stretch_area:
         bad = skin & ~(stretch.angle_deg <= config.stretch_angle_deg)
         with np.errstate(invalid="ignore"):
@@ -147,11 +152,8 @@ def _texture(
 def _landmarks(
     template: Template, config: CheckConfig, found: list[Finding], facts: dict[str, Any]
 ) -> None:
-    vertices, triangles, marks = (
-        template.mesh.vertices,
-        template.mesh.triangles(),
-        template.landmarks,
-    )
+    vertices, triangles = template.mesh.vertices, template.mesh.triangles()
+    marks = template.landmarks
     used = np.zeros(len(vertices), bool)
     used[triangles] = True
     around = np.zeros(len(vertices), bool)
@@ -300,13 +302,6 @@ def _skin(template: Template) -> np.ndarray:
     if not inside.any():
         inside[:] = True
     return np.asarray(inside[template.mesh.triangles()].all(axis=1))
-
-
-def _with_landmarks(template: Template) -> np.ndarray:
-    """(n,) bool: vertices of parts that have a landmark."""
-    ends = directed_edges(template.mesh.triangles())
-    part = connected(ends, len(template.mesh.vertices))
-    return np.asarray(np.isin(part, part[template.landmarks]))
 
 
 def _place_of(

@@ -188,12 +188,8 @@ def transfer_command(
             person = from_mesh or next((path for path in beside if path.is_file()), None)
             pair = registered_pair(one, other, person, register, settings, progress)
         facts = transfer(maps, pair, out, rows, settings, progress)
-    if not facts["carried_share"] > 0:
-        print("warning: the templates have no place in common", file=sys.stderr)
     said = f"{counted(len(facts['maps']), 'map')}, {facts['carried_share']:.1%} of the texture "
-    said += "carried"
-    if facts["distance_median_mm"] is not None:
-        said += f", surfaces {facts['distance_median_mm']:.3g} mm apart (median)"
+    said += f"carried, surfaces {facts['distance_median_mm']:.3g} mm apart (median)"
     finish(f"{out}: {said}", {"out": str(out), **facts}, as_json)
 
 

@@ -162,7 +162,8 @@ def transfer(
         Facts, JSON-ready.
 
     Raises:
-        FormatError: no maps, one that cannot be read, or that is not finite.
+        FormatError: no maps, one that cannot be read, or that is not finite; meshes that have no
+            place in common.
     """
     files = find_maps(maps)
     grids: dict[tuple[int, int], Grid] = {}
@@ -176,6 +177,7 @@ def transfer(
                 size = (rows, max(1, round(rows * size[1] / size[0])))
             if size not in grids:
                 grids[size] = carrier.grid(*size)
+                _require_common(grids[size], maps)
             _write(beside / file.name, carrier.carry(file.stem, image, grids[size]), unit)
         largest = grids[max(grids)]
         seen = np.ones((*largest.raster.face.shape, 1), np.float32)
@@ -189,10 +191,21 @@ def transfer(
     return {
         "maps": [file.name for file in files],
         "carried_share": largest.covered,
-        "distance_median_mm": float(np.median(away)) if len(away) else None,
-        "distance_p95_mm": float(np.quantile(away, 0.95)) if len(away) else None,
+        "distance_median_mm": float(np.median(away)),
+        "distance_p95_mm": float(np.quantile(away, 0.95)),
         "registration": pair.facts,
     }
+
+
+def _require_common(grid: Grid, maps: Path) -> None:
+    if not len(grid.texels):
+        raise FormatError(
+            maps,
+            field="meshes",
+            found="no texel of the new texture that the old one has",
+            expected="two meshes of one person in the same place",
+            hint="Are --from-mesh and --to-mesh in the same axes and in mm?",
+        )
 
 
 def find_maps(folder: Path) -> list[Path]:
@@ -252,7 +265,7 @@ class Carrier:
             larger = np.divide(new, old, out=np.ones_like(new), where=ok)
             each = (uv, larger, found.distance_mm)
             parts.append((some[there], *(values[there].astype(np.float32) for values in each)))
-        if not parts:
+        if not parts:  # a texture without a single covered texel
             parts.append((texels, np.zeros((0, 2), np.float32), *np.zeros((2, 0), np.float32)))
         kept, uv, larger, away = (np.concatenate(each) for each in zip(*parts, strict=True))
         share = len(kept) / len(texels) if len(texels) else 0.0

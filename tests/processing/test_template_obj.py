@@ -168,7 +168,7 @@ def refusals(mesh, tmp_path):
         "no unit": (good, marks, ["--unit", "inch"], "mm or cm or m"),
         "regions": (good, marks, ["--regions", value("r", {"nose": [1]})], "nose"),
         "region": (good, marks, ["--regions", value("q", {"skin": [-1]})], "vertex indices"),
-        "newer": (
+        "regions no object": (
             good,
             marks,
             ["--regions", value("s", {"regions": 3})],

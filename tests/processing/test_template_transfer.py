@@ -359,6 +359,9 @@ def test_wrong_input_is_one_message_and_nothing_is_left(maps, folders, tmp_path,
     out = tmp_path / "out"
     empty = tmp_path / "empty"
     empty.mkdir()
+    elsewhere = read_obj(folders["two mesh"])
+    elsewhere = elsewhere.with_vertices(elsewhere.vertices / 1000)
+    metres = write_obj(elsewhere, tmp_path / "metres.obj")
     nan = tmp_path / "nan"
     write_exr(nan / "roughness.exr", np.full((6, 4), np.nan, np.float32))
     other = ["--from-mesh", folders["two mesh"], "--to-mesh", folders["one mesh"]]
@@ -367,6 +370,7 @@ def test_wrong_input_is_one_message_and_nothing_is_left(maps, folders, tmp_path,
         "no such folder": (tmp_path / "nowhere", meshes(folders)),
         "NaN": (nan, meshes(folders)),
         "of the template": (maps, other),
+        "in the same place": (maps, ["--from-mesh", folders["one mesh"], "--to-mesh", metres]),
         "--from-mesh": (maps, ["--to-mesh", folders["two mesh"]]),
     }
     wrong = {}
