@@ -28,10 +28,12 @@ from lightstage.formats.template import default_template_path
 from processing.calibration import cameras_command
 from processing.calibration import command as calibration_command
 from processing.errors import ProcessingError
+from processing.template import command as template_command
 
 app = make_app("Photographs of a light stage to reflectance maps, mesh, atlas and dataset.")
 dataset_app = make_app("The lab's store of many processed sessions, and its published form.")
 app.add_typer(dataset_app, name="dataset")
+app.add_typer(template_command.app, name="template")
 calibration_command.register(app)
 cameras_command.register(app)
 
@@ -270,9 +272,16 @@ def build(
     as_json: bool = JsonFlag,
 ) -> None:
     """The lab's store: whole maps of every scan."""
-    from processing.dataset import STORE, build_store, open_store, without_people_files
+    from lightstage.formats.files import require_new
+    from processing.dataset import (
+        DATASET,
+        STORE,
+        build_store,
+        open_store,
+        without_people_files,
+    )
 
-    _require_new(out, STORE, overwrite)
+    require_new(out, overwrite, DATASET, STORE)
     folders, passed = without_people_files(processed)
     with limited_access(group_of(folders)), progress_bar("dataset build") as progress:
         build_store(folders, out, progress)
@@ -327,11 +336,11 @@ def publish(
     as_json: bool = JsonFlag,
 ) -> None:
     """The anonymous form: small patches apart from each other, turned, shuffled, some left out."""
-    from lightstage.formats.files import read_json
+    from lightstage.formats.files import read_json, require_new
     from processing.dataset import DATASET, PUBLISHED, PublishConfig, narrow_gap, open_store
     from processing.dataset import publish as publish_store
 
-    _require_new(out, PUBLISHED, overwrite)
+    require_new(out, overwrite, DATASET, PUBLISHED)
     asked: dict[str, Any] = {
         "patch_px": patch,
         "gap": gap,
@@ -354,21 +363,6 @@ def publish(
     facts = {"out": str(out), **counts, "patch": written["patch"], "gap": written["gap"]}
     facts |= {"subjects_without_consent": unasked, "warnings": [narrow] if narrow else []}
     finish(f"{out}: {said}", facts, as_json)
-
-
-def _require_new(out: Path, kind: str, overwrite: bool) -> None:
-    """Refuse to replace a dataset that is there already, unless told to and of this kind."""
-    from lightstage.formats.files import require_replaceable
-    from processing.dataset import DATASET
-
-    require_replaceable(out, DATASET, kind)
-    if not overwrite and out.is_dir() and any(out.iterdir()):
-        raise ProcessingError(
-            out,
-            found="a folder that holds something",
-            expected="a new one",
-            hint="Name another, or pass --overwrite.",
-        )
 
 
 def _said(facts: dict[str, Any]) -> str:

@@ -44,7 +44,8 @@ LEAST_TEXELS = 100
 """A head has about 4,000 at the network's size."""
 OTHER_LAYOUT = (
     "Is the mesh another template's, or its --head-pose another head's? Register the head to the "
-    "template of the training."
+    "template of the training, or carry its texture there by `lightstage-processing template "
+    "transfer`."
 )
 
 

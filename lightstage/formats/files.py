@@ -125,6 +125,28 @@ def require_replaceable(path: Path, marker: str, kind: str | None = None) -> Non
         )
 
 
+def require_new(path: Path, overwrite: bool, marker: str, kind: str | None = None) -> None:
+    """Refuse an output folder that holds something, unless it may be replaced.
+
+    Args:
+        path: the folder to make.
+        overwrite: whether the user asked to replace what is there.
+        marker: see `require_replaceable`.
+        kind: see `require_replaceable`.
+
+    Raises:
+        FormatError: a folder that holds something, or one of another kind.
+    """
+    require_replaceable(path, marker, kind)
+    if not overwrite and path.is_dir() and any(path.iterdir()):
+        raise FormatError(
+            path,
+            found="a folder that holds something",
+            expected="a new one",
+            hint="Name another, or pass --overwrite.",
+        )
+
+
 @contextlib.contextmanager
 def atomic_folder(path: Path, marker: str, kind: str | None = None) -> Iterator[Path]:
     """Yield a new folder beside `path` to fill; on success it takes the place of `path`.

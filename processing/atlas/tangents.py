@@ -110,6 +110,40 @@ def to_tangent_space(
     return out
 
 
+def from_tangent_space(
+    tangent: np.ndarray,
+    raster: Raster,
+    texels: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray,
+    frames: TangentFrames,
+) -> np.ndarray:
+    """The way back: unit normals in the mesh's axes, as a renderer rebuilds them.
+
+    Args:
+        tangent: (k, 3), green along +v.
+        raster: of the atlas.
+        texels: (k,) flat indices.
+        triangles: (t, 3).
+        normals: (n, 3) the mesh's.
+        frames: of the mesh.
+
+    Returns:
+        (k, 3) float32; the mesh's normal where the texture has no tangent, zero where that is zero.
+    """
+    face = raster.face.ravel()[texels]
+    second, third = raster.barycentric.reshape(-1, 2)[texels].T.astype(np.float64)
+    weights = np.stack([1 - second - third, second, third], axis=1)
+    normal = np.einsum("kc,kcx->kx", weights, normals[triangles[face]])
+    along = np.einsum("kc,kcx->kx", weights, frames.tangents[frames.corner[face]])
+    across = frames.sign[face, None] * np.cross(normal, along)
+    given = np.asarray(tangent, np.float64)
+    flat = np.linalg.norm(across, axis=1) <= 1e-9
+    given = np.where(flat[:, None], [0.0, 0.0, 1.0], given)
+    world = given[:, :1] * along + given[:, 1:2] * across + given[:, 2:] * normal
+    return _unit(world).astype(np.float32)
+
+
 @numba.njit(cache=True, parallel=True)
 def _encode(
     world: np.ndarray,

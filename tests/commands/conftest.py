@@ -26,7 +26,7 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import write_json
 from lightstage.formats.mesh import Mesh, write_obj
 from lightstage.formats.processed import ProcessedFolder
-from lightstage.formats.template import default_template_path
+from lightstage.formats.template import Template, default_template_path, save_template
 from lightstage.importing import import_session
 from lightstage.rig import default_rig, save_rig
 from processing.dataset import build_store
@@ -132,6 +132,8 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     square = np.array([[0, 1, 2, 3]], np.int32)
     mesh = Mesh(60 * corners, square, (corners[:, :2] + 1) / 2, square)
     at["mesh"] = write_obj(mesh, folder / "mesh.obj")
+    plate = Template("a plate", mesh, np.arange(68) % 4, {"skin": np.arange(4)}, "", "")
+    at["template"] = save_template(plate, folder / "template")
     face = ProcessedFolder(folder / "face")
     raster = rasterise(mesh, 24, 16)
     for name in ("diffuse_normal", "specular_normal"):

@@ -15,6 +15,7 @@ WITHOUT_OUTPUT = {
     "lightstage retake",  # writes into the session that it is given
     "lightstage check",
     "sim stage",
+    "processing template check",  # but for --picture
     "processing evaluate",  # writes into the folder that it reads
 }
 """Commands that name no output: a new command is listed here, or has one."""

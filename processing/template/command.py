@@ -1,0 +1,219 @@
+"""`lightstage-processing template ...`: somebody's head model as a template, and back."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from lightstage.commands import (
+    JsonFlag,
+    finish,
+    make_app,
+    output_file,
+    output_folder,
+    progress_bar,
+)
+from lightstage.counting import counted
+from lightstage.formats.access import group_of, limited_access
+from processing.errors import ProcessingError
+
+app = make_app("Templates people already have: import them, look for faults, carry maps over.")
+
+Overwrite = typer.Option(False, "--overwrite", help="Replace a template that is there.")
+UnitOption = typer.Option(
+    None,
+    "--unit",
+    help="Of the mesh: mm, cm or m.",
+    show_default="found by the mesh's size",
+)
+
+
+@app.command("import-ict")
+def import_ict_command(
+    clone: Path = typer.Argument(
+        ..., metavar="PATH", help="Clone of ICT-FaceKit.", show_default=False
+    ),
+    out: Path = output_folder("--out", help="Template folder to make.", shared=True),
+    mouth: bool = typer.Option(False, "--mouth", help="Keep gums, tongue and teeth as well."),
+    unit: str | None = UnitOption,
+    overwrite: bool = Overwrite,
+    as_json: bool = JsonFlag,
+) -> None:
+    """A template of ICT Face Model Light, as its users clone it."""
+    from lightstage.formats.files import require_new
+    from processing.template.build import MARKER, write_template
+    from processing.template.config import ImportConfig
+    from processing.template.import_ict import import_ict
+
+    require_new(out, overwrite, MARKER)
+    config = ImportConfig()
+    with progress_bar("template import-ict") as progress:
+        template, facts = import_ict(clone, config, _unit(unit), mouth, progress)
+        write_template(template, out, config)
+    _finish_import(out, template.regions, facts, as_json)
+
+
+@app.command("import-obj")
+def import_obj_command(
+    mesh: Path = typer.Argument(..., help="Head mesh with UV, .obj.", show_default=False),
+    landmarks: Path = typer.Option(
+        ..., "--landmarks", help="JSON with points_mm or vertices, 68 iBUG.", show_default=False
+    ),
+    out: Path = output_folder("--out", help="Template folder to make.", shared=True),
+    regions: Path | None = typer.Option(
+        None,
+        "--regions",
+        help="JSON with vertices of skin, lips, eyes, ears, hair.",
+        show_default="by our own template",
+    ),
+    unit: str | None = UnitOption,
+    licence: str = typer.Option("", "--licence", help="Of the mesh, as the template says it."),
+    overwrite: bool = Overwrite,
+    as_json: bool = JsonFlag,
+) -> None:
+    """A template of any head mesh, with its own topology and UV."""
+    from lightstage.formats.files import require_new
+    from processing.template.build import MARKER, write_template
+    from processing.template.config import ImportConfig
+    from processing.template.import_obj import import_obj
+
+    require_new(out, overwrite, MARKER)
+    config = ImportConfig()
+    with progress_bar("template import-obj") as progress:
+        template, facts = import_obj(
+            mesh, landmarks, config, _unit(unit), regions, licence, progress
+        )
+        write_template(template, out, config)
+    _finish_import(out, template.regions, facts, as_json)
+
+
+@app.command("check")
+def check_command(
+    template: Path = typer.Argument(..., metavar="T", help="Template folder.", show_default=False),
+    picture: Path | None = output_file(
+        "--picture",
+        help="Texture and mesh with the faults in colours, .png.",
+        suffixes=[".png"],
+        default=None,
+        shared=True,
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """What is wrong with a template; exit 2 only where it cannot be used."""
+    from lightstage.formats.png import write_png
+    from lightstage.formats.template import load_template
+    from processing.template.check import check_template, require_usable
+    from processing.template.picture import draw
+
+    shape = load_template(template)
+    found, facts = check_template(shape)
+    for each in found:
+        print(f"warning: {each.name}: {each.said}", file=sys.stderr)
+    if picture is not None:
+        write_png(picture, draw(shape, found))
+    require_usable(template, found)
+    said = f"{len(found)} findings" if found else "nothing found"
+    told = ("skin_angle_p95_deg", "skin_area_p95_times", "skin_texel_mm", "uv_overlap_share",
+            "open_borders")  # fmt: skip
+    said += "".join(f", {name} {facts[name]:.3g}" for name in told if name in facts)
+    finish(f"{template}: {said}", {"template": str(template), **facts}, as_json)
+
+
+@app.command("transfer")
+def transfer_command(
+    maps: Path = typer.Argument(
+        ..., metavar="MAPS", help="Folder of maps, such as OUT/atlas.", show_default=False
+    ),
+    first: Path = typer.Option(
+        ..., "--from", help="Template in whose texture the maps are.", show_default=False
+    ),
+    second: Path = typer.Option(
+        ..., "--to", help="Template to whose texture they go.", show_default=False
+    ),
+    out: Path = output_folder("--out", help="Folder of maps to make."),
+    from_mesh: Path | None = typer.Option(
+        None,
+        "--from-mesh",
+        help="The person in the first template's topology.",
+        show_default="registered_mesh.obj beside the maps",
+    ),
+    to_mesh: Path | None = typer.Option(
+        None,
+        "--to-mesh",
+        help="The same person, in the same place, in the second's: then nothing is registered.",
+    ),
+    rows: int | None = typer.Option(
+        None, "--rows", min=6, max=16384, help="Of the new maps.", show_default="each map's own"
+    ),
+    config: Path | None = typer.Option(
+        None, "--config", help="TOML file; its table [register] lays the templates on each other."
+    ),
+    overwrite: bool = typer.Option(False, "--overwrite", help="Replace maps that are there."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Carry all maps of a folder from one template's texture to another's."""
+    from lightstage.formats.files import require_new
+    from lightstage.formats.template import load_template
+    from processing import pipeline
+    from processing.template.config import TransferConfig
+    from processing.template.transfer import (
+        MASK,
+        MESH,
+        find_maps,
+        pair_of_meshes,
+        registered_pair,
+        transfer,
+    )
+
+    require_new(out, overwrite, MASK)
+    register = pipeline.read_config(config).register
+    settings = TransferConfig()
+    find_maps(maps)
+    one, other = load_template(first), load_template(second)
+    if to_mesh is not None and from_mesh is None:
+        raise ProcessingError(
+            "--to-mesh",
+            found="it without --from-mesh",
+            expected="both meshes of the person",
+            hint="Without either the templates are registered to each other.",
+        )
+    with limited_access(group_of([maps])), progress_bar("template transfer") as progress:
+        if from_mesh is not None and to_mesh is not None:
+            pair = pair_of_meshes(from_mesh, to_mesh, one, other)
+        else:
+            beside = [folder / MESH for folder in (maps, maps.parent)]
+            person = from_mesh or next((path for path in beside if path.is_file()), None)
+            pair = registered_pair(one, other, person, register, settings, progress)
+        facts = transfer(maps, pair, out, rows, settings, progress)
+    said = f"{counted(len(facts['maps']), 'map')}, {facts['carried_share']:.1%} of the texture "
+    said += f"carried, surfaces {facts['distance_median_mm']:.3g} mm apart (median)"
+    finish(f"{out}: {said}", {"out": str(out), **facts}, as_json)
+
+
+def _finish_import(
+    out: Path, regions: dict[str, Any], facts: dict[str, Any], as_json: bool
+) -> None:
+    sizes = {name: len(vertices) for name, vertices in regions.items()}
+    passed = facts.get("passed_over", [])
+    if passed:
+        named = ", ".join(passed[:5]) + (" .." if len(passed) > 5 else "")
+        print(f"warning: passed over {named}: neither identity nor expression", file=sys.stderr)
+    said = f"{facts['vertices']} vertices, unit {facts['unit']}"
+    if "identity_modes" in facts:
+        said += f", {facts['identity_modes']} identity and {facts['expression_modes']} expression "
+        said += "modes"
+    said += "; " + ", ".join(f"{name} {count}" for name, count in sizes.items())
+    finish(f"{out}: {said}", {"out": str(out), **facts, "region_vertices": sizes}, as_json)
+
+
+def _unit(name: str | None) -> Any:
+    """The unit that an option names, None where it is absent."""
+    from processing.units import CM, METRES, MM
+
+    units = {"mm": MM, "cm": CM, "m": METRES}
+    if name is not None and name not in units:
+        raise ProcessingError("--unit", found=repr(name), expected=" or ".join(units))
+    return None if name is None else units[name]

@@ -1,0 +1,101 @@
+"""Settings of everything that is done to templates."""
+
+from __future__ import annotations
+
+import dataclasses
+
+SMALLEST, LARGEST = 0.6, 1.6
+"""A head's landmarks are so many times as far apart as our template's, at least and at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportConfig:
+    """How a template is made of somebody's mesh."""
+
+    landmark_gap_mm: float = 4.0
+    """A landmark given as a point lies at most this far from the vertex that stands for it."""
+    smallest_size: float = SMALLEST
+    largest_size: float = LARGEST
+    largest_misfit_mm: float = 12.0
+    """Median distance of the landmarks to ours after the best similarity, at most."""
+    region_gap_mm: float = 10.0
+    """A vertex this far from our template, laid onto the mesh, is beyond it: shoulders."""
+    region_angle_deg: float = 80.0
+    """A vertex whose normal is so far from our template's is in no region."""
+    region_stiffness_mm: float = 10.0
+    """Regions need no more than our template laid on with stiffnesses down to this."""
+    least_open_sky: float = 0.08
+    """What sees less than this share of all directions is the inside of mouth or nose: no skin."""
+    gap_rings: int = 4
+    """Gaps in ears and hair that are narrower than twice so many rings of vertices belong to
+    them."""
+    eye_within_mm: float = 36.0
+    """A part that is not joined to the face, all of it within this of an eye's landmarks, is an
+    eye."""
+    map_rows: int = 768
+    """Rows of the maps of a template; columns are two thirds."""
+    soft_rings: int = 4
+    """Shininess and translucency change from region to region over about so many vertices."""
+
+
+SHININESS = {"skin": 24.0, "lips": 40.0, "eyes": 160.0, "ears": 20.0, "hair": 12.0, "": 80.0}
+"""Blinn-Phong exponent of each region, as our own template's; "" is what no region names, such as
+teeth."""
+TRANSLUCENCY = {"skin": 0.6, "lips": 0.8, "eyes": 0.1, "ears": 1.0, "hair": 0.3, "": 0.3}
+"""The same for the share of light that passes: our own template's numbers."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CheckConfig:
+    """What counts as a fault of a template."""
+
+    uv_rows: int = 3072
+    """Overlaps are looked for at the texels of a texture of so many rows."""
+    texture_rows: int = 6144
+    """Of the atlas, by whose texels sizes are told."""
+    least_open_sky: float = 0.08
+    """A landmark that sees less than this share of all directions lies under other skin ..."""
+    hidden_rings: int = 2
+    """... where all vertices within so many rings around it see as little."""
+    joined_mm: float = 1e-3
+    """Two vertices of open borders that are no farther apart are one place that is not joined."""
+    eye_mm: float = 22.0
+    """A border whose middle is this near an eye's is its opening ..."""
+    mouth_mm: float = 30.0
+    """... and so for the mouth."""
+    neck_mm: float = 200.0
+    """A border below the chin that is longer is the neck's."""
+    smallest_size: float = SMALLEST
+    largest_size: float = LARGEST
+    landmark_mm: float = 25.0
+    """A landmark this far from our template's, after the best similarity, is told."""
+    largest_misfit_mm: float = 20.0
+    """Registration refuses landmarks whose median distance is larger."""
+    axes_deg: float = 20.0
+    """Axes are another head frame where the landmarks are turned by more."""
+    identity_deviations: float = 2.0
+    """Identity modes are tried at so many standard deviations either way."""
+    stretch_angle_deg: float = 60.0
+    """Angles of skin in the texture are told where 5 % of it are distorted by more ..."""
+    stretch_area: float = 4.0
+    """... and areas where 5 % of it have so many times more or fewer texels than the median."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TransferConfig:
+    """How maps are carried from one template's texture to another's."""
+
+    farthest_mm: float = 4.0
+    """What of the one surface is farther from the other is not there."""
+    angle_deg: float = 75.0
+    """Normals of the two surfaces at one place differ by less."""
+    radian_mm: float = 10.0
+    """Among vertices that lie near a vertex, one whose normal is turned by a radian counts as so
+    much farther."""
+    neighbours: int = 24
+    """A vertex that the other template lacks goes as so many of the nearest that it has."""
+    gutter_px: int = 16
+    """Islands reach so far into the gutter."""
+    coarsest: int = 4
+    """Where texels of the new texture are larger, the old one is read at up to 2 to the power of
+    this times its texels' side."""
