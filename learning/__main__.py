@@ -399,6 +399,55 @@ def avatar(
     )
 
 
+@app.command()
+def evaluate(
+    inferred: Annotated[
+        list[Path],
+        typer.Argument(help="Folders of maps, such as `infer`, `fit` and `avatar` write."),
+    ],
+    truth: Annotated[
+        list[Path],
+        typer.Option(
+            help="Processed folder with the captured maps; once for each inferred one, in order, "
+            "or once for all: these are then of one person, and how far they agree is measured."
+        ),
+    ],
+    data: Annotated[
+        str, typer.Option(help="Whose truth: `captured` or `simulated` people.")
+    ] = "captured",
+    out: Path | None = output_file(
+        "--out",
+        help="Figures to write, .json; a table with .md stands beside it.",
+        suffixes=[".json"],
+        default=None,
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Measure inferred maps against captured ones, with intervals over people."""
+    from learning.evaluation.command import evaluate_command
+
+    with (
+        limited_access(group_of([*inferred, *truth])),
+        progress_bar("evaluate") as progress,
+    ):
+        facts = evaluate_command(tuple(inferred), tuple(truth), data, out, progress)
+    figures = facts["figures"]
+    finish(
+        f"{counted(facts['people'], 'person', 'people')}, {facts['data']}: albedo "
+        f"{figures['albedo_psnr_db']['mean']:.1f} dB "
+        f"({figures['albedo_relative_psnr_db']['mean']:.1f} relative), "
+        + (
+            f"diffuse normals {figures['diffuse_normal_mean_deg']['mean']:.1f} deg, "
+            if "diffuse_normal_mean_deg" in figures
+            else ""
+        )
+        + f"skin colour {figures['ita_error_deg']['mean']:.1f} deg of ITA, "
+        f"{facts['seconds']:.1f} s",
+        facts,
+        as_json,
+    )
+
+
 @app.command("template-points")
 def template_points(
     template: Annotated[Path, typer.Option(help="Template's folder: mesh, landmarks, regions.")],

@@ -1,0 +1,1 @@
+"""Inferred maps against captured ones: the published comparison on one's own people."""

@@ -1,0 +1,276 @@
+"""What `evaluate` does: read pairs of folders, measure, write a table, return the facts."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from learning.errors import MapsError
+from learning.evaluation.measures import (
+    albedo_measures,
+    ita_deg,
+    normal_measures,
+    psnr_db,
+    specular_measures,
+)
+from learning.evaluation.people import Interval, by_tone, interval, spread
+from learning.export.source import maps_folder
+from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
+from learning.relight import lit_texture, shadows_of
+from learning.render.uv import UvRaster, rasterise
+from lightstage.commands import ProgressCallback
+from lightstage.counting import counted
+from lightstage.errors import ConfigError
+from lightstage.formats.environment import LightSet
+from lightstage.formats.files import write_json, write_text
+from lightstage.formats.mesh import Mesh, read_mesh
+from lightstage.formats.processed import ProcessedFolder, read_map
+from processing.colour import srgb_from_linear
+
+SCHEMA = "lightstage.evaluation/1"
+NEEDED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
+RELIT_ROWS = 384
+"""Rows at which heads are rendered under new lights."""
+CAMERA_MM = np.array([0.0, 0.0, 1100.0])
+NEW_LIGHTS = {
+    "key": [(0.5, 0.45, 0.75, 0.9)],
+    "split": [(1.0, 0.1, 0.15, 1.0)],
+    "rim": [(-0.8, 0.3, -0.5, 1.0), (0.3, 0.2, 0.9, 0.2)],
+}
+"""Direction in the head frame and strength of the lamps of each light."""
+NEAREST_MM = 1000.0
+AMBIENT = 0.08
+LABELS = ("captured", "simulated")
+
+
+@dataclasses.dataclass(frozen=True)
+class Person:
+    """One person's figures.
+
+    Attributes:
+        name: the inferred folder.
+        figures: by name.
+        ita_deg: typology angle, (found, true).
+    """
+
+    name: str
+    figures: dict[str, float]
+    ita_deg: tuple[float, float]
+
+
+def evaluate_command(
+    inferred: tuple[Path, ...],
+    truth: tuple[Path, ...],
+    label: str,
+    out: Path | None,
+    progress: ProgressCallback,
+) -> dict[str, Any]:
+    """Measure inferred maps against captured ones, person by person; the facts.
+
+    Args:
+        inferred: folders of maps, such as `infer`, `fit` and `avatar` write.
+        truth: processed folders or their atlases, one for each, or one for all of them: then the
+            folders are of one person, and how far they agree is measured too.
+        label: whose truth it is, of `LABELS`.
+        out: JSON to write; a table of the same name with .md stands beside it.
+        progress: of the people.
+
+    Raises:
+        LightstageError: bad input; nothing is written then.
+    """
+    began = time.monotonic()
+    if label not in LABELS:
+        raise ConfigError("--data", found=repr(label), expected=" or ".join(LABELS))
+    if len(truth) not in (1, len(inferred)):
+        raise ConfigError(
+            "--truth",
+            found=counted(len(truth), "folder"),
+            expected=f"one for each of {counted(len(inferred), 'inferred folder')}, or one for all",
+        )
+    true_of = truth * len(inferred) if len(truth) == 1 else truth
+    people, albedos = [], []
+    for done, (mine, theirs) in enumerate(zip(inferred, true_of, strict=True)):
+        person, albedo = _measured(mine, theirs)
+        people.append(person)
+        albedos.append(albedo)
+        progress(done + 1, len(inferred))
+    one = len(truth) == 1 and len(inferred) > 1
+    names = sorted({name for person in people for name in person.figures})
+    means = {n: interval([p.figures[n] for p in people if n in p.figures]) for n in names}
+    if one:
+        means["agreement_db"] = agreement(albedos)
+    tones = by_tone([p.ita_deg[1] for p in people], [p.ita_deg[0] for p in people])
+    facts = {
+        "data": label,
+        "people": 1 if one else len(people),
+        "figures": {name: dataclasses.asdict(value) for name, value in means.items()},
+        "ita_error_deg": {tone: error for tone, (_, error) in tones.items()},
+        "ita_worst_over_best": spread(tones),
+        "each": [{"name": p.name, **p.figures} for p in people],
+        "identity": "not measured",
+        "seconds": time.monotonic() - began,
+    }
+    if out is not None:
+        write_json(out, {"schema": SCHEMA, **_without_nan(facts)})
+        write_text(out.with_suffix(".md"), table(facts, means))
+    return facts
+
+
+def table(facts: dict[str, Any], means: dict[str, Interval]) -> str:
+    """The figures as a Markdown table."""
+    lines = [
+        f"{facts['data']} truth, {counted(facts['people'], 'person', 'people')}; intervals of 95 % "
+        "by bootstrap over people.",
+        "",
+        "| figure | mean | 95 % |",
+        "|---|---|---|",
+    ]
+    for name, value in means.items():
+        range_ = "-" if np.isnan(value.low) else f"{value.low:.4g} to {value.high:.4g}"
+        lines.append(f"| {name} | {value.mean:.4g} | {range_} |")
+    for tone, error in facts["ita_error_deg"].items():
+        lines.append(f"| skin colour, error of the typology angle, {tone} | {error:.1f} deg | - |")
+    lines.append("| identity | not measured | - |")
+    return "\n".join(lines) + "\n"
+
+
+def agreement(albedos: list[np.ndarray]) -> Interval:
+    """PSNR in dB between one person's albedos of several photographs, over pairs; sRGB."""
+    values = []
+    for index, one in enumerate(albedos):
+        for other in albedos[:index]:
+            if one.shape != other.shape:
+                continue
+            known = (one > 0).all(axis=2) & (other > 0).all(axis=2)
+            if known.any():
+                values.append(psnr_db(srgb_from_linear(one[known]), srgb_from_linear(other[known])))
+    return interval(values)
+
+
+def _measured(inferred: Path, truth: Path) -> tuple[Person, np.ndarray]:
+    """One person's figures, and the found albedo."""
+    mine, theirs = _maps(inferred), _maps(truth)
+    size = mine["diffuse_albedo"].shape[:2]
+    whole = theirs["diffuse_albedo"].shape[:2]
+    if size[0] * whole[1] != size[1] * whole[0]:
+        raise MapsError(
+            inferred,
+            found=f"{size[0]} x {size[1]} texels",
+            expected=f"the shape of the truth's {whole[0]} x {whole[1]}",
+            hint="Are both in one template's layout?",
+        )
+    theirs = {name: _resized(image, size) for name, image in theirs.items()}
+    skin = theirs["confidence"] > 0.5 if "confidence" in theirs else np.ones(size, bool)
+    if "skin" in theirs:
+        skin &= theirs["skin"] > 0.5
+    skin &= (theirs["diffuse_albedo"] > 0).all(axis=2)
+    if not skin.any():
+        raise MapsError(
+            truth,
+            field="confidence",
+            found="no skin",
+            expected="texels whose confidence is over .5",
+        )
+    albedo = mine["diffuse_albedo"]
+    figures = albedo_measures(albedo, theirs["diffuse_albedo"], skin)
+    for name in ("diffuse_normal", "specular_normal"):
+        figures |= normal_measures(name, mine[name], theirs[name], skin)
+    figures |= specular_measures(mine["specular_albedo"], theirs["specular_albedo"], skin)
+    figures |= _relit(mine, theirs, skin, truth)
+    found_deg, true_deg = ita_deg(albedo[skin]), ita_deg(theirs["diffuse_albedo"][skin])
+    figures["ita_error_deg"] = abs(found_deg - true_deg)
+    return Person(str(inferred), figures, (found_deg, true_deg)), albedo * skin[..., None]
+
+
+def _relit(
+    mine: dict[str, np.ndarray], theirs: dict[str, np.ndarray], skin: np.ndarray, truth: Path
+) -> dict[str, float]:
+    """PSNR in dB of both maps rendered on the truth's mesh under lights that nobody used."""
+    place = ProcessedFolder(maps_folder(truth).parent).registered_mesh
+    if not place.exists():
+        return {}
+    mesh = read_mesh(place)
+    size = (RELIT_ROWS, RELIT_ROWS * skin.shape[1] // skin.shape[0])
+    raster = rasterise(mesh, *size)
+    # Lights stand about the head: the middle of its vertices, in its own axes.
+    centre = mesh.vertices.mean(axis=0)
+    shown = (_resized(skin.astype(np.float32), size) > 0.5) & raster.covered
+    if not shown.any():
+        return {}
+    figures = {}
+    for name, lamps in NEW_LIGHTS.items():
+        given = np.array(lamps)
+        direction = given[:, :3] / np.linalg.norm(given[:, :3], axis=1, keepdims=True)
+        light = LightSet(
+            name,
+            centre + NEAREST_MM * direction,
+            np.repeat(given[:, 3:], 3, axis=1),
+            np.full(3, AMBIENT),
+        )
+        seen = None
+        pictures = []
+        for maps in (mine, theirs):
+            head = _head(maps, mesh, raster, size)
+            seen = shadows_of(head, light) if seen is None else seen
+            lit = lit_texture(head, light, centre + CAMERA_MM, None, seen)
+            pictures.append(srgb_from_linear(lit[shown]))
+        figures[f"relit_{name}_db"] = psnr_db(*pictures)
+    return figures
+
+
+def _head(
+    maps: dict[str, np.ndarray], mesh: Mesh, raster: UvRaster, size: tuple[int, int]
+) -> TexturedHead:
+    """Maps on a mesh, at the size of the renderings."""
+    small = {name: _resized(maps[name], size) for name in NEEDED}
+    normal = raster.normals(mesh)
+    for name in ("diffuse_normal", "specular_normal"):
+        missing = np.linalg.norm(small[name], axis=2, keepdims=True) < 0.5
+        small[name] = np.where(missing, normal, small[name])
+    small["position"] = raster.interpolate(mesh.vertices)
+    ones = np.ones(size, np.float32)
+    skin = skin_maps_from(small, raster.covered, SHININESS * ones, TRANSLUCENCY * ones)
+    return TexturedHead(mesh, raster, skin, raster.covered)
+
+
+def _maps(given: Path) -> dict[str, np.ndarray]:
+    """The maps of a folder: those that are needed, confidence and skin where there are."""
+    folder = maps_folder(given)
+    missing = [name for name in NEEDED if not (folder / f"{name}.exr").exists()]
+    if missing:
+        raise MapsError(folder, field=f"{missing[0]}.exr", found="no such map", expected="a map")
+    names = [n for n in (*NEEDED, "confidence", "skin") if (folder / f"{n}.exr").exists()]
+    maps = {name: read_map(folder / f"{name}.exr", name) for name in names}
+    shape = maps["diffuse_albedo"].shape[:2]
+    for name, image in maps.items():
+        if image.shape[:2] != shape:
+            raise MapsError(
+                folder / f"{name}.exr",
+                found=f"{image.shape[0]} x {image.shape[1]} texels",
+                expected=f"{shape[0]} x {shape[1]}, as diffuse_albedo",
+            )
+        if not np.isfinite(image).all():
+            raise MapsError(folder / f"{name}.exr", found="NaN", expected="finite numbers")
+    return maps
+
+
+def _resized(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(rows, columns[, c]) at another size of the same shape."""
+    if image.shape[:2] == size:
+        return image.astype(np.float32)
+    way = cv2.INTER_AREA if image.shape[0] > size[0] else cv2.INTER_LINEAR
+    return cv2.resize(image.astype(np.float32), size[::-1], interpolation=way)
+
+
+def _without_nan(value: Any) -> Any:
+    """JSON has no NaN: null stands for it."""
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,192 @@
+"""`evaluate`: figures against a plain twin, intervals, tones, one person's agreement, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import colour
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from learning.evaluation.measures import (
+    albedo_measures,
+    ita_deg,
+    normal_measures,
+    ssim,
+    tone_of,
+)
+from learning.evaluation.people import by_tone, interval, spread
+from lightstage.formats.exr import read_exr, write_exr
+from lightstage.formats.processed import ProcessedFolder
+from tests.learning.export.called import run
+
+WHITE = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+
+
+def brightened(person: ProcessedFolder, to: Path, factor: float | np.ndarray) -> Path:
+    """A person's maps, the albedo times a factor."""
+    shutil.copytree(person.root / "atlas", to)
+    albedo = read_exr(to / "diffuse_albedo.exr")
+    write_exr(to / "diffuse_albedo.exr", (albedo * factor).astype(np.float32))
+    return to
+
+
+@dataclasses.dataclass(frozen=True)
+class Ended:
+    """How the command ended."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        assert self.code == 0, self.err
+        found: dict[str, Any] = json.loads(self.out.strip().splitlines()[-1])
+        return found
+
+
+@pytest.fixture
+def evaluate(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Ended]:
+    def call(*words: str | Path) -> Ended:
+        code = run(monkeypatch, "evaluate", *words, "--json")
+        ended = capsys.readouterr()
+        return Ended(code, ended.out, ended.err)
+
+    return call
+
+
+def test_a_person_against_themselves_has_no_error_and_a_factor_is_told_apart(
+    people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
+) -> None:
+    person = people[0]
+    tinted = brightened(person, tmp_path / "tinted", np.array([0.8, 0.9, 0.7]))
+    same = evaluate(person.root, "--truth", person.root).facts["figures"]
+    assert same["albedo_psnr_db"]["mean"] > 100
+    assert same["diffuse_normal_mean_deg"]["mean"] < 0.1
+    assert same["relit_rim_db"]["mean"] > 60
+    out = tmp_path / "figures.json"
+    facts = evaluate(tinted, "--truth", person.root, "--out", out, "--data", "simulated").facts
+    found = facts["figures"]
+    raw, scaled, relative = (
+        found[f"albedo{part}_psnr_db"]["mean"] for part in ("", "_scaled", "_relative")
+    )
+    assert raw < scaled < relative
+    assert relative > 60
+    written = json.loads(out.read_text())
+    assert written["data"] == "simulated"
+    assert written["figures"]["albedo_psnr_db"]["low"] is None  # one person has no interval
+    assert "simulated truth, 1 person" in out.with_suffix(".md").read_text()
+
+
+def test_photographs_of_one_person_are_held_against_each_other(
+    people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
+) -> None:
+    person = people[0]
+    one = brightened(person, tmp_path / "one", 0.9)
+    two = brightened(person, tmp_path / "two", 0.95)
+    facts = evaluate(one, two, "--truth", person.root).facts
+    assert facts["people"] == 1
+    assert 20 < facts["figures"]["agreement_db"]["mean"] < 45
+
+
+def test_what_is_no_pair_is_refused(
+    people: list[ProcessedFolder], tmp_path: Path, evaluate: Callable[..., Ended]
+) -> None:
+    a, b, c = (person.root for person in people[:3])
+    done = evaluate(a, b, c, "--truth", a, "--truth", b)
+    assert done.code == 2
+    assert "one for each of 3 inferred folders" in done.err
+    lacking = tmp_path / "lacking"
+    shutil.copytree(a / "atlas", lacking)
+    (lacking / "specular_normal.exr").unlink()
+    done = evaluate(lacking, "--truth", a)
+    assert (done.code, "specular_normal.exr" in done.err) == (2, True)
+    other = brightened(people[0], tmp_path / "other", 1.0)
+    for path in other.glob("*.exr"):
+        write_exr(path, read_exr(path)[:, :-3])
+    done = evaluate(other, "--truth", a)
+    assert (done.code, "template's layout" in done.err) == (2, True)
+    assert evaluate(a, "--truth", a, "--data", "real").code == 2
+
+
+def test_structural_similarity_is_that_of_a_plain_loop() -> None:
+    rng = np.random.default_rng(0)
+    one, other = rng.random((2, 24, 20, 3))
+    where = np.ones((24, 20), bool)
+    where[:4] = False
+    at = np.arange(-5, 6)
+    window = np.exp(-(at[:, None] ** 2 + at**2) / (2 * 1.5**2))
+    window /= window.sum()
+    values = []
+    for row in range(9, 19):
+        for column in range(5, 15):
+            if not where[row - 5 : row + 6, column - 5 : column + 6].all():
+                continue
+            for channel in range(3):
+                a = one[row - 5 : row + 6, column - 5 : column + 6, channel]
+                b = other[row - 5 : row + 6, column - 5 : column + 6, channel]
+                ma, mb = (window * a).sum(), (window * b).sum()
+                va, vb = (window * a * a).sum() - ma**2, (window * b * b).sum() - mb**2
+                cov = (window * a * b).sum() - ma * mb
+                top = (2 * ma * mb + 1e-4) * (2 * cov + 9e-4)
+                values.append(top / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4)))
+    found = ssim(one, other, where)
+    assert found == pytest.approx(np.mean(values), rel=1e-6)
+    assert ssim(one, one, where) == pytest.approx(1)
+    assert np.isnan(ssim(one, other, np.zeros_like(where)))
+
+
+def test_the_typology_angle_is_that_of_the_colour_library() -> None:
+    for rgb in ([0.5, 0.32, 0.24], [0.12, 0.06, 0.04], [0.7, 0.55, 0.45]):
+        xyz = colour.RGB_to_XYZ(rgb, "sRGB", apply_cctf_decoding=False)
+        lab = colour.XYZ_to_Lab(
+            xyz, colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
+        )
+        wanted = np.degrees(np.arctan((lab[0] - 50) / lab[2]))
+        assert ita_deg(np.array([rgb])) == pytest.approx(wanted, abs=0.3)
+    assert (tone_of(60), tone_of(20), tone_of(-40)) == ("very light", "tan", "dark")
+
+
+def test_intervals_hold_the_mean_and_shrink_with_people() -> None:
+    rng = np.random.default_rng(1)
+    few, many = (interval(list(rng.normal(30, 2, n))) for n in (5, 200))
+    assert few.low < few.mean < few.high
+    assert many.high - many.low < 0.4 * (few.high - few.low)
+    assert np.isnan(interval([3.0]).low)
+    assert np.isnan(interval([float("nan")]).mean)
+
+
+def test_errors_by_tone_tell_the_worst_over_the_best() -> None:
+    groups = by_tone([60.0, 58.0, -40.0], [61.0, 57.0, -36.0])
+    assert groups == {"very light": (2, 1.0), "dark": (1, 4.0)}
+    assert spread(groups) == pytest.approx(4)
+    assert np.isnan(spread({"tan": (1, 2.0)}))
+
+
+@given(
+    scale=st.sampled_from([1e-6, 1.0, 1e6]),
+    zero=st.booleans(),
+    seed=st.integers(0, 100),
+)
+@settings(max_examples=20, deadline=None)
+def test_any_maps_give_finite_figures(scale: float, zero: bool, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found = (rng.random((16, 16, 3)) - 0.1).astype(np.float32) * np.float32(scale)
+    if zero:
+        found[:] = 0
+    true = rng.random((16, 16, 3)).astype(np.float32)
+    skin = np.ones((16, 16), bool)
+    figures = albedo_measures(found, true, skin)
+    figures |= normal_measures("n", found, true, skin)
+    assert all(np.isfinite(value) for value in figures.values())
+    assert np.isfinite(ita_deg(found.reshape(-1, 3)))
