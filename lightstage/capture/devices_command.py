@@ -1,0 +1,88 @@
+"""The command `devices`: what stands on the stage, and what would keep a capture from starting."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from lightstage.cameras.binding import CamerasFile, read_cameras_file
+from lightstage.capture.config import read_config
+from lightstage.capture.devices import CameraLook, Look, look_at_devices
+from lightstage.commands import JsonFlag, finish
+from lightstage.counting import counted
+from lightstage.operator.words import said
+from lightstage.preflight import Plan
+from lightstage.rig import load_rig
+
+PHOTOGRAPHS = 12
+"""Of each camera, for which room is looked for: a binary sequence with a few taken again."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to an application."""
+    app.command("devices")(devices_command)
+
+
+def devices_command(
+    rig: Path = typer.Option(..., help="rig.json: where lights and cameras stand."),
+    leds: str = typer.Option(..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.."),
+    cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
+    folder: Path = typer.Option(
+        Path(),
+        help="Where sessions will lie: its disk and the clocks of its journals are looked at.",
+    ),
+    config: Path | None = typer.Option(None, help="TOML with other values than the defaults."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Look at lights and cameras as a capture does before its first light; nothing is lit."""
+    settings = read_config(config)
+    the_rig = load_rig(rig)
+    file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
+    look = look_at_devices(the_rig, leds, file, settings, folder / "session", Plan(PHOTOGRAPHS))
+    if not as_json:
+        Console(highlight=False).print(_table(look))
+        for finding in look.findings:
+            print(said({"event": "finding", **dataclasses.asdict(finding)}), file=sys.stderr)
+    answering = sum(each.answers for each in look.cameras)
+    wrong = sum(each.severity == "refuse" for each in look.findings)
+    ready = "ready" if look.ready else f"not ready: {counted(wrong, 'thing')} to mend"
+    lights = "no answer from the lights"
+    if look.lights is not None:
+        lights = f"{counted(look.lights.light_count, 'light')} answer"
+    finish(
+        f"{lights}, {answering} of {counted(len(look.cameras), 'camera')} answer, {ready}",
+        look.facts(),
+        as_json,
+    )
+
+
+def _table(look: Look) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for title in ("camera", "serial", "port", "lens", "battery", "free shots", "differs"):
+        table.add_column(title, overflow="fold")
+    for each in look.cameras:
+        table.add_row(*map(Text, _cells(each)))
+    return table
+
+
+def _cells(camera: CameraLook) -> list[str]:
+    if not camera.answers:
+        return [camera.id, camera.serial, camera.port or "-", "NO ANSWER", "-", "-", "-"]
+    battery = "-" if camera.battery_percent is None else f"{camera.battery_percent:.0f} %"
+    shots = "-" if camera.free_shots is None else str(camera.free_shots)
+    differs = ", ".join(f"{name} {camera.settings.get(name, '')}" for name in camera.differing)
+    return [
+        camera.id,
+        camera.serial,
+        camera.port,
+        camera.lens or "-",
+        battery,
+        shots,
+        differs or "-",
+    ]
