@@ -7,19 +7,18 @@ import sys
 from pathlib import Path
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from lightstage.cameras.binding import CamerasFile, read_cameras_file
 from lightstage.capture.config import read_config
-from lightstage.capture.devices import CameraLook, Look, look_at_devices
+from lightstage.capture.devices import CameraLook, look_at_devices
 from lightstage.commands import JsonFlag, finish
+from lightstage.commands.tables import print_table
 from lightstage.counting import counted
 from lightstage.operator.words import said
 from lightstage.preflight import Plan
 from lightstage.rig import load_rig
 
+TITLES = ("camera", "serial", "port", "lens", "battery", "free shots", "differs")
 PHOTOGRAPHS = 12
 """Of each camera, for which room is looked for: a binary sequence with a few taken again."""
 
@@ -46,7 +45,7 @@ def devices_command(
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
     look = look_at_devices(the_rig, leds, file, settings, folder / "session", Plan(PHOTOGRAPHS))
     if not as_json:
-        Console(highlight=False).print(_table(look))
+        print_table(TITLES, map(_cells, look.cameras))
         for finding in look.findings:
             print(said({"event": "finding", **dataclasses.asdict(finding)}), file=sys.stderr)
     answering = sum(each.answers for each in look.cameras)
@@ -60,15 +59,6 @@ def devices_command(
         look.facts(),
         as_json,
     )
-
-
-def _table(look: Look) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for title in ("camera", "serial", "port", "lens", "battery", "free shots", "differs"):
-        table.add_column(title, overflow="fold")
-    for each in look.cameras:
-        table.add_row(*map(Text, _cells(each)))
-    return table
 
 
 def _cells(camera: CameraLook) -> list[str]:

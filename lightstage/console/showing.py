@@ -107,7 +107,8 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             "lights": view.lights,
             "unacknowledged": view.acknowledged is False,
             "question": merged(view.question),
-            "news": list(reversed(merged(view.news)))[:NEWS_SHOWN],
+            # Plain lines stand in the list of what happened, below.
+            "news": [n for n in reversed(merged(view.news)) if n.tone != "plain"][:NEWS_SHOWN],
             "cameras": [
                 {
                     "id": name,

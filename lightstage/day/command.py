@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from lightstage.commands import JsonFlag, finish
+from lightstage.commands.tables import print_table
 from lightstage.counting import counted
 from lightstage.day.sessions import Seen, in_words, sessions_of
 from lightstage.errors import FormatError
 
+TITLES = ("session", "subject", "expression", "began (UTC)", "state", "check", "processed")
 SIGNS = {"whole": "+", "running": ">", "unfinished": "-", "damaged": "X"}
 """Before a session's state, so that no colour is needed to tell it."""
 
@@ -49,7 +48,7 @@ def sessions_command(
             hint="Name the folder above the one that a capture was given with --out.",
         )
     if not as_json:
-        Console(highlight=False).print(_table(seen))
+        print_table(TITLES, map(_cells, seen))
     finish(
         f"{folder}: {counted(len(seen), 'session')}, {in_words(seen)}",
         {"folder": str(folder), "sessions": [_facts(each) for each in seen]},
@@ -57,20 +56,16 @@ def sessions_command(
     )
 
 
-def _table(sessions: list[Seen]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for title in ("session", "subject", "expression", "began (UTC)", "state", "check", "processed"):
-        table.add_column(title, overflow="fold")
-    for each in sessions:
-        state = f"{SIGNS[each.state]} {each.state}"
-        if each.state in ("running", "unfinished"):
-            state += f", {each.kept} of {each.wanted}"
-        if each.accepted:
-            state += f", {counted(each.accepted, 'pattern')} accepted with faults"
-        cells = [each.root.name, each.subject, each.expression, each.date, state, each.checked]
-        made = ", ".join(path.name for path in each.processed) or "no"
-        table.add_row(*map(Text, [*cells, made]))
-    return table
+def _cells(each: Seen) -> list[str]:
+    state = f"{SIGNS[each.state]} {each.state}"
+    if each.state in ("running", "unfinished"):
+        state += f", {each.kept} of {each.wanted}"
+    if each.accepted:
+        state += f", {counted(each.accepted, 'pattern')} accepted with faults"
+    made = ", ".join(path.name for path in each.processed) or "no"
+    return [
+        each.root.name, each.subject, each.expression, each.date, state, each.checked, made
+    ]  # fmt: skip
 
 
 def _facts(seen: Seen) -> dict[str, Any]:

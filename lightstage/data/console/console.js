@@ -70,13 +70,15 @@ function pressed(event) {
 // --- events ---------------------------------------------------------------------------------------
 function follow(part) {
   let waiting = 0;
-  const stream = new EventSource(`${part.dataset.events}?after=${part.dataset.after}`);
+  // From the first line that is remembered on: the list below shows what happened before, without a sound.
+  const shown = Number(part.dataset.after);
+  const stream = new EventSource(`${part.dataset.events}?after=0`);
   stream.onmessage = (event) => {
     const told = JSON.parse(event.data);
-    if (told.sound) play(told.sound);
+    if (told.sound && told.id > shown) play(told.sound);
     if (told.text && told.tone !== "quiet") write(told);
     // Several lines within a moment are one look.
-    if (!waiting) {
+    if (!waiting && !(told.id <= shown)) {
       waiting = setTimeout(() => {
         waiting = 0;
         htmx.trigger(part, "stage");

@@ -1,4 +1,4 @@
-"""A real headless Chromium, driven over its own pipe (Chrome DevTools Protocol), for a few tests."""
+"""A real headless Chromium, driven over its own pipe (Chrome DevTools Protocol)."""
 
 from __future__ import annotations
 
