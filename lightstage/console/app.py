@@ -407,8 +407,10 @@ class Pages:
     def _said(self, request: Request, text: str, back: str) -> Response:
         """One line for the operator."""
         if "hx-request" in request.headers or not back:
-            escaped = html.escape(text)
-            return HTMLResponse(escaped, headers={"HX-Retarget": "#said", "HX-Reswap": "innerHTML"})
+            # A button may be drawn anew before its answer comes: htmx then finds no other place.
+            away = request.headers.get("hx-target") != "said"
+            moved = {"HX-Retarget": "#said", "HX-Reswap": "innerHTML"} if away else {}
+            return HTMLResponse(html.escape(text), headers=moved)
         return RedirectResponse(back, 303)
 
 

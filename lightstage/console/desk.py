@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -29,6 +30,8 @@ from lightstage.formats.paths import check_name
 from lightstage.operator.client import answers, ask
 from lightstage.session.opening import JOURNAL
 
+ENDING_S = 10.0
+"""A capture lets its cameras go within this after its last word."""
 STAGE, LOOK, CHECK = "stage", "devices", "check"
 """Kinds of jobs: one capture at a time; a look at the devices; a check of a session."""
 
@@ -225,6 +228,13 @@ class Desk:
             return name
         return name if name and answers(self.folder / name) else ""
 
+    def _is_over(self, name: str) -> bool:
+        """Whether a session's capture has said its last word, and lets its devices go."""
+        try:
+            return self.followed(name).view.over
+        except LightstageError:
+            return False
+
     def _folders(self) -> Sequence[Path]:
         try:
             return session_folders(self.folder)
@@ -242,7 +252,10 @@ class Desk:
         return self.stage
 
     def _require_idle(self) -> None:
-        running = self.running()
+        """CaptureError where the stage is in use; one that ends just now is waited for."""
+        until = time.monotonic() + ENDING_S
+        while (running := self.running()) and time.monotonic() < until and self._is_over(running):
+            time.sleep(0.1)
         looking = self.runner.state(LOOK)
         if running or (looking is not None and looking.running):
             raise CaptureError(

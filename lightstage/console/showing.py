@@ -159,8 +159,10 @@ def _cell(followed: Followed, pattern: str, camera: str) -> Cell:
 
 def actions(view: View, live: bool) -> list[Action]:
     """What can be asked for now, with the terminal's own keys."""
-    if not live:
+    if view.over:
         return []
+    if not live:  # it has not told its socket yet: it can be stopped all the same
+        return [Action("abort", *KEYS["abort"])]
     if view.phase == "asked":
         wanted: Sequence[str] = view.answers
         return [Action(do, KEYS[do][0], ANSWERS.get(do, KEYS[do][1])) for do in wanted]

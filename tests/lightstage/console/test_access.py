@@ -89,8 +89,9 @@ def test_a_post_from_another_page_changes_nothing(site, plan, origin: str) -> No
     body = f"csrf={visitor.csrf()}&take=P2/neutral&stamp={site.desk.stamp()}"
     headers = {"Origin": origin} if origin else {}
     assert visitor.ask("POST", "/plan/up", headers, body).status == 403
-    crossing = {"Origin": visitor.origin, "Sec-Fetch-Site": "cross-site"}
-    assert visitor.ask("POST", "/plan/up", crossing, body).status == 403
+    for named in (visitor.origin, "null"):
+        crossing = {"Origin": named, "Sec-Fetch-Site": "cross-site"}
+        assert visitor.ask("POST", "/plan/up", crossing, body).status == 403
     assert plan.read_bytes() == before
 
 
@@ -105,6 +106,14 @@ def test_a_post_without_its_sessions_second_token_changes_nothing(site, plan) ->
     body = f"csrf={visitor.csrf()}&take=P2/neutral&stamp={site.desk.stamp()}"
     assert visitor.ask("POST", "/plan/up", {"Origin": visitor.origin}, body).status == 303
     assert plan.read_bytes() != before
+
+
+def test_a_form_works_without_scripts_too(site, plan) -> None:
+    visitor = site.visitor()
+    body = f"csrf={visitor.csrf()}&take=P2/neutral&stamp={site.desk.stamp()}"
+    own = {"Origin": "null", "Sec-Fetch-Site": "same-origin"}
+    answer = visitor.ask("POST", "/plan/up", own, body)
+    assert (answer.status, answer.headers["Location"]) == (303, "/plan")
 
 
 def test_what_changes_something_is_no_get(site, plan) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -11,6 +10,7 @@ import time
 import pytest
 
 from lightstage.checks import check_session
+from lightstage.console.runner import Runner
 from sim.devices.faults import Fault
 from tests.lightstage.console.browser import Browser
 from tests.lightstage.console.conftest import (
@@ -25,18 +25,9 @@ from tests.lightstage.console.conftest import (
 @pytest.fixture(autouse=True)
 def no_capture_outlives_its_test(plan):
     yield
-    path = plan.parent / "sessions" / ".console" / "stage.json"
-    if path.exists():
-        import json
-
-        job = json.loads(path.read_text())
-        for _ in range(600):
-            try:
-                os.kill(job["pid"], signal.SIGTERM)
-                os.waitpid(job["pid"], os.WNOHANG)
-            except (ProcessLookupError, ChildProcessError):
-                break
-            time.sleep(0.1)
+    runner = Runner(plan.parent / "sessions", plan.parent)
+    runner.stop("stage")
+    wait_until(lambda: not (state := runner.state("stage")) or not state.running, "the end of all")
 
 
 def test_a_take_is_captured_whole_and_the_next_one_follows(staged, plan) -> None:
@@ -97,7 +88,7 @@ def test_two_browsers_abort_at_once_and_the_session_goes_on_later(staged, plan) 
 
 
 def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
-    faults = [Fault("no-file", camera="cam1", at=at) for at in (2, 3, 4)]
+    faults = [Fault("fail", camera="cam1", at=2, until=4)]
     stage, options = staged(*faults)
     with served(plan, options) as site:
         visitor = site.visitor()
@@ -115,6 +106,19 @@ def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
                 visitor.post("/session/P1+neutral/do", do="retake")
             time.sleep(0.1)
         assert check_session(root).frames == 9
+
+
+def test_a_stop_before_the_first_light_is_a_stop(staged, plan) -> None:
+    stage, options = staged()
+    with served(plan, options) as site:
+        visitor = site.visitor()
+        visitor.post("/start")
+        assert "STARTING" in visitor.get("/live").text
+        answer = visitor.post("/session/P1+neutral/do", do="abort")
+        assert "STOPPING" in answer.text, answer.text
+        wait_until(lambda: not site.desk.running(), "an idle stage")
+        assert stage.device.dark
+        assert not events_of(site.desk.folder / "P1+neutral", "end")
 
 
 def test_a_capture_that_cannot_start_says_why(staged, plan) -> None:
@@ -203,6 +207,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.js("document.getElementById('look').close(); 1")
         browser.press("s")
         browser.wait('location.pathname.startsWith("/session/P1%2Bsmile")')
+        browser.wait("document.querySelector('[data-key=q]')")
         browser.press("q")
         browser.wait('document.body.innerText.includes("STOPPED")')
         assert stage.device.dark
