@@ -14,6 +14,7 @@ from lightstage.capture.devices import CameraLook, look_at_devices
 from lightstage.commands import JsonFlag, finish
 from lightstage.commands.tables import print_table
 from lightstage.counting import counted
+from lightstage.errors import ConfigError
 from lightstage.operator.words import said
 from lightstage.preflight import Plan
 from lightstage.rig import load_rig
@@ -40,6 +41,9 @@ def devices_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Look at lights and cameras as a capture does before its first light; nothing is lit."""
+    if not folder.is_dir():
+        found = "a file" if folder.exists() else "no such folder"
+        raise ConfigError(folder, field="--folder", found=found, expected="a folder of sessions")
     settings = read_config(config)
     the_rig = load_rig(rig)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))

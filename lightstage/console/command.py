@@ -9,7 +9,9 @@ from pathlib import Path
 
 import typer
 
-from lightstage.commands import JsonFlag, finish
+from lightstage.cameras.cameras_file import read_cameras_file
+from lightstage.capture.config import read_config
+from lightstage.commands import JsonFlag, finish, output_file
 from lightstage.console.access import TOKEN
 from lightstage.console.app import guarded
 from lightstage.console.config import ConsoleConfig
@@ -20,6 +22,7 @@ from lightstage.errors import CaptureError, ConfigError, FormatError
 from lightstage.formats.lock import locked
 from lightstage.leds.address import parse_url
 from lightstage.rig import load_rig
+from lightstage.session import read_calibration
 
 POLL_S = 0.2
 LEAST_PORT, MOST_PORT = 1024, 65535
@@ -31,7 +34,9 @@ def register(app: typer.Typer) -> None:
 
 
 def console_command(
-    plan: Path = typer.Option(..., help="The day's plan (TOML); made when somebody adds to it."),
+    plan: Path = output_file(
+        "--plan", help="The day's plan; made when somebody adds to it.", suffixes=[".toml"]
+    ),
     rig: Path | None = typer.Option(None, help="rig.json: where lights and cameras stand."),
     leds: str | None = typer.Option(None, help="As of `capture`; without it nothing is captured."),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
@@ -122,15 +127,16 @@ def _stage(
                 expected="both, or a page without a stage",
             )
         return None
-    from lightstage.cameras.binding import read_cameras_file
-    from lightstage.capture.config import read_config
 
-    load_rig(rig)
+    the_rig = load_rig(rig)
     parse_url(leds)
     read_config(config)
-    for name, path in (("--calibration", calibration), ("--colour", colour)):
-        if path is not None and not path.exists():
-            raise ConfigError(path, field=name, found="no such file or folder", expected="it")
+    if colour is not None:
+        read_calibration(colour, the_rig)
+    if calibration is not None and not calibration.is_dir():
+        found = "a file" if calibration.exists() else "no such folder"
+        expected = "the lab's folder of calibration shots"
+        raise ConfigError(calibration, field="--calibration", found=found, expected=expected)
     file = cameras
     if cameras != "auto":
         read_cameras_file(Path(cameras))

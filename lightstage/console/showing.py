@@ -54,9 +54,9 @@ class Cell(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One pattern of the table; `index` is its place in the sequence."""
+    """One pattern of the table; `place` is its number in the sequence."""
 
-    index: int
+    place: int
     pattern: str
     lit: bool
     done: bool

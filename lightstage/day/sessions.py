@@ -72,16 +72,17 @@ def sessions_of(folder: Path, processed: Path | None = None) -> list[Seen]:
     """The sessions in a folder, those that began first before the others.
 
     Args:
-        folder: holds sessions' folders.
+        folder: holds sessions' folders, or is a session itself.
         processed: holds processed folders.
 
     Raises:
         FormatError: no folder, or one that cannot be read.
     """
     made = {} if processed is None else processed_of(processed)
+    alone = (folder / JOURNAL).is_file() or (folder / "session.json").is_file()
     seen = [
         dataclasses.replace(each, processed=tuple(made.get(each.session, ())))
-        for path in session_folders(folder)
+        for path in ([folder] if alone else session_folders(folder))
         if (each := seen_session(path)) is not None
     ]
     return sorted(seen, key=lambda each: (each.created_utc, each.root.name))
