@@ -25,7 +25,7 @@ from lightstage.console.access import CSRF_FIELD, CSRF_HEADER, Guard, Visitors, 
 from lightstage.console.album import why_not
 from lightstage.console.desk import CHECK, LOOK, STAGE, Desk
 from lightstage.console.following import Followed, Photograph
-from lightstage.day import PUBLISHED, PlannedSubject
+from lightstage.day import PUBLISHED, Planned, PlannedSubject
 from lightstage.errors import ConfigError, FormatError, LightstageError
 from lightstage.operator.words import HEARD
 
@@ -113,20 +113,18 @@ class Pages:
         desk = self._desk
 
         def values() -> dict[str, Any]:
-            problem, takes, stamp = "", [], desk.stamp()
+            problem, stamp = "", desk.stamp()
+            takes: list[Planned] = []
             try:
                 takes = desk.takes()
             except LightstageError as error:
                 problem = str(error)
-            stands: dict[str, int] = {}
-            for each in takes:
-                stands[each.stand] = stands.get(each.stand, 0) + 1
             following = next((each for each in takes if each.open), None)
             return {
                 "takes": takes,
                 "problem": problem,
                 "stamp": stamp,
-                "facts": showing.plan_facts(stands),
+                "facts": showing.plan_facts(takes),
                 "following": following,
                 "running": desk.running(),
                 "path": desk.path,
@@ -159,7 +157,7 @@ class Pages:
         own = state if state is not None and state.job.session == name else None
         values = showing.desk_values(followed, own, self._desk.config.most_rows)
         following = None
-        if not followed.live and not (own is not None and own.running):
+        if followed.view.over:  # whoever starts the next one waits for this one's process to end
             try:
                 following = next((each for each in self._desk.takes() if each.open), None)
             except LightstageError:

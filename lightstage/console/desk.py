@@ -90,13 +90,29 @@ class Desk:
         self.stage = stage
         self.processed = processed
         self.config = config
-        self.folder = sessions_folder(self.plan(), self.path)
+        self.folder = sessions_folder(self._read(), self.path)
         self.following = Following(config.page_events)
         self.album = Album(config)
         self.runner = Runner(self.folder, Path.cwd())
 
     def plan(self) -> DayPlan:
-        """The plan as its file says now; errors as `read_plan`."""
+        """The plan as its file says now.
+
+        Raises:
+            ConfigError: as `read_plan`, or another folder of sessions than at the beginning.
+        """
+        plan = self._read()
+        if sessions_folder(plan, self.path) != self.folder:
+            raise ConfigError(
+                self.path,
+                field="sessions",
+                found=ascii(plan.sessions),
+                expected=str(self.folder),
+                hint="Its folder was changed: end the console, and start it again.",
+            )
+        return plan
+
+    def _read(self) -> DayPlan:
         return read_plan(self.path) if self.path.exists() else DayPlan()
 
     def stamp(self) -> str:

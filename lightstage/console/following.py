@@ -8,6 +8,7 @@ from __future__ import annotations
 import collections
 import threading
 import time
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -69,6 +70,7 @@ class Followed:
         self.root = root
         self.view = View(str(root))
         self._tail = JournalTail(root / JOURNAL)
+        weakref.finalize(self, self._tail.close)  # when nobody looks at it any more
         self._lock = threading.Lock()
         self._photographs: dict[tuple[str, str], Photograph] = {}
         self._events: collections.deque[Event] = collections.deque(maxlen=kept)

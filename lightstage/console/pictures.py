@@ -9,7 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import multiprocessing
+import multiprocessing.connection
 import os
+import threading
 from pathlib import Path
 
 import cv2
@@ -40,8 +43,8 @@ class Facts:
         mean: of all pixels, share of white.
         brightest: the brightest percent's green, share of white.
         histogram: (3, BINS) share of each colour's pixels, from black to white.
-        focus: fine over coarse detail (1 is as fine as a pixel can show); None where the subject
-            shows too little of it.
+        focus: differences of close pixels over those of far ones, higher is sharper
+            (`checks.sharpness.fineness`); None where the subject shows too little of them.
         focus_against: the same against another photograph of the camera, 1 is alike.
     """
 
@@ -66,9 +69,21 @@ class _Counts:
 
 
 def behind() -> None:
-    """Let a capture have the processor first; called in each process that makes pictures."""
+    """Let a capture have the processor first, and end with the server, however that ends.
+
+    Called in each process that makes pictures: one that waits for work would not notice by itself
+    that its server was killed.
+    """
     os.nice(NICE)
     cv2.setNumThreads(1)
+    server = multiprocessing.parent_process()
+    if server is not None:
+        threading.Thread(target=_end_with, args=(server.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    multiprocessing.connection.wait([sentinel])
+    os._exit(0)
 
 
 def thumbnail(path: Path, longest_px: int) -> bytes:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from lightstage.console.following import Followed
 from lightstage.console.pictures import BINS, Facts
 from lightstage.console.runner import JobState
 from lightstage.counting import counted
+from lightstage.day import Planned
 from lightstage.findings import two_digits
 from lightstage.operator.view import Phase, View
 from lightstage.operator.words import ANSWERS, KEYS, LEGEND, STATES, Mark, duration, merged, said
@@ -232,8 +233,8 @@ def device_values(state: JobState | None) -> dict[str, Any]:
     return {"state": state, "look": look, "findings": findings}
 
 
-def plan_facts(stands: Mapping[str, int]) -> str:
+def plan_facts(takes: Sequence[Planned]) -> str:
     """How far the day is, as one sentence."""
-    total = sum(stands.values())
-    done = stands.get("done", 0)
+    total = sum(each.take.wanted for each in takes)
+    done = sum(seen.state == "whole" for each in takes for seen in each.sessions)
     return f"{done} of {counted(total, 'session')} done."

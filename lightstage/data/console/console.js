@@ -82,7 +82,7 @@ function follow(part) {
       waiting = setTimeout(() => {
         waiting = 0;
         htmx.trigger(part, "stage");
-      }, 80);
+      }, 150);
     }
   };
   addEventListener("pagehide", () => stream.close());

@@ -6,12 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from lightstage.checks import check_session
 from lightstage.console.runner import Runner
 from sim.devices.faults import Fault
+from sim.devices.processes import descendants
 from tests.lightstage.console.browser import Browser
 from tests.lightstage.console.conftest import (
     Visitor,
@@ -132,6 +134,14 @@ def test_a_capture_that_cannot_start_says_why(staged, plan) -> None:
         assert not (site.desk.folder / "P1+neutral").exists()
 
 
+def command_of(pid: int) -> str:
+    """What a process was started with; empty where it is no more."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
+    except OSError:
+        return ""
+
+
 def console(plan, options, port: int = 0) -> tuple[subprocess.Popen, str, Visitor]:
     """The command as somebody starts it; its address, and a visitor."""
     words = ["console", "--plan", str(plan), "--port", str(port), *options.capture()]
@@ -157,8 +167,12 @@ def test_a_server_that_is_killed_changes_nothing_of_a_capture(staged, plan) -> N
         )  # fmt: skip
         assert second.returncode == 2
         assert "another console" in second.stderr
+        found = [each.pid for each in descendants(process.pid)]
+        makers = [pid for pid in found if "spawn_main" in command_of(pid)]
+        assert makers
         process.kill()
         process.wait()
+        wait_until(lambda: not any(map(command_of, makers)), "the end of what made pictures")
         process, _, again = console(plan, options, visitor.port)
         assert visitor.get("/live").status == 401  # of the killed one
         live = again.get("/live")
@@ -205,6 +219,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         # Without its stream of events the page comes to know all the same.
         browser.js("window.EventSource = class { close() {} }; 1")
         browser.js("document.getElementById('look').close(); 1")
+        browser.wait("document.querySelector('[data-key=s]')")
         browser.press("s")
         browser.wait('location.pathname.startsWith("/session/P1%2Bsmile")')
         browser.wait("document.querySelector('[data-key=q]')")

@@ -182,3 +182,19 @@ def test_two_hundred_patterns_are_not_all_shown_at_a_time(site) -> None:
     page = site.visitor().get("/session/P1+neutral").text
     assert len(re.findall(r"<tr>|<tr ", page)) < 20
     assert "more patterns are not shown" in page
+
+
+def test_a_plan_whose_folder_moved_wants_a_new_console(site, plan) -> None:
+    plan.write_text(plan.read_text().replace('"sessions"', '"elsewhere"'))
+    assert "start it again" in site.visitor().get("/plan").text
+
+
+def test_sessions_that_nobody_looks_at_hold_no_file(site) -> None:
+    visitor = site.visitor()
+    for number in range(12):
+        write_session(site.desk.folder / f"P{number}+neutral")
+    visitor.get("/session/P0+neutral")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for number in range(12):
+        assert visitor.get(f"/session/P{number}+neutral").status == 200
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before + 6
