@@ -14,7 +14,7 @@ from typing import Any
 
 from lightstage.console.config import ConsoleConfig
 from lightstage.console.following import Photograph
-from lightstage.console.pictures import Facts, behind, large, thumbnail
+from lightstage.console.pictures import Facts, Focus, behind, focus, large, thumbnail
 from lightstage.errors import FormatError, LightstageError
 
 LARGE_KEPT = 4
@@ -33,6 +33,7 @@ class Album:
         self._pool: concurrent.futures.ProcessPoolExecutor | None = None
         self._small = _Kept(config.thumbnails)
         self._large = _Kept(LARGE_KEPT)
+        self._focus = _Kept(config.thumbnails)
 
     async def thumbnail(self, photograph: Photograph) -> bytes:
         """A small JPEG; FormatError where there is none to be made."""
@@ -43,14 +44,23 @@ class Album:
         )
         return data
 
-    async def large(self, photograph: Photograph, other: Photograph | None) -> tuple[bytes, Facts]:
+    async def large(self, photograph: Photograph) -> tuple[bytes, Facts]:
         """A large JPEG and its figures; FormatError as `thumbnail`."""
-        key = (photograph.path, photograph.sha256, None if other is None else other.path)
-        pixels, beside = self._config.large_px, None if other is None else other.path
+        key = (photograph.path, photograph.sha256)
+        pixels = self._config.large_px
         made: tuple[bytes, Facts] = await self._large.get(
-            key, lambda: self._make(photograph.path, large, photograph.path, pixels, beside)
+            key, lambda: self._make(photograph.path, large, photograph.path, pixels)
         )
         return made
+
+    async def focus(self, photograph: Photograph, other: Photograph | None) -> Focus:
+        """How sharp it is, also against another one; FormatError as `thumbnail`."""
+        beside = None if other is None else other.path
+        key = (photograph.path, photograph.sha256, beside)
+        measured: Focus = await self._focus.get(
+            key, lambda: self._make(photograph.path, focus, photograph.path, beside)
+        )
+        return measured
 
     def start(self) -> None:
         """Have the processes ready before the first photograph comes."""

@@ -67,6 +67,7 @@ def application(desk: Desk) -> Starlette:
             Route(photo + "/small", page.small),
             Route(photo + "/large", page.large),
             Route(photo + "/look", page.look),
+            Route(photo + "/focus", page.focus),
             Route("/report/{name}/{number:int}", page.report),
             Route("/plan/{act}", page.change_plan, methods=["POST"]),
             Route("/start", page.start, methods=["POST"]),
@@ -220,26 +221,35 @@ class Pages:
 
     async def large(self, request: Request) -> Response:
         """A large one, clipped pixels painted."""
-        photograph, other = await self._photograph(request)
+        photograph = (await self._photograph(request))[0]
         try:
-            data, _ = await self._desk.album.large(photograph, other)
+            data, _ = await self._desk.album.large(photograph)
         except FormatError:
             return Response(NO_PICTURE, media_type="image/svg+xml")
         return Response(data, media_type="image/jpeg")
 
     async def look(self, request: Request) -> Response:
         """A photograph's large picture with its histogram and figures."""
-        photograph, other = await self._photograph(request)
+        photograph = (await self._photograph(request))[0]
         names = request.path_params
         values: dict[str, Any] = {**names, "problem": "", "sentences": [], "curves": []}
         try:
-            _, facts = await self._desk.album.large(photograph, other)
+            _, facts = await self._desk.album.large(photograph)
             values |= showing.look_values(facts)
         except FormatError as error:
             values["problem"] = why_not(error)
         followed = await _away(self._desk.followed, names["name"])
         values["retake"] = not followed.live and self._desk.stage is not None
         return self._part(request, "look.html", values)
+
+    async def focus(self, request: Request) -> Response:
+        """How sharp it is: measured apart, so that the picture does not wait for it."""
+        photograph, other = await self._photograph(request)
+        try:
+            words = showing.focus_words(await self._desk.album.focus(photograph, other))
+        except FormatError as error:
+            words = [f"Focus: not known. {why_not(error)}"]
+        return self._part(request, "focus.html", {"words": words})
 
     async def _photograph(self, request: Request) -> tuple[Photograph, Photograph | None]:
         """The photograph that an address names, and the camera's first one beside it."""

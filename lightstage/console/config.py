@@ -33,6 +33,6 @@ class ConsoleConfig:
     large_px: int = 1600
     thumbnails: int = 2000
     makers: int = 2
-    picture_s: float = 30.0
+    picture_s: float = 60.0
     page_events: int = 200
     most_rows: int = 14

@@ -7,6 +7,7 @@ its detail is.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import multiprocessing
@@ -43,9 +44,6 @@ class Facts:
         mean: of all pixels, share of white.
         brightest: the brightest percent's green, share of white.
         histogram: (3, BINS) share of each colour's pixels, from black to white.
-        focus: differences of close pixels over those of far ones, higher is sharper
-            (`checks.sharpness.fineness`); None where the subject shows too little of them.
-        focus_against: the same against another photograph of the camera, 1 is alike.
     """
 
     width_px: int
@@ -54,8 +52,20 @@ class Facts:
     mean: float
     brightest: float
     histogram: tuple[tuple[float, ...], ...]
-    focus: float | None
-    focus_against: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Focus:
+    """How sharp a photograph is.
+
+    Attributes:
+        figure: differences of close pixels over those of far ones, higher is sharper
+            (`checks.sharpness.fineness`); None where the subject shows too little of them.
+        against: the same against another photograph of the camera, 1 is alike.
+    """
+
+    figure: float | None
+    against: float | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,13 +112,12 @@ def thumbnail(path: Path, longest_px: int) -> bytes:
     return _jpeg(_shown(_read(path, longest_px, SAMPLES)), path)
 
 
-def large(path: Path, longest_px: int, other: Path | None = None) -> tuple[bytes, Facts]:
+def large(path: Path, longest_px: int) -> tuple[bytes, Facts]:
     """A large JPEG with clipped pixels painted in stripes, and what it shows in figures.
 
     Args:
         path: as `thumbnail`.
         longest_px: the same.
-        other: a photograph of the same camera to compare the focus with.
 
     Raises:
         FormatError: as `thumbnail`.
@@ -123,12 +132,34 @@ def large(path: Path, longest_px: int, other: Path | None = None) -> tuple[bytes
         for c in range(3)
     )
     red, green, blue = (float(counts.full[..., c].mean()) for c in range(3))
-    focus, against = _focus(path, other)
     width, height = counts.size_px
     brightest = float(np.quantile(rgb[..., 1], 0.99))
-    return data, Facts(
-        width, height, (red, green, blue), float(rgb.mean()), brightest, histogram, focus, against
-    )
+    mean = float(rgb.mean())
+    return data, Facts(width, height, (red, green, blue), mean, brightest, histogram)
+
+
+def focus(path: Path, other: Path | None = None) -> Focus:
+    """How sharp a photograph is; the first one that a process measures takes seconds to import.
+
+    Args:
+        path: as `thumbnail`.
+        other: a photograph of the same camera to compare with.
+
+    Raises:
+        FormatError: as `thumbnail`.
+    """
+    from lightstage.checks.photo import measure_photo
+    from lightstage.checks.sharpness import fineness, sharpness
+
+    photo = measure_photo(path)
+    fine = fineness(photo)
+    known = fine[np.isfinite(fine)]
+    figure = float(np.sqrt(np.median(known))) if known.size else None
+    against = None
+    if other is not None:
+        with contextlib.suppress(LightstageError):  # a broken one tells nothing of this one
+            against = sharpness(photo, measure_photo(other))
+    return Focus(figure, against)
 
 
 def _preview(path: Path, longest_px: int) -> np.ndarray | None:
@@ -264,20 +295,3 @@ def _jpeg(picture: np.ndarray, where: Path) -> bytes:
     if not done:
         raise FormatError(where, found=f"shape {picture.shape}", expected="a picture")
     return bytes(data.tobytes())
-
-
-def _focus(path: Path, other: Path | None) -> tuple[float | None, float | None]:
-    from lightstage.checks.photo import measure_photo
-    from lightstage.checks.sharpness import fineness, sharpness
-
-    photo = measure_photo(path)
-    fine = fineness(photo)
-    known = fine[np.isfinite(fine)]
-    focus = float(np.sqrt(np.median(known))) if known.size else None
-    against = None
-    if other is not None:
-        try:
-            against = sharpness(photo, measure_photo(other))
-        except LightstageError:
-            against = None
-    return focus, against

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from lightstage.console.following import Followed
-from lightstage.console.pictures import BINS, Facts
+from lightstage.console.pictures import BINS, Facts, Focus
 from lightstage.console.runner import JobState
 from lightstage.counting import counted
 from lightstage.day import Planned
@@ -187,21 +187,24 @@ def look_values(facts: Facts) -> dict[str, Any]:
         f"The brightest percent is at {two_digits(100 * facts.brightest)} % of white, the mean at "
         f"{two_digits(100 * facts.mean)} %.",
     ]
-    if facts.focus is None:
-        sentences.append("Focus: not known; the subject shows too little fine detail here.")
-    else:
-        sentences.append(
-            f"Focus figure {two_digits(facts.focus)}: fine detail over coarse; higher is sharper."
-        )
-    if facts.focus_against is not None:
-        share = two_digits(facts.focus_against)
+    return {"sentences": sentences, "curves": _curves(facts.histogram)}
+
+
+def focus_words(focus: Focus) -> list[str]:
+    """How sharp a photograph is, in sentences."""
+    if focus.figure is None:
+        return ["Focus: not known; the subject shows too little fine detail here."]
+    figure = two_digits(focus.figure)
+    sentences = [f"Focus figure {figure}: fine detail over coarse; higher is sharper."]
+    if focus.against is not None:
+        share = two_digits(focus.against)
         sentences.append(
             f"As sharp as this camera's first photograph ({share} of it)."
-            if facts.focus_against >= SHARP
+            if focus.against >= SHARP
             else f"LESS SHARP than this camera's first photograph ({share} of it): look at its "
             "focus, and whether somebody moved."
         )
-    return {"sentences": sentences, "curves": _curves(facts.histogram)}
+    return sentences
 
 
 def _curves(histogram: Sequence[Sequence[float]]) -> list[tuple[str, str]]:

@@ -212,7 +212,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.js("document.querySelector('.photo').click()")
         browser.wait("document.getElementById('look').open")
         browser.wait("document.querySelector('#look img').naturalWidth > 0")
-        assert "Focus" in browser.js("document.getElementById('look').innerText")
+        browser.wait("/Focus figure|too little/.test(document.getElementById('focus').innerText)")
         assert browser.errors == []
         root = site.desk.folder / "P1+neutral"
         assert check_session(root).frames == 9
