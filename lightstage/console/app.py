@@ -244,15 +244,20 @@ class Pages:
 
     async def focus(self, request: Request) -> Response:
         """How sharp it is: measured apart, so that the picture does not wait for it."""
-        photograph, other = await self._photograph(request)
+        photograph, others = await self._photograph(request)
+        # The first that the camera took, and of that one the next.
+        pattern, other = next((each for each in others if each[1] != photograph), ("", None))
         try:
-            words = showing.focus_words(await self._desk.album.focus(photograph, other))
+            measured = await self._desk.album.focus(photograph, other)
+            words = showing.focus_words(measured, pattern)
         except FormatError as error:
             words = [f"Focus: not known. {why_not(error)}"]
         return self._part(request, "focus.html", {"words": words})
 
-    async def _photograph(self, request: Request) -> tuple[Photograph, Photograph | None]:
-        """The photograph that an address names, and the camera's first one beside it."""
+    async def _photograph(
+        self, request: Request
+    ) -> tuple[Photograph, list[tuple[str, Photograph]]]:
+        """The photograph that an address names, and all of its camera's with their patterns."""
         names = request.path_params
         followed = await _away(self._desk.followed, names["name"])
         found = followed.photograph(names["pattern"], names["camera"])
@@ -262,9 +267,7 @@ class Pages:
                 found=f"no take {names['take']}",
                 expected="a photograph of this session",
             )
-        others = [each for pattern, each in followed.photographs_of(names["camera"])]
-        other = next((each for each in others if each.path != found.path), None)
-        return found, other
+        return found, followed.photographs_of(names["camera"])
 
     async def devices(self, request: Request) -> Response:
         """Cameras and lights."""

@@ -190,19 +190,18 @@ def look_values(facts: Facts) -> dict[str, Any]:
     return {"sentences": sentences, "curves": _curves(facts.histogram)}
 
 
-def focus_words(focus: Focus) -> list[str]:
-    """How sharp a photograph is, in sentences."""
+def focus_words(focus: Focus, other: str) -> list[str]:
+    """How sharp a photograph is, in sentences; `other` is the pattern that it was held against."""
     if focus.figure is None:
         return ["Focus: not known; the subject shows too little fine detail here."]
     figure = two_digits(focus.figure)
     sentences = [f"Focus figure {figure}: fine detail over coarse; higher is sharper."]
     if focus.against is not None:
-        share = two_digits(focus.against)
+        beside = f"this camera's photograph of {other} ({two_digits(focus.against)} of it)"
         sentences.append(
-            f"As sharp as this camera's first photograph ({share} of it)."
+            f"As sharp as {beside}."
             if focus.against >= SHARP
-            else f"LESS SHARP than this camera's first photograph ({share} of it): look at its "
-            "focus, and whether somebody moved."
+            else f"LESS SHARP than {beside}: look at its focus, and whether somebody moved."
         )
     return sentences
 
