@@ -188,7 +188,7 @@ class Pages:
         config = self._desk.config
         yield b"retry: 1000\n\n"
         quiet_s, phase = 0.0, ""
-        while not await gone():
+        while not self._desk.closing.is_set() and not await gone():
             try:
                 await _away(followed.look)
             except (OSError, LightstageError):

@@ -83,7 +83,9 @@ def console_command(
         clients = [] if allow_from is None else [allow_from]
         stack.callback(desk.album.close)
         desk.album.start()
-        thread = stack.enter_context(serving(guarded(desk, token, hosts, clients), sockets))
+        thread = stack.enter_context(
+            serving(guarded(desk, token, hosts, clients), sockets, desk.closing)
+        )
         urls = [f"http://{address}:{served}/?{TOKEN}={token}" for address in addresses]
         print(f"Open {urls[0]}\nCtrl-C ends the page; a capture that runs goes on.", flush=True)
         if outside is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -94,6 +95,8 @@ class Desk:
         self.following = Following(config.page_events)
         self.album = Album(config)
         self.runner = Runner(self.folder, Path.cwd())
+        self.closing = threading.Event()
+        self._changing = threading.Lock()
 
     def plan(self) -> DayPlan:
         """The plan as its file says now.
@@ -131,14 +134,15 @@ class Desk:
             CaptureError: the file changed meanwhile.
             ConfigError: what would be no plan.
         """
-        if stamp != self.stamp():
-            raise CaptureError(
-                self.path,
-                found="a plan that was changed meanwhile",
-                expected="the one that your page shows",
-                hint="Look at it as it is now, and try again.",
-            )
-        write_plan(self.path, how(self.plan()))
+        with self._changing:
+            if stamp != self.stamp():
+                raise CaptureError(
+                    self.path,
+                    found="a plan that was changed meanwhile",
+                    expected="the one that your page shows",
+                    hint="Look at it as it is now, and try again.",
+                )
+            write_plan(self.path, how(self.plan()))
 
     def start(self, take: str | None) -> None:
         """Start the next take of the plan, or one by its name, in a process of its own.

@@ -74,8 +74,15 @@ def listen(addresses: Sequence[str], port: int) -> list[socket.socket]:
 
 
 @contextlib.contextmanager
-def serving(app: ASGIApp, sockets: Sequence[socket.socket]) -> Iterator[threading.Thread]:
+def serving(
+    app: ASGIApp, sockets: Sequence[socket.socket], closing: threading.Event
+) -> Iterator[threading.Thread]:
     """Serve in a thread as long as the block lasts; signals stay with the main thread.
+
+    Args:
+        app: what answers.
+        sockets: that listen; they are closed at the end.
+        closing: set when the block ends, so that streams of events end by themselves.
 
     Raises:
         DeviceError: the server does not start.
@@ -105,6 +112,7 @@ def serving(app: ASGIApp, sockets: Sequence[socket.socket]) -> Iterator[threadin
     try:
         yield thread
     finally:
+        closing.set()
         server.should_exit = True
         thread.join(STOP_S)
         for each in sockets:

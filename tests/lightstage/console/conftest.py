@@ -91,6 +91,13 @@ class Visitor:
             connection.request(method, path, body or None, given)
             return Answer(connection.getresponse())
 
+    def stream(self, path: str) -> http.client.HTTPConnection:
+        """A stream of events that is open, and that nobody reads on."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        connection.request("GET", path, None, {"Cookie": self.cookie})
+        assert connection.getresponse().read1(10)
+        return connection
+
     def events(self, path: str, until: Callable[[dict[str, Any]], bool], **headers: str) -> list:
         """Server-sent events until one is as wanted: pairs of id and data."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
@@ -139,7 +146,7 @@ def served(plan: Path, stage: StageOptions | None = None, processed: Path | None
     token = secrets.token_urlsafe(32)
     hosts = [f"127.0.0.1:{port}", f"localhost:{port}"]
     try:
-        with serving(guarded(desk, token, hosts), sockets):
+        with serving(guarded(desk, token, hosts), sockets, desk.closing):
             yield Site(desk, token, port)
     finally:
         desk.album.close()

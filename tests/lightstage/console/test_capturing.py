@@ -146,8 +146,9 @@ def console(plan, options, port: int = 0) -> tuple[subprocess.Popen, str, Visito
     """The command as somebody starts it; its address, and a visitor."""
     words = ["console", "--plan", str(plan), "--port", str(port), *options.capture()]
     process = subprocess.Popen(
-        [sys.executable, "-m", "lightstage", *words], stdout=subprocess.PIPE, text=True
-    )
+        [sys.executable, "-m", "lightstage", *words],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
     assert process.stdout is not None
     url = process.stdout.readline().removeprefix("Open ").strip()
     port = int(url.split(":")[2].split("/")[0])
@@ -181,9 +182,16 @@ def test_a_server_that_is_killed_changes_nothing_of_a_capture(staged, plan) -> N
         assert "COMPLETE" in again.get("/session/P1+neutral/part").text
         assert check_session(root).frames == 9
         assert len(events_of(root, "begin", "resume", "aborted")) == 1
-    finally:
+        # A stream that somebody follows does not hold the end up, and nothing is said of it.
+        told = again.stream("/session/P1+neutral/events?after=0")
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        said, wrong = process.communicate(timeout=30)
+        assert (process.returncode, wrong) == (0, "")
+        assert "page closed" in said
+        told.close()
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from lightstage.day import read_plan
 from lightstage.formats.files import write_bytes, write_json
-from tests.lightstage.console.conftest import served
+from tests.lightstage.console.conftest import served, together
 
 EVIL = '<script>alert(1)</script>"><img src=x onerror=alert(2)>'
 
@@ -97,6 +97,17 @@ def test_a_plan_that_was_changed_meanwhile_is_looked_at_first(site, plan) -> Non
     assert plan.read_bytes() == changed
     names = [take.name for take in read_plan(plan).all_takes()]
     assert names == ["P1/neutral", "P1/smile", "P2/smile", "P2/neutral"]
+
+
+def test_of_two_changes_at_once_one_is_refused(site, plan) -> None:
+    visitor, stamp = site.visitor(), site.desk.stamp()
+    add = [
+        lambda n=n: visitor.post("/plan/add", stamp=stamp, subject=f"P{n}", consent="C-1").text
+        for n in (8, 9)
+    ]
+    said = together(*add)
+    assert sorted("changed meanwhile" in each for each in said) == [False, True]
+    assert len(read_plan(plan).subjects) == 3
 
 
 def test_a_plan_that_is_wrong_is_told_on_its_page(site, plan) -> None:

@@ -143,3 +143,25 @@ def test_a_plan_that_could_not_be_read_again_is_not_written(tmp_path: Path) -> N
             write_plan(path, read_plan(path).with_subject(subject))
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["plan.toml"]
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (["--plan", "PLAN", "--out", "S"], "--plan: the plan has it"),
+        (["--plan", "PLAN", "--subject", "P9", "--consent", "C-9"], "2 problems"),
+        (["--plan", "PLAN", "--take", "P07/smlie"], "Did you mean P07/smile?"),
+        (["--plan", "PLAN"], "the stage's rig.json"),
+        (["--take", "P07/smile", "--out", "S"], "--plan beside it"),
+        ([], "or --plan with a day's plan"),
+        (["--out", "S", "--attended", "--unattended"], "one of the two"),
+    ],
+)
+def test_capture_says_what_does_not_go_with_a_plan(tmp_path, run_command, words, part) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text(HEAD + P07)
+    given = [{"PLAN": str(plan), "S": str(tmp_path / "S")}.get(word, word) for word in words]
+    ended = run_command("lightstage", "capture", "--leds", "serial:///dev/none", *given)
+    assert ended.code == 2
+    assert part in ended.err
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"]
