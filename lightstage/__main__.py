@@ -1,4 +1,4 @@
-"""Commands of the stage: capture, retake, watch, check, import, landmarks, calibrate."""
+"""Commands of the stage: capture, retake, console, watch, sessions, check, and more."""
 
 from __future__ import annotations
 
@@ -18,9 +18,21 @@ COMMANDS = {
         "lightstage.capture.retake_command",
         "Take photographs of a session again; the earlier takes stay on the disk.",
     ),
+    "console": (
+        "lightstage.console.command",
+        "The operator's page for a day of captures, on 127.0.0.1.",
+    ),
     "watch": (
         "lightstage.operator.command",
         "Follow a capture from another terminal; it does not notice.",
+    ),
+    "devices": (
+        "lightstage.capture.devices_command",
+        "Look at lights and cameras as a capture does before its first light; nothing is lit.",
+    ),
+    "sessions": (
+        "lightstage.day.command",
+        "List the sessions of a folder: whose, of when, whole, checked and processed or not.",
     ),
     "check": (
         "lightstage.checks.command",

@@ -32,6 +32,7 @@ class Summary:
         artist: the same.
         copyright: the same.
         place: whether it writes where it is (GPS) into its files: ``off``, or what is found.
+        lens: what is mounted, for people; nothing is decided by it.
     """
 
     serial: str | None = None
@@ -51,13 +52,14 @@ class Summary:
     artist: str | None = None
     copyright: str | None = None
     place: str | None = None
+    lens: str | None = None
 
     def untold(self) -> list[str]:
         """Names of what the camera cannot tell."""
         return [name for name in VERIFIABLE if getattr(self, name) is None]
 
 
-VERIFIABLE = tuple(field.name for field in dataclasses.fields(Summary))
+VERIFIABLE = tuple(f.name for f in dataclasses.fields(Summary) if f.name != "lens")
 """What a camera is asked to tell about itself. What one cannot tell must be allowed by name."""
 
 

@@ -22,6 +22,7 @@ NAMES = {
     "owner": ("ownername",),
     "artist": ("artist",),
     "copyright": ("copyright",),
+    "lens": ("lensname",),
 }
 """Field of Summary to names, the better one first. No camera tells whether it writes its place."""
 

@@ -20,7 +20,9 @@ from lightstage.capture.session_run import (
 )
 from lightstage.capture.stage import Stage, open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
+from lightstage.commands.outputs import try_folder
 from lightstage.counting import counted
+from lightstage.day import next_open, read_plan
 from lightstage.errors import ConfigError, FormatError, LightstageError, one_error
 from lightstage.findings import accepted_in_words
 from lightstage.formats.access import group_of, limited_access
@@ -54,6 +56,14 @@ IgnoreClock = Annotated[
         "future: warn alone.",
     ),
 ]
+Attended = Annotated[
+    bool,
+    typer.Option(
+        "--attended",
+        help="Somebody answers elsewhere (lightstage console, watch --do): without a terminal, "
+        "questions wait, dark, instead of being decided by rule.",
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -69,7 +79,9 @@ def clearing(config: CaptureConfig, clear: bool) -> CaptureConfig:
 
 
 def capture_command(
-    out: Path = output_folder("--out", help="The session's folder: new, or with --resume."),
+    out: Path | None = output_folder(
+        "--out", help="The session's folder: new, or with --resume.", default=None
+    ),
     rig: Path | None = typer.Option(
         None, "--rig", help="rig.json: where lights and cameras stand."
     ),
@@ -104,6 +116,13 @@ def capture_command(
         False, "--delete-from-cameras", help="Delete each photograph there once it is kept here."
     ),
     unattended: bool = typer.Option(False, "--unattended", help="Ask nobody; decide by rule."),
+    attended: Attended = False,
+    plan: Path | None = typer.Option(
+        None, help="The plan of a day (TOML): take its next open session, in its own folder."
+    ),
+    take: str | None = typer.Option(
+        None, help="With --plan: SUBJECT/EXPRESSION, instead of the next open one."
+    ),
     config: Path | None = typer.Option(
         None,
         help="TOML with other values than the defaults.",
@@ -111,6 +130,27 @@ def capture_command(
     as_json: bool = JsonFlag,
 ) -> None:
     """Light, photograph and verify every pattern; lights end dark whatever happens."""
+    require_one_rule(attended, unattended)
+    if plan is not None:
+        ours = {
+            "--out": out, "--resume": resume or None, "--sequence": sequence,
+            "--subject": subject, "--expression": expression, "--consent": consent,
+        }  # fmt: skip
+        _require_none(ours, "--plan: the plan has it")
+        planned = next_open(read_plan(plan), plan, take)
+        out, resume = planned.folder, planned.stand == "begun"
+        if resume:  # its folder keeps what it began with
+            rig = patterns = colour = drive = emitters = None
+        else:
+            subject, expression = planned.take.subject, planned.take.expression
+            sequence, consent = planned.take.sequence, planned.take.consent
+        try_folder("--plan", out)
+    elif take is not None:
+        raise ConfigError("--take", found=repr(take), expected="--plan beside it")
+    if out is None:
+        raise ConfigError(
+            "--out", found="nothing", expected="the session's folder, or --plan with a day's plan"
+        )
     if resume:
         _require_begun(out)
     own = config_of(out) if resume and config is None else None
@@ -129,7 +169,7 @@ def capture_command(
             "--expression": expression, "--patterns": patterns, "--drive": drive,
             "--emitters": emitters, "--colour": colour,
         }  # fmt: skip
-        _require_none(fixed)
+        _require_none(fixed, "--resume: the session has it")
         with limited_access(group_of([out])):
             whole = whole_session(out)
         if whole is not None:
@@ -153,7 +193,10 @@ def capture_command(
             return order
         return _with_calibration(order, stage, calibration, allow_stale, settings)
 
-    flags = {"--clear": clear, "--delete-from-cameras": delete, "--unattended": unattended}
+    flags = {
+        "--clear": clear, "--delete-from-cameras": delete, "--unattended": unattended,
+        "--attended": attended,
+    }  # fmt: skip
     again = resume_with(leds, cameras, config, flags)
     order = dataclasses.replace(order, resume_with=again)
     take_session(the_rig, order, settings, leds, cameras, as_json, calibrated)
@@ -191,10 +234,11 @@ def take_session(
     # What is added to a session stays as private as the session is.
     group = group_of([order.root]) if order.resume else settings.session.group
     ask = "--unattended" not in order.resume_with
+    elsewhere = "--attended" in order.resume_with
     with (
         limited_access(group),
         open_stage(rig, leds, file, settings) as stage,
-        open_operator(order.root, settings.operator, ask=ask) as operator,
+        open_operator(order.root, settings.operator, ask=ask, elsewhere=elsewhere) as operator,
     ):
         order = order if calibrated is None else calibrated(order, stage)
         report = capture_session(stage, order, settings, operator)
@@ -307,10 +351,16 @@ def _drive(text: str | None) -> Drive | None:
     raise ConfigError("--drive", found=repr(text), expected="solid-angle or on-off")
 
 
-def _require_none(fixed: dict[str, Any]) -> None:
-    """What a session began with cannot be given again."""
+def require_one_rule(attended: bool, unattended: bool) -> None:
+    """ConfigError where somebody is to be asked and nobody is."""
+    if attended and unattended:
+        raise ConfigError("--attended", found="--unattended beside it", expected="one of the two")
+
+
+def _require_none(fixed: dict[str, Any], beside: str) -> None:
+    """What a session or a plan has cannot be given again."""
     problems: list[LightstageError] = [
-        ConfigError(name, found=str(value), expected="nothing beside --resume: the session has it")
+        ConfigError(name, found=str(value), expected=f"nothing beside {beside}")
         for name, value in fixed.items()
         if value is not None
     ]

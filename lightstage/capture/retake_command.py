@@ -8,7 +8,14 @@ from pathlib import Path
 
 import typer
 
-from lightstage.capture.command import IgnoreClock, clearing, resume_with, take_session
+from lightstage.capture.command import (
+    Attended,
+    IgnoreClock,
+    clearing,
+    require_one_rule,
+    resume_with,
+    take_session,
+)
 from lightstage.capture.config import read_config
 from lightstage.capture.session_run import Order, config_of, unfinished
 from lightstage.commands import JsonFlag
@@ -34,6 +41,7 @@ def retake_command(
         False, "--delete-from-cameras", help="Delete each photograph there once it is kept here."
     ),
     unattended: bool = typer.Option(False, "--unattended", help="Ask nobody; decide by rule."),
+    attended: Attended = False,
     ignore_clock: IgnoreClock = False,
     config: Path | None = typer.Option(None, help="TOML with other values than the session's."),
     as_json: bool = JsonFlag,
@@ -43,12 +51,16 @@ def retake_command(
     A session that is not finished is gone on with to its end. What is interrupted goes on with
     lightstage capture --resume.
     """
+    require_one_rule(attended, unattended)
     rig, order = order_retake(session, pattern.split(","), camera or [])
     own = config_of(session) if config is None else None
     settings = read_config(
         config, own, ignore_clock=ignore_clock, delete_from_cameras=delete or None
     )
-    flags = {"--clear": clear, "--delete-from-cameras": delete, "--unattended": unattended}
+    flags = {
+        "--clear": clear, "--delete-from-cameras": delete, "--unattended": unattended,
+        "--attended": attended,
+    }  # fmt: skip
     again = resume_with(leds, cameras, config, flags)
     order = dataclasses.replace(order, resume_with=again)
     take_session(rig, order, clearing(settings, clear), leds, cameras, as_json)

@@ -90,10 +90,11 @@ def _connect(
     if problems:
         # The others' settings in the same message: the operator goes to the stage once.
         raise one_error(problems + refusals(device_findings(rig, told, file, lights, config)))
-    return told, [_told_moved(each) for each in moved]
+    return told, [told_moved(each) for each in moved]
 
 
-def _told_moved(moved: Moved) -> Finding:
+def told_moved(moved: Moved) -> Finding:
+    """A warning of a camera that is at another port than the cameras file says."""
     there = "nothing that answers" if moved.there is None else f"serial {moved.there}"
     return Finding(
         "warn",

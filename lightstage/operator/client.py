@@ -13,6 +13,7 @@ from typing import Any
 from lightstage.errors import CaptureError, FormatError
 from lightstage.formats.values import LINE, parse_json
 from lightstage.operator.lines import JournalTail
+from lightstage.operator.runtime import socket_answers
 from lightstage.operator.words import text_of
 
 LOOK_S = 0.1
@@ -86,6 +87,18 @@ def ask(session: Path, do: str) -> str | None:
     if not isinstance(answer, dict):
         raise nobody
     return None if answer.get("accepted") else text_of(answer, "why") or "it said no"
+
+
+def answers(session: Path) -> bool:
+    """Whether a capture runs in a session's folder now and can be asked."""
+    try:
+        with JournalTail(session / "journal.jsonl") as tail:
+            seen = _Seen()
+            for line in tail.read():
+                list(seen.new(line))
+    except FormatError:
+        return False
+    return bool(seen.socket) and not seen.over and socket_answers(Path(seen.socket))
 
 
 class _Seen:

@@ -42,7 +42,7 @@ def remove_stale(folder: Path) -> list[Path]:
     removed = []
     for path in sorted(folder.glob("*.sock")):
         match = re.fullmatch(r"(\d+)-[0-9a-f]+\.sock", path.name)
-        if match and not _lives(int(match[1])) and not _answers(path):
+        if match and not _lives(int(match[1])) and not socket_answers(path):
             path.unlink(missing_ok=True)
             removed.append(path)
     return removed
@@ -78,7 +78,8 @@ def _lives(process: int) -> bool:
     return True
 
 
-def _answers(path: Path) -> bool:
+def socket_answers(path: Path) -> bool:
+    """Whether a process takes connections at a socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(0.2)
         try:

@@ -51,6 +51,7 @@ class TerminalOperator:
         session: the session's folder, for what the operator may type.
         config: the rule without keys.
         keys: file descriptor of a terminal whose keys count; None for none.
+        elsewhere: whether somebody without a terminal here answers, by `request`.
     """
 
     def __init__(
@@ -59,10 +60,12 @@ class TerminalOperator:
         session: str | Path = "SESSION",
         config: OperatorConfig | None = None,
         keys: int | None = None,
+        elsewhere: bool = False,
     ) -> None:
         self.view = View(str(session))
         self._config = config or OperatorConfig()
         self._keys = keys
+        self._asked = keys is not None or elsewhere
         self._requests = Requests()
         self._question: list[Said] = []
         self._heard = ""
@@ -104,9 +107,9 @@ class TerminalOperator:
     def decide(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
         """Show what was found and wait for an answer; somebody at the terminal may always retake.
 
-        Without keys, the rule decides at once.
+        Where nobody is there to be asked, the rule decides at once.
         """
-        if self._keys is None:
+        if not self._asked:
             return "abort" if self._requests.aborted else self._by_rule(findings, retakes_left)
         self._scroll = Scroll()
         self._question = [
@@ -268,6 +271,7 @@ def open_operator(
     ask: bool = True,
     console: Console | None = None,
     keys: int = 0,
+    elsewhere: bool = False,
 ) -> Iterator[TerminalOperator]:
     """The operator of this process: somebody who can be asked only where there are keys and eyes.
 
@@ -277,8 +281,10 @@ def open_operator(
         ask: whether somebody may be asked.
         console: where to draw; standard error without it.
         keys: file descriptor whose keys count where it is a terminal of this process.
+        elsewhere: whether somebody answers by the event stream where there is no terminal.
     """
     shown = console or Console(stderr=True, highlight=False)
     attended = ask and shown.is_terminal and has_keys(keys)
-    with TerminalOperator(shown, session, config, keys if attended else None) as operator:
+    own = keys if attended else None
+    with TerminalOperator(shown, session, config, own, ask and elsewhere) as operator:
         yield operator

@@ -8,6 +8,7 @@ from lightstage.preflight.measured_rig import measured_rig_findings
 from lightstage.preflight.photograph import photograph_findings
 from lightstage.preflight.privacy import clear_privacy
 from lightstage.preflight.pseudonyms import require_known
+from lightstage.preflight.settings import settings_findings
 from lightstage.preflight.skew import SkewReport, skew_findings
 
 __all__ = [
@@ -25,5 +26,6 @@ __all__ = [
     "require",
     "require_known",
     "set_back",
+    "settings_findings",
     "skew_findings",
 ]

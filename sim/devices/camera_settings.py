@@ -44,6 +44,7 @@ class CameraSettings:
         artist: the same.
         copyright: the same.
         place: ``off``, or what it writes of where it is.
+        lens: what is mounted.
     """
 
     serial: str
@@ -64,6 +65,7 @@ class CameraSettings:
     artist: str = ""
     copyright: str = ""
     place: str = "off"
+    lens: str = "Simulated 50 mm f/1.8"
 
     def __post_init__(self) -> None:
         """Refuse what no camera can be set to."""

@@ -146,7 +146,7 @@ class SimulatedCamera:
     def _summary(self) -> Summary:
         body = self._opened()
         settings = dataclasses.asdict(body.settings())
-        told = {name: settings[name] for name in VERIFIABLE if name in settings}
+        told = {name: settings[name] for name in (*VERIFIABLE, "lens") if name in settings}
         return Summary(**told, card_free_bytes=body.card_free_bytes())
 
     def _arrived(self, body: CameraBody, known: Set[str]) -> tuple[list[str], float]:

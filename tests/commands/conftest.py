@@ -20,6 +20,7 @@ from learning.presets import preset
 from learning.render.uv import rasterise
 from learning.upscale.config import UpscaleTrainConfig
 from learning.upscale.network import Rcan
+from lightstage.day import DayPlan, write_plan
 from lightstage.formats.config import as_dict
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import write_exr
@@ -114,6 +115,7 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     rig = dataclasses.replace(rig, lights=rig.lights[::8], cameras=rig.cameras[:2])
     rng = np.random.default_rng(0)
     at = {"rig": save_rig(rig, folder / "rig.json")}
+    at["plan"] = write_plan(folder / "plan.toml", DayPlan())
     at["photographs"] = folder / "photographs"
     (at["photographs"] / "full").mkdir(parents=True)
     for camera in rig.cameras:

@@ -12,6 +12,9 @@ from lightstage.errors import ConfigError, DiskError, DiskFullError
 WITHOUT_OUTPUT = {
     "lightstage watch",  # but for --picture
     "lightstage calibrations",
+    "lightstage console",  # writes the plan that it is given, and sessions beside it
+    "lightstage devices",
+    "lightstage sessions",
     "lightstage retake",  # writes into the session that it is given
     "lightstage check",
     "sim stage",

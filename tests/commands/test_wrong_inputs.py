@@ -15,6 +15,9 @@ NEW = "a new place"
 RIGHT: dict[str, dict[str, str]] = {
     "lightstage capture": {"--out": NEW, "--rig": "rig", "--leds": "serial:///dev/none"},
     "lightstage retake": {"session": "session", "pattern": "full", "--leds": "serial:///n"},
+    "lightstage console": {"--plan": "plan", "--rig": "rig", "--leds": "serial:///dev/none"},
+    "lightstage devices": {"--rig": "rig", "--leds": "serial:///dev/none"},
+    "lightstage sessions": {"folder": "session"},
     "lightstage watch": {"session": "session"},
     "lightstage calibrate": {"kind": "grey", "--rig": "rig", "--out": NEW, "--leds": "serial:///n"},
     "lightstage calibrations": {"lab": "lab"},
@@ -73,6 +76,13 @@ RIGHT: dict[str, dict[str, str]] = {
 RIGHT_TOO = {
     ("lightstage calibrations", "lab", "empty"),
     ("lightstage calibrations", "--config", "empty"),
+    ("lightstage console", "--plan", "missing"),
+    ("lightstage console", "--config", "empty"),
+    ("lightstage console", "--calibration", "of the other kind"),
+    ("lightstage console", "--processed", "of the other kind"),
+    ("lightstage devices", "--config", "empty"),
+    ("lightstage devices", "--folder", "of the other kind"),
+    ("lightstage sessions", "--processed", "of the other kind"),
     ("lightstage import", "--config", "empty"),
     ("processing run", "--config", "empty"),
     ("processing separate", "--config", "empty"),
@@ -85,7 +95,8 @@ RIGHT_TOO = {
     ("lightstage watch", "session", "empty"),
     ("lightstage watch", "--wait", "inf"),
 }
-"""What is taken, and rightly: a lab without shots, a file that changes nothing; `watch` waits."""
+"""What is taken, and rightly: a lab without shots, a file that changes nothing, an empty folder;
+`watch` waits, and a day's plan may be new."""
 CHOICES = {
     "kind", "--drive", "--do", "--mode", "--background", "--shadows", "--light", "--until",
     "--sequence", "sequence", "--preset", "--flaws", "--people", "--camera",

@@ -1,0 +1,186 @@
+"""A look at all devices without a capture: what each tells, and what would keep lights off."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from lightstage.cameras.binding import (
+    CamerasFile,
+    Moved,
+    close_cameras,
+    connect_problems,
+    find_cameras,
+)
+from lightstage.cameras.camera import Summary
+from lightstage.cameras.process import CameraProcess, detect_ports
+from lightstage.capture.config import CaptureConfig
+from lightstage.capture.stage import told_moved
+from lightstage.errors import LightstageError
+from lightstage.findings import Finding
+from lightstage.leds.controller import Hello
+from lightstage.leds.opening import open_leds
+from lightstage.operator.plain import plain
+from lightstage.preflight import Plan, device_findings, settings_findings
+from lightstage.preflight.clock import computer_clock_findings
+from lightstage.preflight.disk import card_findings, disk_findings, photograph_bytes
+from lightstage.preflight.privacy import privacy_findings
+from lightstage.preflight.pulses import pulse_findings
+from lightstage.rig import Rig
+
+SHOWN = ("iso", "shutter", "aperture", "white_balance", "image_format", "mode", "focus", "firmware")
+"""Settings that are told of each camera."""
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraLook:
+    """One camera of the rig.
+
+    Attributes:
+        id: the rig's name for it.
+        serial: that it tells, else the rig's.
+        answers: whether it does.
+        port: where it is.
+        model: maker and name.
+        lens: what is mounted, where it tells.
+        battery_percent: charge.
+        free_shots: photographs that still fit on its card, by the rig's pixels.
+        settings: by name.
+        differing: names of settings that are not as expected or not as the other cameras'.
+    """
+
+    id: str
+    serial: str
+    answers: bool
+    port: str = ""
+    model: str = ""
+    lens: str = ""
+    battery_percent: float | None = None
+    free_shots: int | None = None
+    settings: dict[str, str] = dataclasses.field(default_factory=dict)
+    differing: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """All devices.
+
+    Attributes:
+        lights: what the LED device told; None where it does not answer.
+        acknowledged: whether it tells what is lit.
+        cameras: in the rig's order.
+        findings: as a capture's preflight has them; devices that do not answer are ``refuse``.
+    """
+
+    lights: Hello | None
+    acknowledged: bool
+    cameras: tuple[CameraLook, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def ready(self) -> bool:
+        """Whether a capture could begin."""
+        return not any(each.severity == "refuse" for each in self.findings)
+
+    def facts(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return {**dataclasses.asdict(self), "ready": self.ready}
+
+
+def look_at_devices(
+    rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig, out: Path, plan: Plan
+) -> Look:
+    """Open lights and cameras, ask what they are, and let them go; nothing is lit or changed.
+
+    Args:
+        rig: what must be there.
+        leds: the LED device's URL.
+        file: where cameras are, and what is expected of them.
+        config: deadlines and limits.
+        out: a session's folder, for the disk and the clock.
+        plan: what a capture would take.
+
+    Raises:
+        ConfigError: a malformed URL.
+    """
+    findings: list[Finding] = []
+    cameras, told, found = _look_at_cameras(rig, file, config)
+    findings += found
+    hello, acknowledged, pulse_hz = None, False, None
+    try:
+        with open_leds(leds, len(rig.lights)) as device:
+            hello, acknowledged = device.hello, device.acknowledged
+            pulse_hz = device.pulse_hz
+            findings += device_findings(rig, told, file, device, config.preflight)
+    except LightstageError as error:
+        findings.append(_silent(error, "LED device"))
+        # What the cameras' settings lack is told all the same: one walk to the stage.
+        findings += settings_findings(told, file, config.preflight)
+        findings += privacy_findings(told)
+    shutters = {camera_id: summary.shutter for camera_id, summary in told.items()}
+    if hello is not None:
+        findings += pulse_findings(shutters, pulse_hz, plan.lowest_level, config.preflight)
+    findings += card_findings(rig, told, plan, config.preflight)
+    findings += disk_findings(rig, out, plan, config.preflight)
+    findings += computer_clock_findings(out, config.preflight)
+    looks = [_camera(rig, each, told.get(each.id), plan, findings) for each in cameras]
+    seen = {look.id for look in looks}
+    looks += [CameraLook(c.id, c.serial, False) for c in rig.cameras if c.id not in seen]
+    order = [camera.id for camera in rig.cameras]
+    looks.sort(key=lambda look: order.index(look.id))
+    return Look(hello, acknowledged, tuple(looks), tuple(findings))
+
+
+def _look_at_cameras(
+    rig: Rig, file: CamerasFile, config: CaptureConfig
+) -> tuple[Sequence[CameraProcess], dict[str, Summary], list[Finding]]:
+    try:
+        cameras = find_cameras(rig, file, config.deadlines, detect_ports)
+    except LightstageError as error:
+        return [], {}, [_silent(error, "cameras")]
+    moved: list[Moved] = []
+    try:
+        wanted = [rig.camera(camera.id) for camera in cameras]
+        told, problems = connect_problems(wanted, cameras, file.allow_unverifiable, moved)
+    finally:
+        close_cameras(cameras)
+    findings = [_silent(each, "") for each in problems]
+    return cameras, told, [*findings, *map(told_moved, moved)]
+
+
+def _silent(error: LightstageError, where: str) -> Finding:
+    """A device that does not answer, as a finding; an error of several is told whole."""
+    several = not error.found
+    return Finding(
+        "refuse",
+        "no-answer",
+        where or error.where if several else error.where,
+        plain(str(error) if several else error.found),
+        error.expected or "all of them",
+        error.hint or "Look at its cable, power and battery.",
+    )
+
+
+def _camera(
+    rig: Rig, device: CameraProcess, told: Summary | None, plan: Plan, findings: Sequence[Finding]
+) -> CameraLook:
+    camera = rig.camera(device.id)
+    if told is None:
+        return CameraLook(device.id, camera.serial, False, device.port)
+    free = told.card_free_bytes
+    settings = {name: value for name in SHOWN if (value := getattr(told, name)) is not None}
+    wrong = [f.where.rpartition(", ")[2] for f in findings if f.camera == device.id]
+    return CameraLook(
+        device.id,
+        told.serial or camera.serial,
+        True,
+        device.port,
+        told.model or "",
+        told.lens or "",
+        told.battery_percent,
+        None if free is None else free // max(1, photograph_bytes(camera, plan)),
+        settings,
+        tuple(name for name in dict.fromkeys(wrong) if name in SHOWN),
+    )

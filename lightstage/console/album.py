@@ -1,0 +1,138 @@
+"""Pictures that were made, and the processes that make them."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import concurrent.futures
+import multiprocessing
+import threading
+from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+from lightstage.console.config import ConsoleConfig
+from lightstage.console.following import Photograph
+from lightstage.console.pictures import Facts, Focus, behind, focus, large, thumbnail
+from lightstage.errors import FormatError, LightstageError
+
+LARGE_KEPT = 4
+
+
+class Album:
+    """Makes each picture once; a process that a broken photograph ends is replaced.
+
+    Args:
+        config: sizes and numbers.
+    """
+
+    def __init__(self, config: ConsoleConfig) -> None:
+        self._config = config
+        self._lock = threading.Lock()
+        self._pool: concurrent.futures.ProcessPoolExecutor | None = None
+        self._small = _Kept(config.thumbnails)
+        self._large = _Kept(LARGE_KEPT)
+        self._focus = _Kept(config.thumbnails)
+
+    async def thumbnail(self, photograph: Photograph) -> bytes:
+        """A small JPEG; FormatError where there is none to be made."""
+        key = (photograph.path, photograph.sha256)
+        pixels = self._config.thumbnail_px
+        data: bytes = await self._small.get(
+            key, lambda: self._make(photograph.path, thumbnail, photograph.path, pixels)
+        )
+        return data
+
+    async def large(self, photograph: Photograph) -> tuple[bytes, Facts]:
+        """A large JPEG and its figures; FormatError as `thumbnail`."""
+        key = (photograph.path, photograph.sha256)
+        pixels = self._config.large_px
+        made: tuple[bytes, Facts] = await self._large.get(
+            key, lambda: self._make(photograph.path, large, photograph.path, pixels)
+        )
+        return made
+
+    async def focus(self, photograph: Photograph, other: Photograph | None) -> Focus:
+        """How sharp it is, also against another one; FormatError as `thumbnail`."""
+        beside = None if other is None else other.path
+        key = (photograph.path, photograph.sha256, beside)
+        measured: Focus = await self._focus.get(
+            key, lambda: self._make(photograph.path, focus, photograph.path, beside)
+        )
+        return measured
+
+    def start(self) -> None:
+        """Have the processes ready before the first photograph comes."""
+        for _ in range(self._config.makers):
+            self._executor().submit(behind_is_ready)
+
+    def close(self) -> None:
+        """End the processes."""
+        with self._lock:
+            pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    async def _make(self, path: Path, make: Callable[..., Any], *arguments: Any) -> Any:
+        pool = self._executor()
+        try:
+            work = asyncio.wrap_future(pool.submit(make, *arguments))
+            return await asyncio.wait_for(work, self._config.picture_s)
+        except BrokenProcessPool:
+            with self._lock:
+                self._pool = None if self._pool is pool else self._pool
+            raise FormatError(
+                path, found="a file that ends the program that reads it", expected="a photograph"
+            ) from None
+        except TimeoutError:
+            found = f"no picture of it within {self._config.picture_s:g} s"
+            raise FormatError(path, found=found, expected="a photograph") from None
+
+    def _executor(self) -> concurrent.futures.ProcessPoolExecutor:
+        with self._lock:
+            if self._pool is None:
+                # Spawned: a server with threads must not be copied.
+                context = multiprocessing.get_context("spawn")
+                self._pool = concurrent.futures.ProcessPoolExecutor(
+                    self._config.makers, context, initializer=behind
+                )
+            return self._pool
+
+
+def behind_is_ready() -> bool:
+    """Asked of a new process, which has imported this file then."""
+    import rawpy  # noqa: F401  the first photograph shall not wait for it
+
+    return True
+
+
+class _Kept:
+    """What was made, and what is being made: nothing is made twice at a time."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._made: collections.OrderedDict[Any, Any] = collections.OrderedDict()
+        self._making: dict[Any, asyncio.Future[Any]] = {}
+
+    async def get(self, key: Any, make: Callable[[], Any]) -> Any:
+        if key in self._made:
+            self._made.move_to_end(key)
+            return self._made[key]
+        if key not in self._making:
+            self._making[key] = asyncio.ensure_future(make())
+            self._making[key].add_done_callback(lambda done: self._done(key, done))
+        return await asyncio.shield(self._making[key])
+
+    def _done(self, key: Any, made: asyncio.Future[Any]) -> None:
+        self._making.pop(key, None)
+        if made.cancelled() or made.exception() is not None:
+            return  # a file that is mended meanwhile is looked at again
+        self._made[key] = made.result()
+        while len(self._made) > self._most:
+            self._made.popitem(last=False)
+
+
+def why_not(error: BaseException) -> str:
+    """Why there is no picture, in words."""
+    return str(error) if isinstance(error, LightstageError) else type(error).__name__

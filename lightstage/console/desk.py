@@ -1,0 +1,286 @@
+"""What the page's answers are made of: the plan, the sessions, the commands that run."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from lightstage.console.album import Album
+from lightstage.console.config import ConsoleConfig
+from lightstage.console.following import Followed, Following
+from lightstage.console.runner import JobState, Runner
+from lightstage.day import (
+    DayPlan,
+    Planned,
+    Seen,
+    next_open,
+    planned,
+    read_plan,
+    sessions_of,
+    write_plan,
+)
+from lightstage.day.sessions import session_folders
+from lightstage.day.standing import sessions_folder
+from lightstage.errors import CaptureError, ConfigError, FormatError, LightstageError
+from lightstage.formats.paths import check_name
+from lightstage.operator.client import answers, ask
+from lightstage.session.opening import JOURNAL
+
+ENDING_S = 10.0
+"""A capture lets its cameras go within this after its last word."""
+STAGE, LOOK, CHECK = "stage", "devices", "check"
+"""Kinds of jobs: one capture at a time; a look at the devices; a check of a session."""
+
+
+@dataclasses.dataclass(frozen=True)
+class StageOptions:
+    """The stage, as `lightstage capture` is given it; paths are whole ones.
+
+    Attributes:
+        rig: rig.json.
+        leds: the LED device's URL.
+        cameras: a cameras file, or ``auto``.
+        config: TOML of limits.
+        calibration: the lab's folder of calibration shots.
+        colour: a colour calibration for each session to carry.
+    """
+
+    rig: Path
+    leds: str
+    cameras: str = "auto"
+    config: Path | None = None
+    calibration: Path | None = None
+    colour: Path | None = None
+
+    def devices(self) -> list[str]:
+        """Options of every command that opens the devices."""
+        words = ["--leds", self.leds, "--cameras", self.cameras]
+        return words if self.config is None else [*words, "--config", str(self.config)]
+
+    def capture(self) -> list[str]:
+        """Options of a new session."""
+        words = ["--rig", str(self.rig), *self.devices()]
+        for name, path in (("--calibration", self.calibration), ("--colour", self.colour)):
+            words += [] if path is None else [name, str(path)]
+        return words
+
+
+class Desk:
+    """The operator's desk; several threads may call.
+
+    Args:
+        plan: the day's plan; a file that is not there is an empty plan until somebody adds to it.
+        stage: the devices; None where nothing can be captured from here.
+        processed: folder of processed folders.
+        config: of the page.
+    """
+
+    def __init__(
+        self,
+        plan: Path,
+        stage: StageOptions | None,
+        processed: Path | None,
+        config: ConsoleConfig,
+    ) -> None:
+        self.path = plan.absolute()
+        self.stage = stage
+        self.processed = processed
+        self.config = config
+        self.folder = sessions_folder(self._read(), self.path)
+        self.following = Following(config.page_events)
+        self.album = Album(config)
+        self.runner = Runner(self.folder, Path.cwd())
+        self.closing = threading.Event()
+        self._changing = threading.Lock()
+
+    def plan(self) -> DayPlan:
+        """The plan as its file says now.
+
+        Raises:
+            ConfigError: as `read_plan`, or another folder of sessions than at the beginning.
+        """
+        plan = self._read()
+        if sessions_folder(plan, self.path) != self.folder:
+            raise ConfigError(
+                self.path,
+                field="sessions",
+                found=ascii(plan.sessions),
+                expected=str(self.folder),
+                hint="Its folder was changed: end the console, and start it again.",
+            )
+        return plan
+
+    def _read(self) -> DayPlan:
+        return read_plan(self.path) if self.path.exists() else DayPlan()
+
+    def stamp(self) -> str:
+        """Of the plan's file as it is now: a page from before it changed has another."""
+        data = self.path.read_bytes() if self.path.is_file() else b""
+        return hashlib.sha256(data).hexdigest()[:16]
+
+    def takes(self) -> list[Planned]:
+        """Every take with what came of it."""
+        return planned(self.plan(), self.path)
+
+    def change(self, stamp: str, how: Callable[[DayPlan], DayPlan]) -> None:
+        """Change the plan as a page wants it that shows the plan of this stamp.
+
+        Raises:
+            CaptureError: the file changed meanwhile.
+            ConfigError: what would be no plan.
+        """
+        with self._changing:
+            if stamp != self.stamp():
+                raise CaptureError(
+                    self.path,
+                    found="a plan that was changed meanwhile",
+                    expected="the one that your page shows",
+                    hint="Look at it as it is now, and try again.",
+                )
+            write_plan(self.path, how(self.plan()))
+
+    def start(self, take: str | None) -> None:
+        """Start the next take of the plan, or one by its name, in a process of its own.
+
+        Raises:
+            CaptureError: a capture runs, or nothing is left to do.
+            ConfigError: no such take, or no stage was named.
+        """
+        stage = self._stage()
+        self._require_idle()
+        found = next_open(self.plan(), self.path, take)
+        words = ["capture", "--plan", str(self.path), "--take", found.take.name, "--attended"]
+        # An unfinished session keeps the rig and the calibration that it began with.
+        words += stage.devices() if found.stand == "begun" else stage.capture()
+        self.runner.start(STAGE, found.take.name, found.folder.name, words)
+
+    def go_on(self, name: str) -> None:
+        """Go on with an unfinished session; errors as `start`."""
+        stage = self._stage()
+        self._require_idle()
+        root = self.root(name)
+        words = ["capture", "--resume", "--out", str(root), "--attended", *stage.devices()]
+        self.runner.start(STAGE, name, name, words)
+
+    def retake(self, name: str, pattern: str, camera: str) -> None:
+        """Take one photograph of a session that does not run again; errors as `start`."""
+        stage = self._stage()
+        self._require_idle()
+        root = self.root(name)
+        check_name(pattern, name, "pattern")
+        check_name(camera, name, "camera")
+        words = ["retake", str(root), pattern, camera, "--attended", *stage.devices()]
+        self.runner.start(STAGE, f"{name}: {pattern} by {camera}", name, words)
+
+    def ask(self, name: str, do: str) -> str | None:
+        """Ask a running capture for something; why not, or None where it is accepted."""
+        root = self.root(name)
+        try:
+            return ask(root, do)
+        except (CaptureError, FormatError) as error:
+            state = self.runner.state(STAGE)
+            own = state is not None and state.running and state.job.session == name
+            # It has not come to its journal yet, or is on its way out: lights dark, in order.
+            if do == "abort" and own and self.runner.stop(STAGE):
+                return None
+            return f"no capture runs in this session ({error.found or 'it is over'})"
+
+    def look_at_devices(self) -> None:
+        """Start a look at the devices; errors as `start`."""
+        stage = self._stage()
+        self._require_idle()
+        words = ["devices", "--rig", str(stage.rig), *stage.devices()]
+        words += ["--folder", str(self.folder), "--json"]
+        self.runner.start(LOOK, "devices", "", words)
+
+    def check(self, name: str) -> None:
+        """Start a check of a session, which notes what it found there."""
+        self.runner.start(CHECK, name, name, ["check", str(self.root(name)), "--record"])
+
+    def root(self, name: str) -> Path:
+        """A session's folder by its name; FormatError where there is none such."""
+        found = [path for path in self._folders() if path.name == name]
+        if not found:
+            state = self.runner.state(STAGE)
+            if state is not None and state.running and state.job.session == name:
+                return self.folder / name
+            raise FormatError(
+                "session", found=ascii(name[:80]), expected="a session of this folder"
+            )
+        return found[0]
+
+    def followed(self, name: str) -> Followed:
+        """A session as it stands now; FormatError where it has no journal."""
+        return self.following.of(self.root(name))
+
+    def sessions(self) -> list[Seen]:
+        """Every session of the folder; none where there is no folder yet."""
+        if not self.folder.is_dir():
+            return []
+        return sessions_of(self.folder, self.processed)
+
+    def current(self) -> tuple[str, JobState | None]:
+        """Name of the session that runs, or that was worked on last, and the page's own job."""
+        state = self.runner.state(STAGE)
+        if state is not None and state.running:
+            return state.job.session, state
+        dated = []
+        for path in self._folders():
+            with contextlib.suppress(OSError):
+                dated.append(((path / JOURNAL).stat().st_mtime, path))
+        if not dated:
+            return ("" if state is None else state.job.session), state
+        newest = max(dated)[1]
+        # The journal of a job that failed before it began is not there.
+        if state is not None and state.failed and not (self.folder / state.job.session).exists():
+            return state.job.session, state
+        return newest.name, state
+
+    def running(self) -> str:
+        """Name of the session whose capture runs, also one that a terminal started; else empty."""
+        name, state = self.current()
+        if state is not None and state.running:
+            return name
+        return name if name and answers(self.folder / name) else ""
+
+    def _is_over(self, name: str) -> bool:
+        """Whether a session's capture has said its last word, and lets its devices go."""
+        try:
+            return self.followed(name).view.over
+        except LightstageError:
+            return False
+
+    def _folders(self) -> Sequence[Path]:
+        try:
+            return session_folders(self.folder)
+        except LightstageError:
+            return []
+
+    def _stage(self) -> StageOptions:
+        if self.stage is None:
+            raise ConfigError(
+                "the console",
+                found="no stage",
+                expected="--rig and --leds",
+                hint="Start it again with them: lightstage console --help.",
+            )
+        return self.stage
+
+    def _require_idle(self) -> None:
+        """CaptureError where the stage is in use; one that ends just now is waited for."""
+        until = time.monotonic() + ENDING_S
+        while (running := self.running()) and time.monotonic() < until and self._is_over(running):
+            time.sleep(0.1)
+        looking = self.runner.state(LOOK)
+        if running or (looking is not None and looking.running):
+            raise CaptureError(
+                "the stage",
+                found=f"{running} is being captured" if running else "the devices are looked at",
+                expected="an idle one",
+                hint="Wait for its end, or stop it.",
+            )

@@ -1,0 +1,202 @@
+"""A session as the page sees it: its journal's lines, and what stands now.
+
+Nothing is kept that is not in the journal, so a server that starts again shows the same.
+"""
+
+from __future__ import annotations
+
+import collections
+import threading
+import time
+import weakref
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lightstage.errors import FormatError
+from lightstage.formats.paths import path_inside
+from lightstage.operator.lines import JournalTail
+from lightstage.operator.runtime import socket_answers
+from lightstage.operator.view import View
+from lightstage.operator.words import SIGNS, number_of, text_of
+from lightstage.session.opening import JOURNAL
+
+ALIVE_S = 1.0
+"""How often a running capture's socket is tried."""
+GRACE_S = 5.0
+"""A capture that has just begun tells its socket within this."""
+
+Sound = str
+
+
+class Photograph(NamedTuple):
+    """Where one photograph lies.
+
+    Attributes:
+        path: on the disk.
+        take: its number, from 1.
+        sha256: of its bytes.
+    """
+
+    path: Path
+    take: int
+    sha256: str
+
+
+class Event(NamedTuple):
+    """One line of the journal for the page.
+
+    Attributes:
+        id: of the line.
+        told: as JSON has it.
+    """
+
+    id: int
+    told: dict[str, Any]
+
+
+class Followed:
+    """One session; several threads may call.
+
+    Args:
+        root: its folder.
+        kept: so many last lines are remembered for pages that come back.
+
+    Raises:
+        FormatError: no journal.
+    """
+
+    def __init__(self, root: Path, kept: int) -> None:
+        self.root = root
+        self.view = View(str(root))
+        self._tail = JournalTail(root / JOURNAL)
+        weakref.finalize(self, self._tail.close)  # when nobody looks at it any more
+        self._lock = threading.Lock()
+        self._photographs: dict[tuple[str, str], Photograph] = {}
+        self._events: collections.deque[Event] = collections.deque(maxlen=kept)
+        self._socket = ""
+        self._told_s = -float("inf")
+        self._tried_s = -float("inf")
+        self._live = False
+        self._first = True
+        self._still = False
+
+    def close(self) -> None:
+        """Let go of the journal."""
+        self._tail.close()
+
+    def look(self) -> None:
+        """Take up what the journal has gained, and whether its capture still lives."""
+        with self._lock:
+            lines = self._tail.read()
+            for line in lines:
+                self._take_up(line)
+            now = time.monotonic()
+            if lines and not self._first:
+                self._told_s = now
+            self._first = False
+            if not self.view.over or self.view.phase == "gone":
+                self._try(now)
+
+    def _try(self, now: float) -> None:
+        if now - self._tried_s < ALIVE_S:
+            return
+        self._tried_s = now
+        self._live = bool(self._socket) and socket_answers(Path(self._socket))
+        if not self._live and now - self._told_s > GRACE_S:
+            self.view.gone()
+
+    def _take_up(self, line: Mapping[str, Any]) -> None:
+        said = self.view.told(line)
+        event = text_of(line, "event")
+        if event in ("begin", "resume"):
+            self._socket, self._still, self._live = "", False, False
+        self._socket = text_of(line, "socket") or self._socket
+        if event in ("end", "aborted"):
+            self._live = False
+        if event == "frame":
+            self._photograph(line)
+        told = {
+            "id": self.view.last_id,
+            "event": event,
+            "tone": said.tone,
+            "sign": SIGNS[said.tone],
+            "text": said.text,
+            "todo": said.todo,
+            "at": text_of(line, "time_utc")[11:19],
+            "sound": self._sound(line, event),
+        }
+        self._events.append(Event(self.view.last_id, told))
+
+    def _sound(self, line: Mapping[str, Any], event: str) -> Sound:
+        """What is heard: ``hold`` as light begins, ``done`` at the end, ``look`` for somebody."""
+        if event == "lit" and not self._still:
+            self._still = True
+            return "hold"
+        paused = event == "note" and text_of(line, "said").startswith("paused")
+        if event == "asked" or paused:
+            self._still = False
+        if event == "end":
+            return "done"
+        refused = event == "finding" and text_of(line, "severity") == "refuse"
+        return "look" if event in ("asked", "aborted") or refused else ""
+
+    def _photograph(self, line: Mapping[str, Any]) -> None:
+        pattern, camera = text_of(line, "pattern"), text_of(line, "camera")
+        try:
+            path = path_inside(self.root, line.get("path"), self.root / JOURNAL, "path")
+        except FormatError:
+            return  # a journal that was changed: its photograph is not shown
+        take = int(number_of(line, "take") or 1)
+        self._photographs[pattern, camera] = Photograph(path, take, text_of(line, "sha256"))
+
+    @property
+    def live(self) -> bool:
+        """Whether its capture runs and can be asked."""
+        return self._live and not self.view.over
+
+    def photograph(self, pattern: str, camera: str) -> Photograph | None:
+        """The latest photograph of a pattern by a camera."""
+        return self._photographs.get((pattern, camera))
+
+    def photographs_of(self, camera: str) -> list[tuple[str, Photograph]]:
+        """A camera's photographs with their patterns, the first first."""
+        return [(p, each) for (p, c), each in list(self._photographs.items()) if c == camera]
+
+    def after(self, number: int) -> list[Event]:
+        """Lines after one of this id, as far as they are remembered."""
+        return [event for event in list(self._events) if event.id > number]
+
+
+class Following:
+    """The sessions that pages look at; the one that was looked at longest ago is let go.
+
+    Args:
+        kept: lines remembered of each.
+        most: sessions at a time.
+    """
+
+    def __init__(self, kept: int, most: int = 4) -> None:
+        self._kept = kept
+        self._most = most
+        self._lock = threading.Lock()
+        self._open: collections.OrderedDict[Path, tuple[int, Followed]] = collections.OrderedDict()
+
+    def of(self, root: Path) -> Followed:
+        """A session as it stands now; FormatError where it has no journal."""
+        try:
+            inode = (root / JOURNAL).stat().st_ino
+        except OSError:
+            inode = -1
+        with self._lock:
+            known = self._open.pop(root, None)
+            if known is not None and known[0] != inode:  # another journal of the same name
+                known[1].close()
+                known = None
+            followed = Followed(root, self._kept) if known is None else known[1]
+            self._open[root] = (inode, followed)
+            # Whoever still reads the oldest one holds it; its journal's file closes with it.
+            while len(self._open) > self._most:
+                self._open.popitem(last=False)
+        followed.look()
+        return followed

@@ -1,0 +1,166 @@
+"""Commands that the page starts: each a process of its own that outlives the page's server."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from lightstage.errors import CaptureError, LightstageError
+from lightstage.formats.files import read_json, write_json
+from lightstage.printable import printable_lines
+
+SCHEMA = "lightstage.console-job/1"
+FOLDER = ".console"
+"""Beside the sessions: what runs, what it said, and the lock of the one console of a plan."""
+LOG_BYTES = 8192
+"""Of what a command said, from its end."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A command that was started.
+
+    Attributes:
+        kind: of it, one at a time: ``stage`` uses lights and cameras.
+        what: in words, such as ``P07/neutral``.
+        session: the folder's name that it works on.
+        pid: its process.
+        born: when that process began, in the kernel's ticks: a number is used again.
+        log: what it says.
+    """
+
+    kind: str
+    what: str
+    session: str
+    pid: int
+    born: int
+    log: str
+
+
+@dataclasses.dataclass(frozen=True)
+class JobState:
+    """What a job does now.
+
+    Attributes:
+        job: it.
+        running: whether its process lives.
+        code: its exit code; None while it runs, and where another server started it.
+        said: the end of its log.
+    """
+
+    job: Job
+    running: bool
+    code: int | None
+    said: str
+
+    @property
+    def failed(self) -> bool:
+        """Whether it ended with an error."""
+        return not self.running and self.code not in (None, 0)
+
+
+class Runner:
+    """Starts commands of `lightstage` and knows what became of them, also after a restart.
+
+    Args:
+        folder: of the sessions; it gets a folder for logs, which is no session.
+        cwd: where commands run, so that relative paths mean what they mean to the server.
+    """
+
+    def __init__(self, folder: Path, cwd: Path) -> None:
+        self._folder = folder / FOLDER
+        self._cwd = cwd
+        self._lock = threading.Lock()
+        self._children: dict[int, subprocess.Popen[bytes]] = {}
+
+    def start(self, kind: str, what: str, session: str, words: Sequence[str]) -> Job:
+        """Start `lightstage WORDS` in a process that no signal to this one reaches.
+
+        Raises:
+            CaptureError: another one of this kind runs.
+        """
+        with self._lock:
+            running = self._state(kind)
+            if running is not None and running.running:
+                raise CaptureError(
+                    running.job.what,
+                    found="it is running already",
+                    expected="one at a time",
+                    hint="Wait for its end, or stop it.",
+                )
+            self._folder.mkdir(parents=True, exist_ok=True)
+            log = self._folder / f"{kind}.log"
+            with log.open("wb") as file:
+                child = subprocess.Popen(
+                    [sys.executable, "-m", "lightstage", *words],
+                    stdin=subprocess.DEVNULL,
+                    stdout=file,
+                    stderr=subprocess.STDOUT,
+                    cwd=self._cwd,
+                    start_new_session=True,
+                    env={**os.environ, "TERM": "dumb", "COLUMNS": "200"},
+                )
+            self._children[child.pid] = child
+            job = Job(kind, what, session, child.pid, born(child.pid) or 0, log.name)
+            write_json(self._path(kind), {"schema": SCHEMA, **dataclasses.asdict(job)})
+            return job
+
+    def state(self, kind: str) -> JobState | None:
+        """What became of the last command of a kind; None where there was none."""
+        with self._lock:
+            return self._state(kind)
+
+    def stop(self, kind: str) -> bool:
+        """Ask a running command to end in order (lights dark); whether there was one."""
+        state = self.state(kind)
+        if state is None or not state.running:
+            return False
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(state.job.pid, signal.SIGTERM)
+        return True
+
+    def said(self, job: Job, most: int = LOG_BYTES) -> str:
+        """The end of what a command said."""
+        try:
+            with (self._folder / job.log).open("rb") as file:
+                size = os.fstat(file.fileno()).st_size
+                file.seek(max(0, size - most))
+                return printable_lines(file.read().decode(errors="replace").strip(), most)
+        except OSError:
+            return ""
+
+    def _path(self, kind: str) -> Path:
+        return self._folder / f"{kind}.json"
+
+    def _state(self, kind: str) -> JobState | None:
+        try:
+            value: Any = read_json(self._path(kind), SCHEMA)
+            job = Job(**{f.name: value[f.name] for f in dataclasses.fields(Job)})
+            lives = born(int(job.pid)) == job.born
+        except (LightstageError, KeyError, TypeError, ValueError):
+            return None
+        code = None
+        child = self._children.get(job.pid)
+        if child is not None:  # ours: it is also taken off the list of processes
+            code = child.poll()
+            lives = code is None
+        return JobState(job, lives, code, "" if lives else self.said(job))
+
+
+def born(pid: int) -> int | None:
+    """When a process began, in ticks since the computer did; None where it lives no more."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return None
+    # The name may hold blanks and brackets; what follows its last bracket does not.
+    fields = text.rpartition(")")[2].split()
+    return None if fields[0] in ("Z", "X") else int(fields[19])

@@ -1,0 +1,238 @@
+"""The sessions of a folder: whose, of when, whole or not, checked or not, processed or not."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+from lightstage.errors import FormatError, LightstageError
+from lightstage.formats.checked import CHECKED, CHECKED_SCHEMA
+from lightstage.formats.files import read_json, sha256_file
+from lightstage.formats.values import LINE, open_regular, parse_json
+from lightstage.operator.client import answers
+from lightstage.operator.lines import JournalTail
+from lightstage.operator.view import View
+from lightstage.operator.words import text_of
+from lightstage.session.opening import JOURNAL
+
+State = Literal["whole", "running", "unfinished", "damaged"]
+Checked = Literal["passed", "failed", "changed since", "not checked"]
+SESSION_SCHEMA = "lightstage.session/1"
+TAIL_BYTES = 1 << 16
+"""Of a journal, from its end, for its last line."""
+FIRST_BYTES = 1 << 22
+"""Of a journal's first line, which holds the levels of every pattern."""
+MOST_FOLDERS = 10_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Seen:
+    """What a look at a session's folder shows; no photograph is read.
+
+    Attributes:
+        root: the folder.
+        session: its id; empty where it is damaged.
+        subject: pseudonym.
+        expression: such as ``neutral``.
+        created_utc: when it began.
+        consent: id of the record of the person's consent; None where there is none.
+        state: whole, running, not finished, or damaged.
+        kept: photographs that are there.
+        wanted: photographs of the whole session.
+        accepted: patterns that the operator accepted with faults.
+        checked: what `lightstage check --record` noted.
+        processed: processed folders that were made from it.
+        said: what is wrong, where something is.
+    """
+
+    root: Path
+    session: str = ""
+    subject: str = ""
+    expression: str = ""
+    created_utc: str = ""
+    consent: str | None = None
+    state: State = "damaged"
+    kept: int = 0
+    wanted: int = 0
+    accepted: int = 0
+    checked: Checked = "not checked"
+    processed: tuple[Path, ...] = ()
+    said: str = ""
+
+    @property
+    def date(self) -> str:
+        """When it began, to the minute (UTC)."""
+        return self.created_utc[:16].replace("T", " ")
+
+
+def sessions_of(folder: Path, processed: Path | None = None) -> list[Seen]:
+    """The sessions in a folder, those that began first before the others.
+
+    Args:
+        folder: holds sessions' folders, or is a session itself.
+        processed: holds processed folders.
+
+    Raises:
+        FormatError: no folder, or one that cannot be read.
+    """
+    made = {} if processed is None else processed_of(processed)
+    alone = (folder / JOURNAL).is_file() or (folder / "session.json").is_file()
+    seen = [
+        dataclasses.replace(each, processed=tuple(made.get(each.session, ())))
+        for path in ([folder] if alone else session_folders(folder))
+        if (each := seen_session(path)) is not None
+    ]
+    return sorted(seen, key=lambda each: (each.created_utc, each.root.name))
+
+
+def session_folders(folder: Path) -> list[Path]:
+    """Folders in a folder that hold a session, by name; errors as `sessions_of`."""
+    try:
+        names = sorted(entry.name for entry in os.scandir(folder) if entry.is_dir())
+    except OSError as error:
+        raise FormatError(
+            folder,
+            found="no such folder"
+            if isinstance(error, FileNotFoundError)
+            else error.strerror or "",
+            expected="a folder of sessions",
+        ) from None
+    paths = [folder / name for name in names[:MOST_FOLDERS] if not name.startswith(".")]
+    return [p for p in paths if (p / JOURNAL).exists() or (p / "session.json").exists()]
+
+
+def seen_session(root: Path) -> Seen | None:
+    """A look at one session; None where the folder holds none."""
+    try:
+        if (root / JOURNAL).exists():
+            seen = _by_journal(root)
+        elif (root / "session.json").exists():
+            seen = _by_session_file(root)
+        else:
+            return None
+        return dataclasses.replace(seen, checked=_checked(root))
+    except (LightstageError, OSError) as error:
+        return Seen(root, said=str(error))
+
+
+def _by_journal(root: Path) -> Seen:
+    begin, last = _ends(root / JOURNAL)
+    patterns, cameras = begin.get("sequence"), begin.get("cameras")
+    sizes = [len(each) if isinstance(each, list) else 0 for each in (patterns, cameras)]
+    wanted = sizes[0] * sizes[1]
+    consent = begin.get("consent")
+    seen = Seen(
+        root,
+        text_of(begin, "session") or text_of(begin, "id"),
+        text_of(begin, "subject"),
+        text_of(begin, "expression"),
+        text_of(begin, "created_utc"),
+        consent if isinstance(consent, str) else None,
+        "whole",
+        wanted,
+        wanted,
+    )
+    if last.get("event") == "end":
+        report = last.get("capture")
+        accepted = report.get("accepted") if isinstance(report, dict) else 0
+        return dataclasses.replace(seen, accepted=accepted if type(accepted) is int else 0)
+    if "led_device" not in begin and (root / "session.json").is_file():  # imported
+        return seen
+    # Few sessions are unfinished: their journals are read whole.
+    view = View(str(root))
+    with JournalTail(root / JOURNAL) as tail:
+        for line in tail.read():
+            view.told(line)
+    running = not view.over and answers(root)
+    return dataclasses.replace(seen, state="running" if running else "unfinished", kept=view.kept)
+
+
+def _ends(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A journal's first line, and its last whole one."""
+    handle = open_regular(path, "the journal of a capture")
+    try:
+        size = os.fstat(handle).st_size
+        head = os.pread(handle, FIRST_BYTES, 0)
+        tail = os.pread(handle, TAIL_BYTES, max(0, size - TAIL_BYTES))
+    finally:
+        os.close(handle)
+    first = parse_json(head.partition(b"\n")[0], path, LINE)
+    if not isinstance(first, dict) or first.get("event") != "begin":
+        raise FormatError(path, field="line 1", found="something else", expected="the event begin")
+    last: Any = {}
+    for raw in reversed(tail.split(b"\n")):
+        try:
+            last = parse_json(raw, path, LINE)
+        except FormatError:
+            continue
+        break
+    return first, last if isinstance(last, dict) else {}
+
+
+def _by_session_file(root: Path) -> Seen:
+    value = read_json(root / "session.json", SESSION_SCHEMA)
+    frames, sequence = value.get("frames"), value.get("sequence")
+    count = len(frames) if isinstance(frames, list) else 0
+    wanted = count if isinstance(sequence, list) else 0
+    return Seen(
+        root,
+        text_of(value, "id"),
+        text_of(value, "subject"),
+        text_of(value, "expression"),
+        text_of(value, "created_utc"),
+        text_of(value, "consent") or None,
+        "whole",
+        count,
+        wanted,
+    )
+
+
+def _checked(root: Path) -> Checked:
+    path, session = root / CHECKED, root / "session.json"
+    if not path.exists():
+        return "not checked"
+    try:
+        value = read_json(path, CHECKED_SCHEMA)
+    except LightstageError:
+        return "not checked"
+    now = sha256_file(session) if session.is_file() else ""
+    if value.get("session_sha256") != now:
+        return "changed since"
+    return "passed" if value.get("passed") is True else "failed"
+
+
+def processed_of(folder: Path) -> dict[str, list[Path]]:
+    """Processed folders in a folder, by the id of the session that they were made from.
+
+    What is no processed folder, or cannot be read, is passed over.
+    """
+    found: dict[str, list[Path]] = {}
+    try:
+        paths = sorted(Path(entry.path) for entry in os.scandir(folder) if entry.is_dir())
+    except OSError:
+        return found
+    for path in paths[:MOST_FOLDERS]:
+        session = _made_from(path / "report.json")
+        if session:
+            found.setdefault(session, []).append(path)
+    return found
+
+
+def _made_from(report: Path) -> str:
+    try:
+        value = read_json(report) if report.exists() else None
+    except LightstageError:
+        return ""
+    return text_of(value, "session") if isinstance(value, dict) else ""
+
+
+def in_words(sessions: Iterable[Seen]) -> str:
+    """How many there are, and how many of them are whole, checked and processed."""
+    seen = list(sessions)
+    whole = sum(each.state == "whole" for each in seen)
+    checked = sum(each.checked == "passed" for each in seen)
+    made = sum(bool(each.processed) for each in seen)
+    return f"{whole} whole, {checked} checked, {made} processed"

@@ -1,0 +1,236 @@
+"""A day captured from the page: real processes, a simulated stage, a server that dies."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from lightstage.checks import check_session
+from lightstage.console.runner import Runner
+from sim.devices.faults import Fault
+from sim.devices.processes import descendants
+from tests.lightstage.console.browser import Browser
+from tests.lightstage.console.conftest import (
+    Visitor,
+    events_of,
+    served,
+    together,
+    wait_until,
+)
+
+
+@pytest.fixture(autouse=True)
+def no_capture_outlives_its_test(plan):
+    yield
+    runner = Runner(plan.parent / "sessions", plan.parent)
+    runner.stop("stage")
+    wait_until(lambda: not (state := runner.state("stage")) or not state.running, "the end of all")
+
+
+def test_a_take_is_captured_whole_and_the_next_one_follows(staged, plan) -> None:
+    stage, options = staged()
+    with served(plan, options) as site:
+        visitor = site.visitor()
+        assert visitor.post("/start").headers["HX-Redirect"] == "/live"
+        busy = visitor.post("/start")
+        assert "HX-Redirect" not in busy.headers
+        assert "an idle one" in busy.text
+        root = site.desk.folder / "P1+neutral"
+        wait_until(lambda: events_of(root, "end"), "the session's end")
+        wait_until(lambda: not site.desk.running(), "an idle stage")
+        assert check_session(root).frames == 9
+        begin = events_of(root, "begin")[0]
+        assert (begin["subject"], begin["consent"]) == ("P1", "C-2026-0041")
+        page = visitor.get("/session/P1+neutral").text
+        assert "COMPLETE" in page
+        assert "Start P1/smile" in page
+        assert page.count("/small") == 9
+        picture = visitor.get("/session/P1+neutral/x+/cam1/1/small")
+        assert picture.body.startswith(b"\xff\xd8")
+        assert visitor.post("/session/P1+neutral/check").headers["HX-Redirect"] == "/sessions"
+        wait_until(lambda: (root / "checked.json").exists(), "the check's note")
+        assert "✓ passed" in visitor.get("/sessions").text
+        assert "1 of 4 sessions done" in visitor.get("/plan").text
+        stamp = site.desk.stamp()
+        visitor.post("/plan/again", take="P1/neutral", stamp=stamp)
+        assert "wanted again" in visitor.get("/plan").text
+        assert stage.device.dark
+
+
+def test_two_browsers_abort_at_once_and_the_session_goes_on_later(staged, plan) -> None:
+    lit = []
+    stage, options = staged(Fault("hang", camera="cam1", at=2), shown=lambda v: lit.append(v.any()))
+    with served(plan, options) as site:
+        visitors = [site.visitor(), site.visitor()]
+        visitors[0].post("/start")
+        root = site.desk.folder / "P1+neutral"
+        wait_until(lambda: len(events_of(root, "trigger")) == 2, "the second pattern")
+        said = together(
+            *(lambda v=v: v.post("/session/P1+neutral/do", do="abort") for v in visitors)
+        )
+        assert all(answer.status == 200 for answer in said)
+        assert all("STOPPING" in answer.text or "Not now" in answer.text for answer in said), [
+            answer.text for answer in said
+        ]
+        assert stage.device.dark
+        wait_until(lambda: events_of(root, "aborted"), "the stop")
+        wait_until(lambda: not site.desk.running(), "an idle stage")
+        assert len(events_of(root, "aborted")) == 1
+        late = visitors[0].post("/session/P1+neutral/do", do="abort")
+        assert "no capture runs" in late.text
+        assert "STOPPED" in visitors[1].get("/session/P1+neutral/part").text
+        assert visitors[1].post("/session/P1+neutral/resume").headers["HX-Redirect"] == "/live"
+        wait_until(lambda: events_of(root, "end"), "the session's end")
+        assert check_session(root).frames == 9
+
+
+def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
+    faults = [Fault("fail", camera="cam1", at=2, until=4)]
+    stage, options = staged(*faults)
+    with served(plan, options) as site:
+        visitor = site.visitor()
+        visitor.post("/start")
+        root = site.desk.folder / "P1+neutral"
+        wait_until(lambda: events_of(root, "asked"), "a question")
+        visitor.shows("/session/P1+neutral/part", "take it again", "WAITING FOR YOU")
+        assert stage.device.dark
+        time.sleep(0.5)
+        assert not events_of(root, "answered")
+        assert "there is no photograph" in visitor.post("/session/P1+neutral/do", do="accept").text
+        visitor.post("/session/P1+neutral/do", do="retake")
+        while not events_of(root, "end"):
+            if len(events_of(root, "asked")) > len(events_of(root, "answered")):
+                visitor.post("/session/P1+neutral/do", do="retake")
+            time.sleep(0.1)
+        assert check_session(root).frames == 9
+
+
+def test_a_stop_before_the_first_light_is_a_stop(staged, plan) -> None:
+    stage, options = staged()
+    with served(plan, options) as site:
+        visitor = site.visitor()
+        visitor.post("/start")
+        assert "STARTING" in visitor.get("/live").text
+        answer = visitor.post("/session/P1+neutral/do", do="abort")
+        assert "STOPPING" in answer.text, answer.text
+        wait_until(lambda: not site.desk.running(), "an idle stage")
+        assert stage.device.dark
+        assert not events_of(site.desk.folder / "P1+neutral", "end")
+
+
+def test_a_capture_that_cannot_start_says_why(staged, plan) -> None:
+    _, options = staged()
+    options.rig.write_text("{}")
+    with served(plan, options) as site:
+        visitor = site.visitor()
+        visitor.post("/start")
+        page = visitor.shows("/live", "NOT STARTED")
+        assert "rig.json" in page
+        assert not (site.desk.folder / "P1+neutral").exists()
+
+
+def command_of(pid: int) -> str:
+    """What a process was started with; empty where it is no more."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
+    except OSError:
+        return ""
+
+
+def console(plan, options, port: int = 0) -> tuple[subprocess.Popen, str, Visitor]:
+    """The command as somebody starts it; its address, and a visitor."""
+    words = ["console", "--plan", str(plan), "--port", str(port), *options.capture()]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lightstage", *words],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    url = process.stdout.readline().removeprefix("Open ").strip()
+    port = int(url.split(":")[2].split("/")[0])
+    return process, url, Visitor(port).enter(url.partition("token=")[2])
+
+
+def test_a_server_that_is_killed_changes_nothing_of_a_capture(staged, plan) -> None:
+    _, options = staged()
+    process, _, visitor = console(plan, options)
+    root = plan.parent / "sessions" / "P1+neutral"
+    try:
+        visitor.post("/start")
+        wait_until(lambda: events_of(root, "lit"), "the first light")
+        second = subprocess.run(
+            [sys.executable, "-m", "lightstage", "console", "--plan", str(plan), "--port", "0"],
+            capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+        assert second.returncode == 2
+        assert "another console" in second.stderr
+        found = [each.pid for each in descendants(process.pid)]
+        makers = [pid for pid in found if "spawn_main" in command_of(pid)]
+        assert makers
+        process.kill()
+        process.wait()
+        wait_until(lambda: not any(map(command_of, makers)), "the end of what made pictures")
+        process, _, again = console(plan, options, visitor.port)
+        assert visitor.get("/live").status == 401  # of the killed one
+        live = again.get("/live")
+        assert live.headers.get("Location") == "/session/P1%2Bneutral"
+        wait_until(lambda: events_of(root, "end"), "the session's end")
+        assert "COMPLETE" in again.get("/session/P1+neutral/part").text
+        assert check_session(root).frames == 9
+        assert len(events_of(root, "begin", "resume", "aborted")) == 1
+        # A stream that somebody follows does not hold the end up, and nothing is said of it.
+        told = again.stream("/session/P1+neutral/events?after=0")
+        process.send_signal(signal.SIGINT)
+        said, wrong = process.communicate(timeout=30)
+        assert (process.returncode, wrong) == (0, "")
+        assert "page closed" in said
+        told.close()
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
+    held = []
+
+    def slow(levels) -> None:
+        held.append(levels.any())
+        time.sleep(0.4 if levels.any() else 0.0)
+
+    stage, options = staged(shown=slow)
+    with served(plan, options) as site, Browser(tmp_path / "profile", 800, 1000) as browser:
+        browser.go(site.url)
+        assert "token" not in browser.js("location.href")
+        browser.press("s")
+        browser.wait('location.pathname.startsWith("/session/P1")')
+        browser.wait("document.querySelectorAll('.photo img').length >= 3")
+        browser.press("p")
+        browser.wait('document.body.innerText.includes("PAUSED")')
+        assert stage.device.dark
+        # Nothing is wider than a tablet held upright.
+        assert browser.js("document.documentElement.scrollWidth") <= 800
+        browser.press("c")
+        browser.wait('document.body.innerText.includes("COMPLETE")')
+        browser.wait('document.body.dataset.sound === "done"')
+        assert browser.js("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
+        browser.js("document.querySelector('.photo').click()")
+        browser.wait("document.getElementById('look').open")
+        browser.wait("document.querySelector('#look img').naturalWidth > 0")
+        browser.wait("/Focus figure|too little/.test(document.getElementById('focus').innerText)")
+        assert browser.errors == []
+        root = site.desk.folder / "P1+neutral"
+        assert check_session(root).frames == 9
+        # Without its stream of events the page comes to know all the same.
+        browser.js("window.EventSource = class { close() {} }; 1")
+        browser.js("document.getElementById('look').close(); 1")
+        browser.wait("document.querySelector('[data-key=s]')")
+        browser.press("s")
+        browser.wait('location.pathname.startsWith("/session/P1%2Bsmile")')
+        browser.wait("document.querySelector('[data-key=q]')")
+        browser.press("q")
+        browser.wait('document.body.innerText.includes("STOPPED")')
+        assert stage.device.dark
