@@ -24,7 +24,7 @@ def read_photo(path: Path) -> np.ndarray:
         (h, w, 3) uint8, red green blue.
 
     Raises:
-        FormatError: another kind of file, a damaged one, or one of too many pixels.
+        FormatError: another kind of file, or a damaged one.
     """
     import cv2
 
@@ -49,7 +49,7 @@ def read_photo(path: Path) -> np.ndarray:
         raise FormatError(
             path,
             found=f"a {kind} that cannot be read",
-            expected="a whole JPEG, PNG or TIFF of up to 300 megapixels",
+            expected="a whole JPEG, PNG or TIFF",
             hint="Is it damaged? Open it in another program and save it again.",
         )
     return np.asarray(picture)

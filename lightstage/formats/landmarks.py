@@ -44,7 +44,7 @@ def read_points_px(path: Path, scheme: str = SCHEME) -> dict[str, np.ndarray]:
             found=repr(value.get("scheme")),
             expected=repr(scheme),
             hint="`lightstage landmarks --scheme` writes either."
-            if value.get("scheme") in COUNTS
+            if value.get("scheme") in tuple(COUNTS)
             else "",
         )
     return {

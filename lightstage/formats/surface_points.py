@@ -61,7 +61,7 @@ def read_surface_points(path: Path, vertex_count: int | None = None) -> SurfaceP
     """
     value = read_json(path, SCHEMA)
     scheme = value.get("scheme")
-    if scheme not in COUNTS:
+    if not isinstance(scheme, str) or scheme not in COUNTS:
         expected = " or ".join(map(repr, COUNTS))
         raise FormatError(path, field="scheme", found=repr(scheme), expected=expected)
     count = COUNTS[scheme]
@@ -87,7 +87,7 @@ def read_surface_points(path: Path, vertex_count: int | None = None) -> SurfaceP
         if not _numbers([apart], 1) or apart < 0:
             _refuse(path, f"spread_mm[{index}]", apart, "mm, 0 or more")
         triangles[index], weights[index], spread[index] = corners, shares, apart
-    return SurfacePoints(str(scheme), triangles, weights, spread)
+    return SurfacePoints(scheme, triangles, weights, spread)
 
 
 def write_surface_points(points: SurfacePoints, path: Path) -> Path:

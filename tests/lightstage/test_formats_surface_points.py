@@ -53,6 +53,7 @@ def test_what_is_written_is_read(points, tmp_path):
     ("field", "value", "said"),
     [
         ("scheme", "ibug68", "scheme: found 'ibug68'"),
+        ("scheme", ["mediapipe468"], r"scheme: found \['mediapipe468'\]"),
         ("triangles", [], "triangles: found 0, expected 468 entries"),
         ("triangles", {}, "triangles: found dict"),
         ("triangles.0", [0, 1, 50], r"triangles\[0\].*three vertex indices below 50"),
@@ -64,6 +65,8 @@ def test_what_is_written_is_read(points, tmp_path):
         ("weights.0", ["1", 0, 0], r"weights\[0\]"),
         ("spread_mm.0", -1.0, r"spread_mm\[0\].*mm, 0 or more"),
         ("spread_mm.0", "far", r"spread_mm\[0\]"),
+        ("spread_mm.0", [1.0], r"spread_mm\[0\]"),
+        ("weights.0", {"a": 1}, r"weights\[0\]"),
     ],
 )
 def test_damaged_points_are_refused_by_name(points, tmp_path, field, value, said):
