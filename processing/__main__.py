@@ -25,6 +25,7 @@ from lightstage.commands import (
 from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.template import default_template_path
+from processing.batch import command as batch_command
 from processing.calibration import cameras_command
 from processing.calibration import command as calibration_command
 from processing.errors import ProcessingError
@@ -34,6 +35,7 @@ dataset_app = make_app("The lab's store of many processed sessions, and its publ
 app.add_typer(dataset_app, name="dataset")
 calibration_command.register(app)
 cameras_command.register(app)
+batch_command.register(app)
 
 SessionPath = typer.Argument(..., help="Session folder.", show_default=False)
 OutPath = output_folder("--out", help="Processed folder, made or continued.")
