@@ -236,8 +236,8 @@ def require_fit(
         if version != ours
     ]
     problems += [
-        f"worker {name}: found {counted(count, 'thread')}, expected 1 (`dask worker --nthreads 1`), "
-        "since memory is reckoned by workers"
+        f"worker {name}: found {counted(count, 'thread')}, expected 1, "
+        "since memory is reckoned by workers (`dask worker --nthreads 1`)"
         for name, count in workers.slots().items()
         if count != 1
     ]

@@ -1,4 +1,4 @@
-"""What a stage needs, as measured: memory, for the number of workers; seconds, for the time left."""
+"""What a stage needs, as measured: memory for the number of workers, seconds for the rest."""
 
 from __future__ import annotations
 
