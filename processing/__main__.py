@@ -25,6 +25,7 @@ from lightstage.commands import (
 from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.template import default_template_path
+from processing import dataset_commands
 from processing.batch import command as batch_command
 from processing.calibration import cameras_command
 from processing.calibration import command as calibration_command
@@ -33,6 +34,7 @@ from processing.errors import ProcessingError
 app = make_app("Photographs of a light stage to reflectance maps, mesh, atlas and dataset.")
 dataset_app = make_app("The lab's store of many processed sessions, and its published form.")
 app.add_typer(dataset_app, name="dataset")
+dataset_commands.register(dataset_app)
 calibration_command.register(app)
 cameras_command.register(app)
 batch_command.register(app)

@@ -104,7 +104,8 @@ def robust_z(values: Sequence[float | None]) -> np.ndarray:
         values: of n sessions; None where a session has none.
 
     Returns:
-        (n,) float64, at most 1e6 either way; 0 where there is no value, fewer than `FEWEST` have one, or all are the same.
+        (n,) float64, at most 1e6 either way; 0 where there is no value, fewer than `FEWEST` have
+        one, or all are the same.
     """
     found = np.array([np.nan if v is None else v for v in values], float)
     found[~np.isfinite(found)] = np.nan

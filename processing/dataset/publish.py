@@ -31,7 +31,7 @@ from processing.dataset.places import Layout, Place, clear_skin, places_of, size
 from processing.dataset.protection import DEFAULT_GAP, cannot_protect
 from processing.dataset.scan import DatasetError
 from processing.dataset.statistics import Statistics
-from processing.dataset.store import DATASET, PATCH, PUBLISHED, SCHEMA, Scan, Store
+from processing.dataset.store import DATASET, PATCH, PUBLISHED, PUBLISHED_SCHEMA, Scan, Store
 
 PATCH_OF_ROWS = 6144
 """Atlas rows at which a patch has `PATCH` texels; other atlases have patches of the same share."""
@@ -157,7 +157,7 @@ def publish(
         write_json(
             beside / DATASET,
             {
-                "schema": SCHEMA,
+                "schema": PUBLISHED_SCHEMA,
                 "kind": PUBLISHED,
                 "patch": layout.size,
                 "stride": layout.size + layout.gap,

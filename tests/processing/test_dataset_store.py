@@ -200,7 +200,7 @@ def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path, make_process
 
 def test_a_store_of_a_newer_version_is_refused(tmp_path: Path, make_processed: Make) -> None:
     out = build_store([make_processed(tmp_path / "a")], tmp_path / "store")
-    text = (out / "dataset.json").read_text().replace("realfacedb/1", "realfacedb/2")
+    text = (out / "dataset.json").read_text().replace("realfacedb/2", "realfacedb/3")
     (out / "dataset.json").write_text(text)
     with pytest.raises(LightstageError, match="newer"):
         open_store(out)
