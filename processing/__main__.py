@@ -14,6 +14,7 @@ from typing import Any
 import typer
 
 from lightstage.commands import (
+    ConsentsOption,
     JsonFlag,
     finish,
     make_app,
@@ -24,6 +25,7 @@ from lightstage.commands import (
 )
 from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
+from lightstage.formats.consents import require_consents
 from lightstage.formats.template import default_template_path
 from processing import dataset_commands
 from processing.batch import command as batch_command
@@ -321,6 +323,7 @@ def publish(
         "--without-consent",
         help="Publish people without a consent record, too; the published set says so.",
     ),
+    consents: Path | None = ConsentsOption,
     seed: int | None = typer.Option(
         None,
         "--seed",
@@ -342,8 +345,16 @@ def publish(
         "without_consent": without_consent,
     }
     config = PublishConfig(**{k: v for k, v in asked.items() if v is not None})
+    if consents is not None and without_consent:
+        raise ProcessingError(
+            "--without-consent",
+            found="it beside a registry of consents",
+            expected="one of the two",
+            hint="What the registry refuses is not published.",
+        )
     with progress_bar("dataset publish") as progress:
         opened = open_store(store, "These patches are published already.")
+        require_consents(consents, "publication", opened.consents)
         publish_store(opened, out, seed, config, progress)
     narrow = narrow_gap(config.gap)
     if narrow:

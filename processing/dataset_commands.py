@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from lightstage.commands import JsonFlag, finish, progress_bar
+from lightstage.commands import ConsentsOption, JsonFlag, finish, progress_bar
 from lightstage.counting import counted
 from lightstage.errors import one_error
 from lightstage.formats.access import group_of, limited_access
@@ -28,6 +28,7 @@ def register(app: typer.Typer) -> None:
 def add_command(
     processed: list[Path] = typer.Argument(..., help="Processed folders.", show_default=False),
     store: Path = StorePath,
+    consents: Path | None = ConsentsOption,
     as_json: bool = JsonFlag,
 ) -> None:
     """Add scans to a store; others may read it and add to it meanwhile."""
@@ -40,7 +41,7 @@ def add_command(
     with limited_access(group_of([store])), progress_bar("dataset add") as progress:
         for index, root in enumerate(folders):
             try:
-                added.append(add_scan(store, root))
+                added.append(add_scan(store, root, consents))
             except LightstageError as error:
                 problems.append(error)
             progress(index + 1, len(folders))

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lightstage.commands import JsonFlag, finish, output_folder
+from lightstage.commands import ConsentsOption, JsonFlag, finish, output_folder
 from lightstage.counting import counted
 from lightstage.errors import ConfigError, DiskFullError, FormatError, LightstageError, one_error
 from lightstage.formats.access import group_of, limited_access
+from lightstage.formats.consents import require_consents
 from lightstage.formats.template import default_template_path
 from processing.errors import ProcessingError
 
@@ -53,6 +54,7 @@ def batch_command(
         "--workers",
         help="Workers of this machine: a number, or auto for as many as its memory holds.",
     ),
+    consents: Path | None = ConsentsOption,
     scheduler: str | None = typer.Option(
         None, "--scheduler", help="Dask scheduler of a cluster, tcp://HOST:PORT."
     ),
@@ -71,6 +73,8 @@ def batch_command(
     settings = make_config(BatchConfig, values.pop("batch", {}), f"{where}, [batch]")
     stages = config_of(values, where, atlas_rows)
     opened = _read(sessions)
+    given = {str(s.root): (s.file.model_extra or {}).get("consent") for s in opened}
+    require_consents(consents, "research", given)
     with limited_access(group_of(sessions)):
         batch = _run(opened, out, template, stages, settings, until, count, scheduler)
     _end(batch, out, as_json)

@@ -16,6 +16,7 @@ import zarr
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import LightstageError, one_error
+from lightstage.formats.consents import require_consents
 from lightstage.formats.files import atomic_folder, fsync_path, read_json, sha256_file, write_json
 from lightstage.formats.lock import locked
 from processing.dataset.arrays import written_whole
@@ -92,7 +93,7 @@ def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback
     return out
 
 
-def add_scan(store: Path, root: Path) -> str:
+def add_scan(store: Path, root: Path, consents: Path | None = None) -> str:
     """Add a processed folder to a store; other processes may read it and add to it meanwhile.
 
     No other scan is read. The scan is written beside the others, and is in the store as soon as
@@ -101,6 +102,7 @@ def add_scan(store: Path, root: Path) -> str:
     Args:
         store: its folder.
         root: the processed folder.
+        consents: the lab's registry, where there is one: research must be agreed to.
 
     Returns:
         The scan's name in the store.
@@ -110,6 +112,8 @@ def add_scan(store: Path, root: Path) -> str:
     """
     _require_store(store)
     entry, maps = read_scan(root)
+    if not entry.synthetic:
+        require_consents(consents, "research", {f"{entry.subject} in {root}": entry.consent})
     require_fits(root, entry, _named(store, read_entries(store)))
     beside = store / SCANS / f"{BESIDE}{secrets.token_hex(4)}"
     try:

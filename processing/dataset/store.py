@@ -81,6 +81,15 @@ class Store:
     scans: tuple[Scan, ...]
     fingerprint: str
 
+    @property
+    def consents(self) -> dict[str, str | None]:
+        """Consent ids by scan, of all that need one; a simulated person needs none."""
+        return {
+            f"{scan.subject}, {scan.expression}, scan {scan.folder}": scan.consent
+            for scan in self.scans
+            if not scan.synthetic
+        }
+
     def read(self, scan: int, name: str, rows: slice, columns: slice) -> np.ndarray:
         """Part of a map.
 

@@ -296,7 +296,9 @@ def test_a_store_that_lost_or_changed_a_part_is_told_and_not_read_as_zeros(
 ) -> None:
     roots = [make_processed(tmp_path / name, subject=name, seed=k) for k, name in enumerate("abc")]
     whole = build_store(roots, tmp_path / "store")
-    part = Path("scans") / open_store(whole).scans[1].folder / "diffuse_albedo" / "c" / "0" / "0" / "0"
+    part = (
+        Path("scans") / open_store(whole).scans[1].folder / "diffuse_albedo" / "c" / "0" / "0" / "0"
+    )
     data = (whole / part).read_bytes()
     for changed, said in (
         (None, r"diffuse_albedo: found 0 of its 1 parts"),
