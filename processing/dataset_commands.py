@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from lightstage.commands import ConsentsOption, JsonFlag, finish, progress_bar
+from lightstage.commands import ConsentsOption, JsonFlag, finish, output_folder, progress_bar
 from lightstage.counting import counted
 from lightstage.errors import one_error
 from lightstage.formats.access import group_of, limited_access
@@ -23,6 +23,7 @@ def register(app: typer.Typer) -> None:
     app.command("remove")(remove_command)
     app.command("list")(list_command)
     app.command("verify")(verify_command)
+    app.command("forget")(forget_command)
 
 
 def add_command(
@@ -125,6 +126,45 @@ def verify_command(store: Path = StoreArgument, as_json: bool = JsonFlag) -> Non
             f"; {', '.join(left[:5])} in it are of no scan: a process that wrote them was killed"
         )
     finish(said, facts, as_json)
+
+
+def forget_command(
+    subject: str = typer.Argument(..., help="The person's pseudonym.", show_default=False),
+    folders: list[Path] = typer.Option(
+        ..., "--in", help="Folder to look in, with all below it; may be repeated."
+    ),
+    out: Path = output_folder("--out", help="Folder of the lab for the plan and the proof."),
+    yes: bool = typer.Option(False, "--yes", help="Remove it; otherwise it is only listed."),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Take a person out of all folders of the lab, and write the proof."""
+    import dataclasses
+
+    from processing.dataset import forget as forgetting
+
+    if not yes:
+        with progress_bar("dataset forget") as progress:
+            found = forgetting.survey(subject, folders, False, progress)
+        forgetting.require_somebody(subject, folders, found)
+        text = "\n".join([*forgetting.said_of(found), "Nothing was removed; --yes removes it."])
+        finish(text, {"removed": False, **dataclasses.asdict(found)}, as_json)
+        return
+    with limited_access("nothing"), progress_bar("dataset forget") as progress:
+        found, left, proof = forgetting.forget(subject, folders, out, progress)
+    facts = {"removed": True, "proof": str(proof), "left": left, **dataclasses.asdict(found)}
+    lines = forgetting.said_of(found)
+    still = [
+        f"still there: {path}"
+        for path in sorted({path for paths in left.values() for path in paths})
+    ]
+    finish("\n".join([*lines, *still, f"{proof}: the proof"]), facts, as_json)
+    if still:
+        raise ProcessingError(
+            proof,
+            found=f"{counted(len(still), 'file')} that still show or name {subject}",
+            expected="none",
+            hint="Look at each that is listed as still there, and remove it or its line by hand.",
+        )
 
 
 def _facts(store: Path) -> dict[str, Any]:

@@ -25,8 +25,9 @@ import zarr
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
-from lightstage.formats.files import atomic_folder, write_json
+from lightstage.formats.files import atomic_folder, sha256_file, write_json
 from processing.dataset.arrays import written_whole
+from processing.dataset.contents import RELEASES, append_line, now_utc
 from processing.dataset.places import Layout, Place, clear_skin, places_of, size_that_shows, turned
 from processing.dataset.protection import DEFAULT_GAP, cannot_protect
 from processing.dataset.scan import DatasetError
@@ -176,7 +177,28 @@ def publish(
             },
         )
         _consolidate(beside)
+        record_release(store, out, beside)
     return out
+
+
+def record_release(store: Store, out: Path, folder: Path) -> None:
+    """Keep in the lab which scans a release was made of: the release itself does not tell.
+
+    Args:
+        store: the lab's store.
+        out: where the release is going to lie.
+        folder: where it lies now.
+    """
+    append_line(
+        store.path / RELEASES,
+        {
+            "utc": now_utc(),
+            "out": str(out.resolve()),
+            "dataset_sha256": sha256_file(folder / DATASET),
+            "fingerprint": store.fingerprint,
+            "scans": [scan.sha256 for scan in store.scans],
+        },
+    )
 
 
 def published_places(store: Store, layout: Layout, most_face: float) -> list[Place]:

@@ -34,6 +34,12 @@ RIGHT: dict[str, dict[str, str]] = {
     "processing evaluate": {"out": "processed", "truth": "processed"},
     "processing dataset build": {"processed": "processed", "--out": NEW},
     "processing dataset publish": {"store": "store", "--out": NEW},
+    "processing dataset add": {"processed": "processed", "--store": "store"},
+    "processing dataset remove": {"scans": "0123456789abcdef", "--store": "store"},
+    "processing dataset list": {"store": "store"},
+    "processing dataset verify": {"store": "store"},
+    "processing dataset forget": {"subject": "P9", "--in": "lab", "--out": NEW},
+    "processing batch": {"sessions": "session", "--out": NEW, "--until": "decode"},
     "learning render": {
         "--maps": "maps", "--environment": "lights", "--out": NEW, "--mesh": "mesh",
     },
