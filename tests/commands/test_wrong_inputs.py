@@ -70,6 +70,7 @@ RIGHT_TOO = {
     ("lightstage calibrations", "--config", "empty"),
     ("lightstage import", "--config", "empty"),
     ("processing run", "--config", "empty"),
+    ("processing batch", "--config", "empty"),
     ("processing separate", "--config", "empty"),
     ("sim stage", "--faults", "empty"),
     ("sim session", "--faults", "empty"),
