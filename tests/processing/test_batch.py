@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.folders import differences, holder
 from lightstage.errors import FormatError, MemoryLimitError
 from lightstage.formats.lock import locked
 from lightstage.formats.template import default_template_path
@@ -23,7 +24,6 @@ from processing.pipeline import PipelineConfig, run
 from processing.records import RUN_LOCK, code_version, hash_folder
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
-from tests.processing.same_folders import differences
 
 TEMPLATE = default_template_path()
 IDS = ("ball-1", "ball-2", "ball-3")
@@ -221,18 +221,6 @@ def test_a_scheduler_that_is_not_there_is_told(
         assert f"--scheduler: found nothing that answers at {address}" in done.err
 
 
-def holder(lock: Path) -> int | None:
-    """The process that holds a lock file."""
-    if not lock.exists():
-        return None
-    inode = lock.stat().st_ino
-    for line in Path("/proc/locks").read_text().splitlines():
-        words = line.split()
-        if words[1] == "FLOCK" and words[5].endswith(f":{inode}"):
-            return int(words[4])
-    return None
-
-
 class Killer(threading.Thread):
     """Kills whoever holds the folder of a session, so often."""
 
@@ -275,6 +263,8 @@ def test_killed_workers_cost_nothing_and_a_hopeless_session_stops_no_other(
         alone = tmp_path / f"{session.name} alone"
         run(session, alone, TEMPLATE, PipelineConfig(), until="separate")
         assert differences(out / session.name, alone) == []
+    open_to_others = [p for p in out.rglob("*") if p.stat().st_mode & 0o077]
+    assert open_to_others == []
     page = (out / "batch.html").read_text()
     assert "1 session failed" in page
     assert page.count('report.html">ball-') == 3
