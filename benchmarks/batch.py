@@ -1,4 +1,4 @@
-"""Many sessions: batch on two workers against calls of `run` in a row, with workers killed; a store.
+"""Many sessions: batch on two workers against `run` in a row, with workers killed; a store.
 
     python -m benchmarks.batch [run] [batch] [kills] [store]
 
@@ -274,7 +274,7 @@ def tables(f: dict[str, Any]) -> None:
             ("batch on two workers", f"{f['batch_s']:.0f} s, {share:.2f} of it", ".60"),
             (
                 f"batch, {f['kills']} workers killed at random",
-                f"{f['kills_s']:.0f} s, {f['lost']} sessions lost, {f['different']} files different",
+                f"{f['kills_s']:.0f} s, {f['lost']} lost, {f['different']} files different",
                 "0 lost, 0 different",
             ),
             (
@@ -309,8 +309,9 @@ def tables(f: dict[str, Any]) -> None:
         "Batch: 1,400 sessions of 24 megapixels, simulated",
         ("machines of 2 cores and 24 GiB", "disk that they share, GB/s", "hours", "days"),
         rows,
-        f"Two workers a machine; a stage's processor seconds from the session of nine views above, "
-        f"then its {sum(DISK_GB.values()):.0f} GB a session in all through one disk that all share.",
+        "Two workers a machine; a stage's processor seconds are those of the session of nine views "
+        f"below, its share of {sum(DISK_GB.values()):.0f} GB a session goes through one disk that "
+        "all share.",
     )
 
 

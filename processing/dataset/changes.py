@@ -119,6 +119,9 @@ def add_scan(store: Path, root: Path, consents: Path | None = None) -> str:
     try:
         made = _written(store, entry, maps, beside.name)
         made = dataclasses.replace(made, folder=folder_of(entry))
+        # On the disk before the list tells of them.
+        for path in beside.rglob("*"):
+            fsync_path(path)
         with _changing(store):
             before = read_entries(store)
             require_fits(root, entry, _named(store, before))
@@ -248,8 +251,6 @@ def _written(
         _write_map(folder / each, each, image)
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     shards = {str(path.relative_to(folder)): sha256_file(path) for path in files}
-    for path in files:
-        fsync_path(path)
     listed = write_json(folder / SHARDS, {"schema": SHARDS_SCHEMA, "files": shards})
     return Entry(entry, folder.name, sha256_file(listed), sums_of(maps))
 
