@@ -38,11 +38,11 @@ from processing.dataset import add_scan, build_store, open_store, verify_store
 from processing.pipeline import PipelineConfig
 from processing.records import RUN_LOCK, code_version, hash_folder
 
-SESSIONS = 6
+SESSIONS = 4
 UNTIL = "reconstruct"
 CAMERAS = ("cam0", "cam1", "cam2")
 ROWS_PX = 240
-KILLS = 4
+KILLS = 3
 SCANS = 1400
 PARTS = ("run", "batch", "kills", "store")
 MACHINES = (1, 8, 64)

@@ -305,6 +305,9 @@ def publish(
     store: Path = typer.Argument(..., help="The lab's store.", show_default=False),
     out: Path = output_folder("--out", help="Published folder to make.", shared=True),
     overwrite: bool = Overwrite,
+    form: str = typer.Option(
+        "zarr", "--format", help="zarr: one group; webdataset: tars that this package reads."
+    ),
     patch: int | None = typer.Option(
         None,
         "--patch",
@@ -339,6 +342,7 @@ def publish(
 
     _require_new(out, PUBLISHED, overwrite)
     asked: dict[str, Any] = {
+        "form": form,
         "patch_px": patch,
         "gap": gap,
         "drop": drop,
