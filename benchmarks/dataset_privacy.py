@@ -13,7 +13,8 @@ from benchmarks.dataset_attack import Edges, Matcher, Patches, neighbours
 from benchmarks.record import record
 from processing.dataset import PublishConfig, Store, build_store, open_store
 from processing.dataset.places import Layout
-from processing.dataset.publish import CHANNELS, published_places, read_patch
+from processing.dataset.publish import published_places, read_patch
+from processing.dataset.release_files import CHANNELS
 
 PEOPLE, ROWS = 10, 1536
 LAYOUTS = (

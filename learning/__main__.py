@@ -16,6 +16,7 @@ from typing import Annotated
 import typer
 
 from lightstage.commands import (
+    ConsentsOption,
     JsonFlag,
     finish,
     make_app,
@@ -506,6 +507,7 @@ def train(
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the preset's.")] = None,
     resume: Annotated[bool, typer.Option(help="Go on from the run's checkpoint.")] = False,
     device: DeviceOption = "auto",
+    consents: Path | None = ConsentsOption,
     as_json: bool = JsonFlag,
 ) -> None:
     """Train a network on a dataset; some people are held out and scored."""
@@ -518,13 +520,24 @@ def train(
     try:
         with limited_access(group_of([data])), bar as progress:
             facts = train_command(
-                data, out, preset, config, seconds, seed, resume, progress, device, processes
+                data,
+                out,
+                preset,
+                config,
+                seconds,
+                seed,
+                resume,
+                progress,
+                device,
+                processes,
+                consents,
             )
     except KeyboardInterrupt:
         if not processes.first:
             raise
         given = {"--data": data, "--out": out, "--preset": preset, "--config": config}
         given |= {"--seconds": seconds, "--seed": seed, "--device": device}
+        given |= {"--consents": consents}
         raise stopped_training(out, given, processes) from None
     if not processes.first:
         return

@@ -53,6 +53,7 @@ from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config, read_toml
+from lightstage.formats.consents import require_consents
 from lightstage.formats.environment import LightSet, write_lights
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import others_in
@@ -212,6 +213,7 @@ def train_command(
     progress: ProgressCallback,
     device_name: str = "auto",
     processes: Processes = ALONE,
+    consents: Path | None = None,
 ) -> dict[str, Any]:
     """Train, as one of the processes; returns the facts."""
     device = choose_device(device_name, processes.local_rank)
@@ -222,6 +224,7 @@ def train_command(
         overrides["seed"] = seed
     resolved = preset(preset_name, overrides, str(config) if config else f"preset {preset_name}")
     store = open_store(data)
+    require_consents(consents, "training", store.consents)
     with joined(processes, device), memory_of(device, out, _smaller_batch(resolved.batch)):
         result = train(store, out, resolved, resume, progress, device, processes)
     return {

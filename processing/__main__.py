@@ -14,6 +14,7 @@ from typing import Any
 import typer
 
 from lightstage.commands import (
+    ConsentsOption,
     JsonFlag,
     finish,
     make_app,
@@ -24,7 +25,10 @@ from lightstage.commands import (
 )
 from lightstage.counting import counted
 from lightstage.formats.access import group_of, limited_access
+from lightstage.formats.consents import require_consents
 from lightstage.formats.template import default_template_path
+from processing import dataset_commands
+from processing.batch import command as batch_command
 from processing.calibration import cameras_command
 from processing.calibration import command as calibration_command
 from processing.errors import ProcessingError
@@ -34,8 +38,10 @@ app = make_app("Photographs of a light stage to reflectance maps, mesh, atlas an
 dataset_app = make_app("The lab's store of many processed sessions, and its published form.")
 app.add_typer(dataset_app, name="dataset")
 app.add_typer(template_command.app, name="template")
+dataset_commands.register(dataset_app)
 calibration_command.register(app)
 cameras_command.register(app)
+batch_command.register(app)
 
 SessionPath = typer.Argument(..., help="Session folder.", show_default=False)
 OutPath = output_folder("--out", help="Processed folder, made or continued.")
@@ -309,6 +315,9 @@ def publish(
     store: Path = typer.Argument(..., help="The lab's store.", show_default=False),
     out: Path = output_folder("--out", help="Published folder to make.", shared=True),
     overwrite: bool = Overwrite,
+    form: str = typer.Option(
+        "zarr", "--format", help="zarr: one group; webdataset: tars that this package reads."
+    ),
     patch: int | None = typer.Option(
         None,
         "--patch",
@@ -327,6 +336,7 @@ def publish(
         "--without-consent",
         help="Publish people without a consent record, too; the published set says so.",
     ),
+    consents: Path | None = ConsentsOption,
     seed: int | None = typer.Option(
         None,
         "--seed",
@@ -342,14 +352,23 @@ def publish(
 
     require_new(out, overwrite, DATASET, PUBLISHED)
     asked: dict[str, Any] = {
+        "form": form,
         "patch_px": patch,
         "gap": gap,
         "drop": drop,
         "without_consent": without_consent,
     }
     config = PublishConfig(**{k: v for k, v in asked.items() if v is not None})
+    if consents is not None and without_consent:
+        raise ProcessingError(
+            "--without-consent",
+            found="it beside a registry of consents",
+            expected="one of the two",
+            hint="What the registry refuses is not published.",
+        )
     with progress_bar("dataset publish") as progress:
         opened = open_store(store, "These patches are published already.")
+        require_consents(consents, "publication", opened.consents)
         publish_store(opened, out, seed, config, progress)
     narrow = narrow_gap(config.gap)
     if narrow:

@@ -11,8 +11,26 @@ T = TypeVar("T")
 K = TypeVar("K")
 P = ParamSpec("P")
 
+THREADS = "LIGHTSTAGE_THREADS"
+"""Environment variable: most threads of this process, where it shares the machine with others."""
 BUDGET_BYTES = 5 * 2**29
 """What the views that are worked on at once may take together: 2.5 GiB."""
+
+
+def cores() -> int:
+    """Cores for this process: those that the system lets it use, or the share that it was given."""
+    there = len(os.sched_getaffinity(0))
+    share = os.environ.get(THREADS, "")
+    return max(1, min(there, int(share))) if share.isdecimal() else there
+
+
+def threads_of_worker(peers: int) -> int:
+    """Threads for one of `peers` workers that share this machine's cores.
+
+    Cores that the system has given to a worker alone, as SLURM does, are not shared.
+    """
+    own = len(os.sched_getaffinity(0))
+    return own if own < (os.cpu_count() or own) else max(1, own // max(1, peers))
 
 
 def workers(bytes_each: int, budget: int = BUDGET_BYTES) -> int:
@@ -22,8 +40,7 @@ def workers(bytes_each: int, budget: int = BUDGET_BYTES) -> int:
         bytes_each: that one view takes at most.
         budget: for all of them.
     """
-    cores = len(os.sched_getaffinity(0))
-    return max(1, min(cores, budget // max(bytes_each, 1)))
+    return max(1, min(cores(), budget // max(bytes_each, 1)))
 
 
 def over_views(work: Callable[[K], T], views: Sequence[K], at_once: int) -> Iterator[tuple[K, T]]:

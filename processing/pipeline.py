@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ from processing.records import (
     hash_of,
     measured,
     read_records,
+    remove_leftovers,
     require_own,
     require_same_session,
     versions,
@@ -118,7 +120,18 @@ def read_config(
         ConfigError: an unknown table or key, or a value of another type.
     """
     values = {} if path is None else read_toml(path)
-    config = make_config(PipelineConfig, values, path or "configuration")
+    return config_of(values, path or "configuration", atlas_rows, mesh, occluders)
+
+
+def config_of(
+    values: dict[str, Any],
+    where: str | Path,
+    atlas_rows: int | None = None,
+    mesh: Path | None = None,
+    occluders: Path | None = None,
+) -> PipelineConfig:
+    """As `read_config`, of a file's values; `where` is what errors name."""
+    config = make_config(PipelineConfig, values, where)
     if atlas_rows is not None:
         config = dataclasses.replace(
             config, atlas=dataclasses.replace(config.atlas, rows=atlas_rows)
@@ -168,10 +181,47 @@ def run(
         LightstageError: input that the user can mend; stages that finished before stay finished.
     """
     last = only or until
+    job = read_job(session_path, out, template_path, config, last)
+    # What these refuse is refused before the folder is made.
+    require_given(config.reconstruct)
+    _plan(job, last, only)
+    with locked(out / RUN_LOCK, busy(out)):
+        remove_leftovers(out)
+        records, keys, planned = _plan(job, last, only)
+        for stage in planned:
+            records = _run_stage(job, stage, keys[stage], records, bar)
+        report = write_report_json(job, records)
+        if planned:
+            write_processed_report(out, report)
+    return {**report, "ran": planned}
+
+
+def read_job(
+    session_path: Path,
+    out: Path,
+    template_path: Path,
+    config: PipelineConfig,
+    last: str = STAGES[-1],
+    *,
+    verified: bool = True,
+) -> Job:
+    """What the stages up to `last` work on; what would stop one of them later is refused now.
+
+    Args:
+        session_path: a session folder.
+        out: the processed folder.
+        template_path: a template folder.
+        config: of all stages.
+        last: the last stage that is wanted.
+        verified: hold every photograph against its hash, which reads them all.
+
+    Raises:
+        LightstageError: input that the user can mend.
+    """
     if last not in STAGES:
         raise ProcessingError("--until", found=repr(last), expected=", ".join(STAGES))
     session = with_complements(load_session(session_path))
-    problems = unmendable_frames(session) or changed_frames(session)
+    problems = unmendable_frames(session) or (changed_frames(session) if verified else [])
     if problems:
         raise one_error(problems)
     require_own(out)
@@ -186,25 +236,74 @@ def run(
         )
     template, template_hash = None, ""
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
-        template, template_hash = load_template(template_path), hash_folder(template_path)
+        template_hash = hash_folder(template_path)
+        template = _template(template_path, template_hash)
         # Registration needs them an hour later at full size: said now.
         require_landmarks(session, config.register)
-    job = Job(session, out, config, template, template_hash, normals)
-    # What these refuse is refused before the folder is made.
-    require_given(config.reconstruct)
-    _plan(job, last, only)
-    with locked(out / RUN_LOCK, _busy(out)):
-        records, keys, planned = _plan(job, last, only)
-        for stage in planned:
-            records = _run_stage(job, stage, keys[stage], records, bar)
-        report = write_report_json(job, records)
-        if planned:
-            write_processed_report(out, report)
-    return {**report, "ran": planned}
+    return Job(session, out, config, template, template_hash, normals)
 
 
-def _busy(out: Path) -> ProcessingError:
-    return ProcessingError(
+@functools.lru_cache(maxsize=1)
+def _template(path: Path, content: str) -> Template:
+    """A template that was read once; `content`, the hash of its files, tells whether it changed."""
+    del content
+    return load_template(path)
+
+
+def left_to_do(job: Job, last: str = STAGES[-1]) -> list[str]:
+    """The stages up to `last` that are not up to date, in order.
+
+    Raises:
+        LightstageError: a folder made from another session, or records that cannot be read.
+    """
+    return _plan(job, last, None)[2]
+
+
+def run_next(job: Job, last: str = STAGES[-1], bar: Bar = no_bar) -> tuple[str | None, list[str]]:
+    """Run the first stage that is not up to date; the last one also writes the report.
+
+    Called until nothing is left it leaves what `run` does, whoever calls it each time.
+
+    Args:
+        job: of `read_job`.
+        last: the last stage that is wanted.
+        bar: draws progress.
+
+    Returns:
+        The stage that ran, None where none was left, and the stages that are left now.
+
+    Raises:
+        LightstageError: as `run`; ProcessingError also where another run holds the folder.
+    """
+    require_given(job.config.reconstruct)
+    with locked(job.out / RUN_LOCK, busy(job.out)):
+        remove_leftovers(job.out)
+        records, keys, planned = _plan(job, last, None)
+        ran = planned[0] if planned else None
+        if ran is not None:
+            records = _run_stage(job, ran, keys[ran], records, bar)
+            planned = _plan(job, last, None)[2]
+        if not planned:
+            write_processed_report(job.out, write_report_json(job, records))
+    return ran, planned
+
+
+def is_reported(out: Path) -> bool:
+    """Whether a folder's report was written after its last stage: a kill may come between."""
+    stages, report = out / "stages.json", out / "report.html"
+    try:
+        return report.stat().st_mtime_ns >= stages.stat().st_mtime_ns
+    except FileNotFoundError:
+        return False
+
+
+class BusyError(ProcessingError):
+    """Another process works on the folder."""
+
+
+def busy(out: Path) -> BusyError:
+    """What is said of a folder that another process holds."""
+    return BusyError(
         out,
         field="--out",
         found="a folder that another run is writing to",

@@ -9,6 +9,7 @@ import hashlib
 import json
 import platform
 import resource
+import shutil
 import time
 from collections.abc import Iterator
 from importlib import metadata
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from lightstage.errors import FormatError
-from lightstage.formats.files import read_json, sha256_file, write_json
+from lightstage.formats.files import leftovers, read_json, sha256_file, write_json
 from processing.errors import ProcessingError
 
 SCHEMA = "processing.stages/1"
@@ -189,6 +190,17 @@ def _installed(name: str) -> str:
         return metadata.version(f"{name}-cpu")
     except metadata.PackageNotFoundError:
         return metadata.version(name)
+
+
+def remove_leftovers(out: Path) -> None:
+    """Remove what a killed run left beside the files that it wrote; only for the lock's holder."""
+    folders = [out, *(path for path in out.rglob("*") if path.is_dir())]
+    for folder in folders:
+        for path in [*leftovers(folder, "*"), *leftovers(folder, "*.*")]:
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
 
 
 def files_in(out: Path) -> dict[str, tuple[int, int]]:

@@ -51,17 +51,8 @@ class Picture:
 
 
 @dataclasses.dataclass(frozen=True)
-class Table:
-    """A table: column names with units, rows of cells (text or numbers)."""
-
-    header: Sequence[str]
-    rows: Sequence[Sequence[str | float | int]]
-    caption: str = ""
-
-
-@dataclasses.dataclass(frozen=True)
 class Link:
-    """A link to another file, alone in its paragraph.
+    """A link to another file, alone in its paragraph or in a table's cell.
 
     Attributes:
         target: relative to the report.
@@ -70,6 +61,22 @@ class Link:
 
     target: str
     text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Marked:
+    """A table's cell that is to be seen first."""
+
+    value: str | float | int
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """A table: column names with units, rows of cells (text, numbers, links)."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str | float | int | Link | Marked]]
+    caption: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -197,7 +204,7 @@ def _part(part: str | Link | Picture | Table, title: str) -> str:
     if isinstance(part, str):
         return f"<p>{_text(part)}</p>"
     if isinstance(part, Link):
-        return f'<p><a href="{_text(quote(part.target))}">{_text(part.text)}</a></p>'
+        return f"<p>{_link(part)}</p>"
     if isinstance(part, Table):
         return _table(part)
     kind = "png" if part.lossless else "jpeg"
@@ -213,8 +220,7 @@ def _part(part: str | Link | Picture | Table, title: str) -> str:
 def _table(table: Table) -> str:
     head = "".join(f'<th scope="col">{_text(name)}</th>' for name in table.header)
     rows = "\n".join(
-        "<tr>" + "".join(f"<td>{_text(_cell(cell))}</td>" for cell in row) + "</tr>"
-        for row in table.rows
+        "<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in table.rows
     )
     caption = f"<caption>{_text(table.caption)}</caption>" if table.caption else ""
     return (
@@ -223,8 +229,16 @@ def _table(table: Table) -> str:
     )
 
 
-def _cell(value: str | float | int) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+def _cell(cell: str | float | int | Link | Marked) -> str:
+    if isinstance(cell, Link):
+        return _link(cell)
+    if isinstance(cell, Marked):
+        return f"<mark>{_cell(cell.value)}</mark>"
+    return _text(f"{cell:.4g}" if isinstance(cell, float) else str(cell))
+
+
+def _link(link: Link) -> str:
+    return f'<a href="{_text(quote(link.target))}">{_text(link.text)}</a>'
 
 
 def _text(text: str) -> str:

@@ -12,7 +12,7 @@ import pytest
 
 from lightstage.formats.files import write_json
 from processing.dataset import CHANNELS, build_store, open_store, publish
-from processing.dataset.publish import CHANNELS as PUBLISHED_CHANNELS
+from processing.dataset.release_files import CHANNELS as PUBLISHED_CHANNELS
 from tests.documents import PACKAGES, ROOT, blocks, commands, options, run_as_written, table_code
 
 README = (ROOT / "README.md").read_text()

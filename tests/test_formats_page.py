@@ -13,6 +13,7 @@ import pytest
 
 from learning.checkpoint import read_checkpoint
 from lightstage.errors import LightstageError
+from lightstage.formats.consents import read_consents
 from lightstage.formats.environment import read_lights
 from lightstage.formats.landmarks import read_points_mm, read_points_px
 from lightstage.formats.lights import read_measured_lights
@@ -39,6 +40,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "head_from_world.json": lambda folder: read_head_pose(folder / "head_from_world.json"),
     "stages.json": read_records,
     "dataset.json": open_store,
+    "consents.json": lambda folder: read_consents(folder / "consents.json"),
     "checkpoint.json": read_checkpoint,
     "colour.json": lambda folder: read_colour(folder / "colour.json", ["cam0"]),
     "flats.json": lambda folder: read_flats(folder / "flats.json", ["cam0"]),

@@ -19,13 +19,14 @@ from lightstage.capture.session_run import (
     unfinished,
 )
 from lightstage.capture.stage import Stage, open_stage
-from lightstage.commands import JsonFlag, finish, output_folder
+from lightstage.commands import ConsentsOption, JsonFlag, finish, output_folder
 from lightstage.commands.outputs import try_folder
 from lightstage.counting import counted
 from lightstage.day import next_open, read_plan
 from lightstage.errors import ConfigError, FormatError, LightstageError, one_error
 from lightstage.findings import accepted_in_words
 from lightstage.formats.access import group_of, limited_access
+from lightstage.formats.consents import require_consents
 from lightstage.leds.address import parse_url
 from lightstage.operator import open_operator
 from lightstage.patterns import Drive, read_patterns, sequence_patterns, split_emitters
@@ -96,6 +97,7 @@ def capture_command(
     consent: str | None = typer.Option(
         None, help="Id of the record of the person's consent; without it there is a warning."
     ),
+    consents: Path | None = ConsentsOption,
     patterns: Path | None = typer.Option(None, help="Your own patterns (TOML)."),
     drive: str | None = typer.Option(None, help="solid-angle (the default) or on-off."),
     emitters: str | None = typer.Option(
@@ -187,6 +189,8 @@ def capture_command(
             _default(expression, EXPRESSION),
             consent, patterns, colour, settings,
         )  # fmt: skip
+
+    require_consents(consents, "capture", {order.subject: order.consent})
 
     def calibrated(order: Order, stage: Stage) -> Order:
         if calibration is None:

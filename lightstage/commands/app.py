@@ -21,6 +21,14 @@ JsonFlag = typer.Option(
     False, "--json", help="Print the facts, or the error, as JSON on the last line."
 )
 
+ConsentsOption = typer.Option(
+    None,
+    "--consents",
+    envvar="LIGHTSTAGE_CONSENTS",
+    help="The lab's registry of consents (TOML or JSON): what is not agreed to is refused.",
+    show_envvar=False,
+)
+
 BAD_INPUT, DEFECT, INTERRUPTED = 2, 1, 130
 """Exit codes: what a user can mend; a defect of this software; stopped by Ctrl-C, another signal
 or a key."""

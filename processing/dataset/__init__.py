@@ -1,5 +1,6 @@
 """RealFaceDB: the lab's store of whole maps, and the patches that may leave the lab."""
 
+from processing.dataset.changes import add_scan, build_store, remove_scans, verify_store
 from processing.dataset.protection import narrow_gap
 from processing.dataset.publish import PublishConfig, publish
 from processing.dataset.scan import (
@@ -8,7 +9,7 @@ from processing.dataset.scan import (
     read_head_pose,
     without_people_files,
 )
-from processing.dataset.store import DATASET, PUBLISHED, STORE, Scan, Store, build_store, open_store
+from processing.dataset.store import DATASET, PUBLISHED, STORE, Scan, Store, open_store
 
 __all__ = [
     "CHANNELS",
@@ -19,10 +20,13 @@ __all__ = [
     "PublishConfig",
     "Scan",
     "Store",
+    "add_scan",
     "build_store",
     "narrow_gap",
     "open_store",
     "publish",
     "read_head_pose",
+    "remove_scans",
+    "verify_store",
     "without_people_files",
 ]

@@ -1,7 +1,8 @@
-"""What may leave the lab: patches without person, place or order, in one zarr group.
+"""What may leave the lab: patches without person, place or order, in one zarr group or in tars.
 
     PUBLISHED/
       dataset.json      lightstage.realfacedb/1: channels, counts, statistics over all patches
+      checksums.json    SHA-256 of every file
       zarr.json         a zarr group (format 3)
       NAME/             one array a map, (patches, size, size, channels)
 
@@ -15,38 +16,36 @@ from __future__ import annotations
 
 import dataclasses
 import secrets
-import warnings
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
-import zarr
 
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
-from lightstage.formats.files import atomic_folder, write_json
-from processing.dataset.arrays import written_whole
+from lightstage.formats.files import atomic_folder, sha256_file, write_json
+from processing.dataset.contents import RELEASES, append_line, now_utc
 from processing.dataset.places import Layout, Place, clear_skin, places_of, size_that_shows, turned
 from processing.dataset.protection import DEFAULT_GAP, cannot_protect
+from processing.dataset.release_files import (
+    CHANNELS,
+    FORMS,
+    ReleaseWriter,
+    TarRelease,
+    ZarrRelease,
+    write_checksums,
+)
 from processing.dataset.scan import DatasetError
 from processing.dataset.statistics import Statistics
-from processing.dataset.store import DATASET, PATCH, PUBLISHED, SCHEMA, Scan, Store
+from processing.dataset.store import DATASET, PATCH, PUBLISHED, PUBLISHED_SCHEMA, Scan, Store
 
 PATCH_OF_ROWS = 6144
 """Atlas rows at which a patch has `PATCH` texels; other atlases have patches of the same share."""
 LEAST_KEPT = 0.5
 """Share of the places that a patch's size must leave, or the size is refused."""
 AVERAGED = ("diffuse_albedo", "specular_albedo", "shape")
-CHANNELS: dict[str, int] = {
-    "diffuse_albedo": 3,
-    "specular_albedo": 1,
-    "diffuse_normal": 3,
-    "specular_normal": 3,
-    "shape": 3,
-}
 DIRECTIONS = ("diffuse_normal", "specular_normal")
-AXES = ("patch", "row", "column", "channel")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +62,8 @@ class PublishConfig:
         most_face: largest share of a scan's measured skin that a patch may show, by area in mm2.
         min_coverage: smallest share of a patch's texels that show clear skin (`clear_skin`).
         fewest_subjects: statistics are left out where fewer people than this would hide in them.
-        shard_patches: patches that share a file.
+        form: `zarr`: one group; `webdataset`: tars (`release_files`).
+        shard_patches: patches that share a file of a zarr group.
         without_consent: publish scans of people of whom no consent is on record, and say so.
     """
 
@@ -75,11 +75,16 @@ class PublishConfig:
     most_face: float = 1 / 40
     min_coverage: float = 0.5
     fewest_subjects: int = 3
+    form: Literal["zarr", "webdataset"] = "zarr"
     shard_patches: int = 16
     without_consent: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse shares that are none."""
+        """Refuse shares that are none, and a form that there is none of."""
+        if self.form not in FORMS:
+            raise ConfigError(
+                "publish", field="format", found=repr(self.form), expected=" or ".join(FORMS)
+            )
         for name, most in (("gap", 8.0), ("wander", 8.0), ("drop", 0.95)):
             if not 0 <= getattr(self, name) <= most:
                 raise ConfigError(
@@ -135,11 +140,11 @@ def publish(
     # Dropping all of a few patches would leave nothing to publish.
     order = rng.permutation(kept if len(kept) else len(places))
     with atomic_folder(out, DATASET, PUBLISHED) as beside:
-        group = zarr.create_group(beside, zarr_format=3, attributes={"about": "dataset.json"})
-        arrays = {
-            name: _create(group, name, len(order), layout.size, channels, config)
-            for name, channels in CHANNELS.items()
-        }
+        writer: ReleaseWriter = (
+            ZarrRelease(beside, len(order), layout.size, config.shard_patches)
+            if config.form == "zarr"
+            else TarRelease(beside)
+        )
         statistics = Statistics({name: CHANNELS[name] for name in AVERAGED})
         for first in range(0, len(order), config.shard_patches):
             chosen = [places[i] for i in order[first : first + config.shard_patches]]
@@ -149,15 +154,14 @@ def publish(
                 patches.append(patch)
                 statistics.add(patch, measured)
                 progress(first + len(patches), len(order))
-            for name, array in arrays.items():
-                block = np.stack([patch[name] for patch in patches]).astype(array.dtype)
-                array[first : first + len(patches)] = block
+            blocks = {name: np.stack([patch[name] for patch in patches]) for name in CHANNELS}
+            writer.write(first, blocks)
         subjects = len({scan.subject for scan in store.scans})
         shown = statistics.facts() if subjects >= config.fewest_subjects else {}
         write_json(
             beside / DATASET,
             {
-                "schema": SCHEMA,
+                "schema": PUBLISHED_SCHEMA,
                 "kind": PUBLISHED,
                 "patch": layout.size,
                 "stride": layout.size + layout.gap,
@@ -175,8 +179,30 @@ def publish(
                 "cannot_protect": cannot_protect(config.gap),
             },
         )
-        _consolidate(beside)
+        writer.close()
+        write_checksums(beside)
+        record_release(store, out, beside)
     return out
+
+
+def record_release(store: Store, out: Path, folder: Path) -> None:
+    """Keep in the lab which scans a release was made of: the release itself does not tell.
+
+    Args:
+        store: the lab's store.
+        out: where the release is going to lie.
+        folder: where it lies now.
+    """
+    append_line(
+        store.path / RELEASES,
+        {
+            "utc": now_utc(),
+            "out": str(out.resolve()),
+            "dataset_sha256": sha256_file(folder / DATASET),
+            "fingerprint": store.fingerprint,
+            "scans": [scan.sha256 for scan in store.scans],
+        },
+    )
 
 
 def published_places(store: Store, layout: Layout, most_face: float) -> list[Place]:
@@ -229,31 +255,6 @@ def read_patch(store: Store, place: Place, size: int) -> tuple[dict[str, np.ndar
         patch[name] = patch[name] @ place.axes.T
     maps = {name: turned(image, place).astype(np.float32) for name, image in patch.items()}
     return maps, turned(seen, place)[:, :, 0]
-
-
-def _create(
-    group: zarr.Group, name: str, count: int, size: int, channels: int, config: PublishConfig
-) -> Any:
-    return group.create_array(
-        name,
-        shape=(count, size, size, channels),
-        dtype="float32" if name == "shape" else "float16",
-        chunks=(1, size, size, channels),
-        shards=(min(config.shard_patches, count), size, size, channels),
-        dimension_names=AXES,
-        **written_whole(),
-    )
-
-
-def _consolidate(folder: Path) -> None:
-    """Put the arrays' metadata into the group's, so that readers need not list the folder.
-
-    Listing it, zarr warns of dataset.json, which is no part of the group.
-    """
-    with warnings.catch_warnings():
-        # It says that the format's text does not define this yet; readers without it list.
-        warnings.simplefilter("ignore")
-        zarr.consolidate_metadata(folder)
 
 
 def _refuse_unasked(store: Store, unasked: list[Scan]) -> None:

@@ -137,17 +137,22 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
     for name in NORMALS:
         maps[name] = maps[name] @ rotation.T
     rows, columns = maps["confidence"].shape[:2]
-    files = [folder.head_pose, *(folder.atlas_path(name) for name in (*CHANNELS, SKIN))]
     entry = ScanEntry(
         subject=subject,
         expression=expression,
         rows=rows,
         columns=columns,
-        sha256=hashlib.sha256("".join(map(sha256_file, files)).encode()).hexdigest(),
+        sha256=scan_digest(folder),
         consent=consent,
         synthetic=report.get("synthetic") is True,
     )
     return entry, maps
+
+
+def scan_digest(folder: ProcessedFolder) -> str:
+    """SHA-256 of the files that a scan is made of; FileNotFoundError where one is missing."""
+    files = [folder.head_pose, *(folder.atlas_path(name) for name in (*CHANNELS, SKIN))]
+    return hashlib.sha256("".join(map(sha256_file, files)).encode()).hexdigest()
 
 
 def _require_processed(root: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -36,3 +37,27 @@ class Statistics:
             facts[f"{name}_mean"] = mean.tolist()
             facts[f"{name}_deviation"] = np.sqrt(variance).tolist()
         return facts
+
+    def sums(self) -> dict[str, Any]:
+        """What was summed, JSON-ready: `add_sums` adds it to others'."""
+        return {
+            "texels": self._texels,
+            "measured": self._measured,
+            "sum": {name: total.tolist() for name, total in self._sum.items()},
+            "squares": {name: total.tolist() for name, total in self._squares.items()},
+        }
+
+    def add_sums(self, sums: Mapping[str, Any]) -> None:
+        """Add what another one summed.
+
+        Raises:
+            KeyError, TypeError, ValueError: no such sums.
+        """
+        self._texels += int(sums["texels"])
+        self._measured += int(sums["measured"])
+        for name, total in self._sum.items():
+            for own, other in ((total, sums["sum"]), (self._squares[name], sums["squares"])):
+                values = np.array(other[name], float)
+                if values.shape != own.shape or not np.isfinite(values).all():
+                    raise ValueError(f"{name}: {values.shape} of {own.shape}")
+                own += values

@@ -1,8 +1,9 @@
 """The lab's store: whole maps of every scan in the head frame, read patch by patch (zarr v3).
 
     STORE/
-      dataset.json              lightstage.realfacedb/1: channels, counts, statistics, scans
-      scans/0000/NAME/          one zarr array a map, chunks of 256 in shards of 2048
+      dataset.json              lightstage.realfacedb/2: channels, counts, statistics, scans
+      scans/SCAN/NAME/          one zarr array a map, chunks of 256 in shards of 2048
+      scans/SCAN/shards.json    SHA-256 of each file of the scan
 
 A chunk is what one read decodes, a shard what one file holds: a random 512 patch costs four to
 nine chunks whatever the map's size, and 6144 x 4096 makes six files a map.
@@ -12,23 +13,20 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import zarr
 
-from lightstage.commands import ProgressCallback, quiet
-from lightstage.errors import LightstageError, one_error
-from lightstage.formats.files import atomic_folder, check_schema, read_json, write_json
-from processing.dataset.arrays import open_whole, read_part, written_whole
-from processing.dataset.scan import CHANNELS, DatasetError, ScanEntry, holds_scans, read_scan
-from processing.dataset.statistics import Statistics
+from lightstage.formats.files import check_schema, read_json
+from lightstage.formats.paths import check_name
+from processing.dataset.arrays import open_whole, read_part
+from processing.dataset.scan import CHANNELS, DatasetError, holds_scans
 
-SCHEMA = "lightstage.realfacedb/1"
+SCHEMA = "lightstage.realfacedb/2"
+PUBLISHED_SCHEMA = "lightstage.realfacedb/1"
 DATASET = "dataset.json"
+SCANS = "scans"
 STORE, PUBLISHED = "store", "published"
 """Kinds of a dataset; a command replaces only its own."""
 NOT_FOR_TRAINING = (
@@ -36,7 +34,6 @@ NOT_FOR_TRAINING = (
     "second input), the place in it (cast shadows) and the person (to hold some people out). "
     "docs/dataset.md opens them."
 )
-AVERAGED = ("diffuse_albedo", "specular_albedo")
 PATCH = 512
 STRIDE = 256
 CHUNK = 256
@@ -56,6 +53,7 @@ class Scan:
         sha256: of the files that it was made of.
         consent: id of the record of the person's consent, None where there is none.
         synthetic: a simulated person, who needs none.
+        folder: in the store's `scans`.
     """
 
     index: int
@@ -66,6 +64,7 @@ class Scan:
     sha256: str = ""
     consent: str | None = None
     synthetic: bool = False
+    folder: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +80,15 @@ class Store:
     path: Path
     scans: tuple[Scan, ...]
     fingerprint: str
+
+    @property
+    def consents(self) -> dict[str, str | None]:
+        """Consent ids by scan, of all that need one; a simulated person needs none."""
+        return {
+            f"{scan.subject}, {scan.expression}, scan {scan.folder}": scan.consent
+            for scan in self.scans
+            if not scan.synthetic
+        }
 
     def read(self, scan: int, name: str, rows: slice, columns: slice) -> np.ndarray:
         """Part of a map.
@@ -144,7 +152,7 @@ class Store:
                 found="no such thing",
                 expected=f"scans 0..{len(self.scans) - 1}, maps {', '.join(CHANNELS)}",
             )
-        return self.path / "scans" / f"{scan:04d}" / name
+        return self.path / SCANS / self.scans[scan].folder / name
 
 
 _open_array = functools.lru_cache(maxsize=1024)(open_whole)
@@ -198,6 +206,8 @@ def open_store(path: Path, not_published: str = NOT_FOR_TRAINING) -> Store:
                 str(s["sha256"]),
                 s.get("consent"),
                 s.get("synthetic") is True,
+                # Stores of before scans came and went one by one have numbers there.
+                check_name(s.get("folder", f"{i:04d}"), file, f"scans[{i}].folder"),
             )
             for i, s in enumerate(value["scans"])
         )
@@ -208,150 +218,3 @@ def open_store(path: Path, not_published: str = NOT_FOR_TRAINING) -> Store:
         raise DatasetError(file, found=str(error), expected="scans and fingerprint") from None
     _open_array.cache_clear()
     return Store(path, scans, fingerprint)
-
-
-def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback = quiet) -> Path:
-    """Gather the atlas maps of processed folders into one store.
-
-    Every folder is read and checked before anything is said; on an error nothing is left behind.
-
-    Args:
-        processed: folders with atlas/, head_from_world.json and report.json (subject, expression,
-            and the id of the record of the person's consent where there is one).
-        out: the store's folder; an older store there is replaced.
-        progress: called after each folder.
-
-    Returns:
-        `out`.
-
-    Raises:
-        FormatError, DatasetError: no folder, something that is no processed folder, a missing map,
-            maps or atlases of different size, NaN, a missing or not rigid head_from_world, a folder
-            given twice, a scan of the same files, a pseudonym of two people; all in one message.
-    """
-    if not processed:
-        raise DatasetError(
-            "dataset build",
-            found="no processed folder among what was named",
-            expected="at least one",
-            hint="Name folders that `lightstage-processing run` made, as P/*.",
-        )
-    problems: list[LightstageError] = []
-    entries: list[ScanEntry] = []
-    first: tuple[Path, ScanEntry] | None = None
-    known: dict[str, tuple[Path, ScanEntry]] = {}
-    files: dict[tuple[str, str, str], Path] = {}
-    simulated: dict[tuple[str, str], Path] = {}
-    statistics = Statistics({name: CHANNELS[name] for name in AVERAGED})
-    with atomic_folder(out, DATASET, STORE) as beside:
-        for index, root in enumerate(processed):
-            try:
-                if root.resolve() in {p.resolve() for p in processed[:index]}:
-                    raise DatasetError(root, found="the same folder twice", expected="once")
-                entry, maps = read_scan(root)
-                first = first or (root, entry)
-                _require_same_size(root, entry, *first)
-                _require_same_person(root, entry, *known.setdefault(entry.subject, (root, entry)))
-                who = (entry.subject, entry.expression)
-                _require_other_files(root, files.setdefault((*who, entry.sha256), root))
-                if entry.synthetic:
-                    _require_one_draw(root, entry, simulated.setdefault(who, root))
-                if not problems:
-                    _write_scan(beside / "scans" / f"{index:04d}", maps)
-                entries.append(entry)
-                statistics.add(maps, maps["confidence"][:, :, 0] > 0)
-            except LightstageError as error:
-                problems.append(error)
-            progress(index + 1, len(processed))
-        if problems:
-            raise one_error(problems)
-        write_json(
-            beside / DATASET,
-            {
-                "schema": SCHEMA,
-                "kind": STORE,
-                "patch": PATCH,
-                "stride": STRIDE,
-                "channels": CHANNELS,
-                "frame": "head",
-                "counts": {
-                    "subjects": len({entry.subject for entry in entries}),
-                    "scans": len(entries),
-                },
-                "statistics": statistics.facts(),
-                "fingerprint": hashlib.sha256(
-                    "".join(entry.sha256 for entry in entries).encode()
-                ).hexdigest(),
-                "scans": [dataclasses.asdict(entry) for entry in entries],
-            },
-        )
-    return out
-
-
-def _require_same_size(root: Path, entry: ScanEntry, first_root: Path, first: ScanEntry) -> None:
-    """Refuse an atlas of another size: its texels would be other places and its pores larger."""
-    if (entry.rows, entry.columns) != (first.rows, first.columns):
-        raise DatasetError(
-            root / "atlas",
-            found=f"{entry.rows} x {entry.columns} texels",
-            expected=f"{first.rows} x {first.columns}, as {first_root / 'atlas'} has",
-            hint="Make all atlases of a store again with one --atlas-rows.",
-        )
-
-
-def _require_same_person(root: Path, entry: ScanEntry, own_root: Path, own: ScanEntry) -> None:
-    """Refuse a pseudonym of two people: one would be trained on while the other is held out."""
-    if entry.synthetic != own.synthetic:
-        whose = {True: "a simulated person's", False: "a captured person's"}
-        raise DatasetError(
-            root,
-            field="subject",
-            found=f"{entry.subject!r}, {whose[entry.synthetic]}",
-            expected=f"a pseudonym of its own: in {own_root} it is {whose[own.synthetic]}",
-            hint="Leave one of them out, or make one under another pseudonym. What was "
-            "photographed on the simulated stage and processed counts as captured.",
-        )
-
-
-def _require_other_files(root: Path, own_root: Path) -> None:
-    """Refuse a copy of a scan: it would count twice, and might be tested on what was trained on."""
-    if root != own_root:
-        raise DatasetError(
-            root,
-            found=f"the same files as {own_root}",
-            expected="a scan of its own",
-            hint="Leave one of the two out.",
-        )
-
-
-def _require_one_draw(root: Path, entry: ScanEntry, own_root: Path) -> None:
-    """Refuse two simulated scans of one pseudonym and expression: they are of two people."""
-    if root != own_root:
-        raise DatasetError(
-            root,
-            field="subject",
-            found=f"{entry.subject!r}, {entry.expression}, which {own_root} is already",
-            expected="a pseudonym of its own",
-            hint="Two calls of `lightstage-sim dataset` give their people the same names. Make all "
-            "of them in one call, with more --subjects.",
-        )
-
-
-def _write_scan(folder: Path, maps: dict[str, np.ndarray]) -> None:
-    for name, image in maps.items():
-        rows, columns, channels = image.shape
-        chunk = (min(CHUNK, rows), min(CHUNK, columns), channels)
-        # A shard holds a whole number of chunks; a small map is one shard.
-        shard = tuple(
-            min(SHARD, -(-size // part) * part)
-            for size, part in zip((rows, columns), chunk[:2], strict=True)
-        )
-        array = zarr.create_array(
-            folder / name,
-            shape=image.shape,
-            dtype="float32" if name == "position" else "float16",
-            chunks=chunk,
-            shards=(*shard, channels),
-            **written_whole(),
-        )
-        array[:] = image.astype(array.dtype)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import collections
 import concurrent.futures
 import dataclasses
-import os
 import threading
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +20,7 @@ from processing.frames.drafts import Draft, Marks, frames_path, read_marks, read
 from processing.frames.read import power_of_two, read_frames
 from processing.frames.small import SmallPictures
 from processing.frames.window import Window
+from processing.parallel import cores
 from processing.raw.region import find_window
 from processing.records import code_version, hash_of
 
@@ -301,7 +301,7 @@ def _in_threads(
             photograph.close()
         return name, Marks.joined(found)
 
-    threads = max(1, min(os.cpu_count() or 1, MOST_THREADS, len(wanted)))
+    threads = max(1, min(cores(), MOST_THREADS, len(wanted)))
     with concurrent.futures.ThreadPoolExecutor(threads) as pool:
         waiting = collections.deque(wanted)
         running = {pool.submit(develop, waiting.popleft()) for _ in range(threads) if waiting}

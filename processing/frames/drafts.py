@@ -130,7 +130,8 @@ def new_frames(
         }
         marks = {
             f"{kind} {name}": getattr(own, kind)
-            for name, own in draft.marks.items()
+            # Threads end in any order: the file's bytes must not tell it.
+            for name, own in sorted(draft.marks.items())
             for kind in ("places", "bits")
         }
         np.savez(beside / MARKS, **marks)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from lightstage.formats.processed import ProcessedFolder
+from processing.parallel import cores
 from processing.pixels import MAP_NAMES, PixelMaps, pasted
 
 MOST_AT_ONCE = 2
@@ -58,8 +58,7 @@ def write_refined(
         folder.write_view(camera_id, name, image)
         return kept
 
-    cores = len(os.sched_getaffinity(0))
-    with ThreadPoolExecutor(min(cores, MOST_AT_ONCE)) as pool:
+    with ThreadPoolExecutor(min(cores(), MOST_AT_ONCE)) as pool:
         kept = {field: pool.submit(write, field, name) for field, name in MAP_NAMES.items()}
         open_sky = pasted(mask, occlusion)
         open_sky[holes] = 1

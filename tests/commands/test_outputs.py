@@ -20,6 +20,10 @@ WITHOUT_OUTPUT = {
     "sim stage",
     "processing template check",  # but for --picture
     "processing evaluate",  # writes into the folder that it reads
+    "processing dataset add",  # writes into the store that it is given
+    "processing dataset remove",
+    "processing dataset list",
+    "processing dataset verify",
 }
 """Commands that name no output: a new command is listed here, or has one."""
 

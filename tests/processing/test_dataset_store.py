@@ -200,7 +200,7 @@ def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path, make_process
 
 def test_a_store_of_a_newer_version_is_refused(tmp_path: Path, make_processed: Make) -> None:
     out = build_store([make_processed(tmp_path / "a")], tmp_path / "store")
-    text = (out / "dataset.json").read_text().replace("realfacedb/1", "realfacedb/2")
+    text = (out / "dataset.json").read_text().replace("realfacedb/2", "realfacedb/3")
     (out / "dataset.json").write_text(text)
     with pytest.raises(LightstageError, match="newer"):
         open_store(out)
@@ -296,7 +296,9 @@ def test_a_store_that_lost_or_changed_a_part_is_told_and_not_read_as_zeros(
 ) -> None:
     roots = [make_processed(tmp_path / name, subject=name, seed=k) for k, name in enumerate("abc")]
     whole = build_store(roots, tmp_path / "store")
-    part = Path("scans") / "0001" / "diffuse_albedo" / "c" / "0" / "0" / "0"
+    part = (
+        Path("scans") / open_store(whole).scans[1].folder / "diffuse_albedo" / "c" / "0" / "0" / "0"
+    )
     data = (whole / part).read_bytes()
     for changed, said in (
         (None, r"diffuse_albedo: found 0 of its 1 parts"),

@@ -1,0 +1,354 @@
+"""Many sessions: batch on two workers against `run` in a row, with workers killed; a store.
+
+    python -m benchmarks.batch [run] [batch] [kills] [store]
+
+Parts keep their figures, so that they can be called one after the other; the tables are recorded as
+soon as all parts are there. The sessions are one simulated session under as many ids.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import heapq
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.folders import differences, holder
+from benchmarks.record import record
+from benchmarks.reflectance_people import folder as kept_folder
+from lightstage.formats.files import read_json, write_json
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.template import default_template_path
+from lightstage.rig import default_rig, save_rig
+from processing.batch import work
+from processing.batch.needs import SECONDS
+from processing.dataset import add_scan, build_store, open_store, verify_store
+from processing.pipeline import PipelineConfig
+from processing.records import RUN_LOCK, code_version, hash_folder
+
+SESSIONS = 4
+UNTIL = "separate"
+CAMERAS = ("cam0", "cam1", "cam2")
+ROWS_PX = 240
+KILLS = 3
+SCANS = 1400
+PARTS = ("run", "batch", "kills", "store")
+MACHINES = (1, 8, 64)
+WORKERS = 2
+"""Of a machine of 24 GiB and two cores, at 24 megapixels."""
+PROCESSOR_TO_WALL = 759 / 531
+"""Of RESULTS.md's session of nine views of 24 megapixels on two cores: with one core a worker, a
+stage takes its processor seconds."""
+VIEWS, RAW_GB, FRAMES_GB, MAPS_GB = 9, 0.34, 0.59, 0.30
+"""A view's photographs, decoded frames and maps."""
+DISK_GB: dict[str, float] = {
+    "decode": VIEWS * (2 * RAW_GB + FRAMES_GB),
+    "separate": VIEWS * (FRAMES_GB + MAPS_GB),
+    "reconstruct": VIEWS * FRAMES_GB,
+    "refine": VIEWS * (FRAMES_GB + 2 * MAPS_GB),
+    "register": 0.2,
+    "atlas": VIEWS * MAPS_GB + 0.6,
+}
+"""What a stage reads and writes; photographs are read twice, for their hashes and decoded."""
+DISKS_GB_S = (1.0, 5.0)
+
+
+def program(package: str, *words: object) -> subprocess.CompletedProcess[str]:
+    asked = [sys.executable, "-m", package, *map(str, words)]
+    return subprocess.run(asked, capture_output=True, text=True, check=False)
+
+
+def make_sessions(at: Path) -> list[Path]:
+    """One simulated session of three small views, under several ids."""
+    first = at / "sessions" / "s0"
+    if not first.exists():
+        rig = default_rig().scaled(ROWS_PX / 6016)
+        cameras = tuple(c for c in rig.cameras if c.id in CAMERAS)
+        rig = dataclasses.replace(rig, lights=rig.lights[::8], cameras=cameras)
+        words = ["session", "--subject", "P0", "--direct", "--rows", 192, "--scale", 1.0]
+        path = save_rig(rig, at / "rig.json")
+        made = program("sim", *words, "--rig", path, "--out", first)
+        assert made.returncode == 0, made.stderr
+    sessions = [first]
+    for index in range(1, SESSIONS):
+        copy = first.with_name(f"s{index}")
+        if not copy.exists():
+            shutil.copytree(first, copy)
+            value = read_json(copy / "session.json")
+            write_json(copy / "session.json", {**value, "id": f"s{index}", "subject": f"P{index}"})
+        sessions.append(copy)
+    return sessions
+
+
+def id_of(session: Path) -> str:
+    return str(read_json(session / "session.json")["id"])
+
+
+def part_run(at: Path) -> dict[str, Any]:
+    """As many calls of `run` in a row."""
+    out = at / "run"
+    shutil.rmtree(out, ignore_errors=True)
+    sessions = make_sessions(at)
+    began, spent = time.perf_counter(), processor_s()
+    for session in sessions:
+        words = ("run", session, "--out", out / id_of(session), "--until", UNTIL)
+        done = program("processing", *words)
+        assert done.returncode == 0, done.stderr
+    return {"run_s": time.perf_counter() - began, "run_cpu_s": processor_s() - spent}
+
+
+def processor_s() -> float:
+    """Processor seconds of all processes that this one started and that ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def batch(at: Path, out: Path) -> tuple[float, dict[str, Any]]:
+    words = ("batch", *make_sessions(at), "--out", out, "--until", UNTIL, "--workers", 2, "--json")
+    began = time.perf_counter()
+    done = program("processing", *words)
+    seconds = time.perf_counter() - began
+    assert done.returncode == 0, done.stderr
+    return seconds, dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def part_batch(at: Path) -> dict[str, Any]:
+    """The batch, the batch again with nothing to do, and a session that is up to date."""
+    out = at / "batch"
+    shutil.rmtree(out, ignore_errors=True)
+    spent = processor_s()
+    first, facts = batch(at, out)
+    spent = processor_s() - spent
+    again, nothing = batch(at, out)
+    template = default_template_path()
+    looks = []
+    for _ in range(5):
+        for session in make_sessions(at):
+            order = work.Order(
+                "b",
+                str(session),
+                str(out / id_of(session)),
+                str(template),
+                PipelineConfig(),
+                UNTIL,
+                2,
+                code_version(),
+                hash_folder(template),
+            )
+            began = time.perf_counter()
+            assert work.look(order).left == ()
+            looks.append(time.perf_counter() - began)
+    return {
+        "batch_s": first,
+        "batch_cpu_s": spent,
+        "stages": facts["stages_run"],
+        "again_s": again,
+        "again_stages": nothing["stages_run"],
+        "look_s": float(np.median(looks)),
+    }
+
+
+def part_kills(at: Path) -> dict[str, Any]:
+    """The batch while whoever works on a session drawn at random is killed again and again."""
+    out = at / "kills"
+    shutil.rmtree(out, ignore_errors=True)
+    locks = [out / id_of(session) / RUN_LOCK for session in make_sessions(at)]
+    ended = threading.Event()
+    killed: list[int] = []
+
+    def kill() -> None:
+        rng = random.Random(0)
+        struck: set[Path] = set()
+        while len(killed) < KILLS and not ended.wait(rng.uniform(1, 6)):
+            # A session twice at most: its third try must be let through.
+            held = [(lock, pid) for lock in locks if (pid := holder(lock)) and lock not in struck]
+            if held:
+                lock, pid = rng.choice(held)
+                struck.add(lock)
+                os.kill(pid, signal.SIGKILL)
+                killed.append(pid)
+
+    thread = threading.Thread(target=kill, daemon=True)
+    thread.start()
+    seconds, facts = batch(at, out)
+    ended.set()
+    different = [
+        f"{name}/{each}"
+        for name in map(id_of, make_sessions(at))
+        for each in differences(out / name, at / "run" / name)
+    ]
+    print("\n".join(different))
+    return {
+        "kills_s": seconds,
+        "kills": len(killed),
+        "lost": facts["sessions"] - facts["done"],
+        "different": len(different),
+    }
+
+
+def part_store(at: Path) -> dict[str, Any]:
+    """A store of 1,400 small scans: opened, added to, verified."""
+    shutil.rmtree(at / "store", ignore_errors=True)
+    shutil.rmtree(at / "people", ignore_errors=True)
+    folder = ProcessedFolder(at / "people" / "first")
+    rng = np.random.default_rng(0)
+    for name in ("diffuse_albedo", "diffuse_normal", "specular_normal", "position"):
+        folder.write_atlas(name, rng.random((48, 32, 3)))
+    for name in ("specular_albedo", "confidence", "skin"):
+        folder.write_atlas(name, rng.random((48, 32)) + 0.5)
+    write_json(folder.head_pose, {"head_from_world": np.eye(3, 4).tolist()})
+    people = []
+    for index in range(SCANS + 1):
+        person = at / "people" / f"{index:04d}"
+        person.mkdir()
+        (person / "atlas").symlink_to(folder.root / "atlas")
+        (person / folder.head_pose.name).symlink_to(folder.head_pose)
+        report = {"subject": f"P{index // 7:04d}", "expression": f"e{index % 7}", "consent": "C-1"}
+        write_json(person / "report.json", report)
+        people.append(person)
+    began = time.perf_counter()
+    store = build_store(people[:-1], at / "store")
+    build_s = time.perf_counter() - began
+    began = time.perf_counter()
+    opened = open_store(store)
+    open_s = time.perf_counter() - began
+    began = time.perf_counter()
+    add_scan(store, people[-1])
+    add_s = time.perf_counter() - began
+    began = time.perf_counter()
+    files, left = verify_store(store)
+    return {
+        "build_s": build_s,
+        "open_s": open_s,
+        "add_s": add_s,
+        "verify_s": time.perf_counter() - began,
+        "files": files,
+        "left": len(left),
+        "scans": len(opened.scans),
+        "list_mb": (store / "dataset.json").stat().st_size / 1e6,
+    }
+
+
+def simulate(machines: int, disk_gb_s: float, sessions: int = SCANS) -> float:
+    """Hours until all sessions are done: stages compute on their own core, then share one disk.
+
+    The disk gives each of n stages that use it the n-th part of its rate.
+    """
+    stages = [(PROCESSOR_TO_WALL * SECONDS[s][1], DISK_GB[s]) for s in SECONDS]
+    waiting = sessions
+    now, served = 0.0, 0.0  # `served`: GB that each stage at the disk has had since the beginning
+    computing: list[tuple[float, int]] = []
+    at_disk: list[tuple[float, int]] = []
+    for _ in range(min(machines * WORKERS, sessions)):
+        heapq.heappush(computing, (stages[0][0], 0))
+        waiting -= 1
+    while computing or at_disk:
+        rate = disk_gb_s / max(1, len(at_disk))
+        disk_at = now + (at_disk[0][0] - served) / rate if at_disk else float("inf")
+        if computing and computing[0][0] <= disk_at:
+            then, stage = heapq.heappop(computing)
+            served += (then - now) * rate if at_disk else 0.0
+            now = then
+            heapq.heappush(at_disk, (served + stages[stage][1], stage))
+            continue
+        served, stage = heapq.heappop(at_disk)
+        now = disk_at
+        if stage + 1 < len(stages):
+            heapq.heappush(computing, (now + stages[stage + 1][0], stage + 1))
+        elif waiting:
+            waiting -= 1
+            heapq.heappush(computing, (now + stages[0][0], 0))
+    return now / 3600
+
+
+def tables(f: dict[str, Any]) -> None:
+    """Record what was measured."""
+    share = f["batch_s"] / f["run_s"]
+    record(
+        "Batch: many sessions on two workers",
+        ("what", "measured", "target"),
+        [
+            (
+                f"{SESSIONS} calls of `run` in a row",
+                f"{f['run_s']:.0f} s, {f['run_cpu_s']:.0f} s of processor",
+                "",
+            ),
+            (
+                "batch on two workers",
+                f"{f['batch_s']:.0f} s, {share:.2f} of it; {f['batch_cpu_s']:.0f} s of processor",
+                ".60",
+            ),
+            (
+                f"batch, {f['kills']} workers killed at random",
+                f"{f['kills_s']:.0f} s, {f['lost']} lost, {f['different']} files different",
+                "0 lost, 0 different",
+            ),
+            (
+                "batch again, nothing to do",
+                f"{f['again_s']:.1f} s, {f['again_stages']} stages run",
+                "0 stages",
+            ),
+            ("a session that is up to date", f"{f['look_s']:.3f} s", ".2 s"),
+        ],
+        f"{SESSIONS} sessions of three views of 160 x {ROWS_PX}, `--until {UNTIL}`; one simulated "
+        "session under as many ids. Load average at the end "
+        f"{os.getloadavg()[0]:.1f}: other programs ran on the same two cores.",
+    )
+    record(
+        "Store: 1,400 small scans",
+        ("what", "measured", "target"),
+        [
+            (f"build, {f['scans']} scans of 48 x 32", f"{f['build_s']:.0f} s", ""),
+            (f"open ({f['list_mb']:.1f} MB of dataset.json)", f"{f['open_s']:.3f} s", "1 s"),
+            ("add one", f"{f['add_s']:.2f} s", ""),
+            (f"verify, {f['files']} files", f"{f['verify_s']:.1f} s", ""),
+        ],
+        "`open` reads the list alone; `add` writes its own scan and the list.",
+    )
+    rows = [
+        (machines, f"{disk:g}", f"{hours:.1f}", f"{hours / 24:.1f}")
+        for machines in MACHINES
+        for disk in DISKS_GB_S
+        for hours in [simulate(machines, disk)]
+    ]
+    record(
+        "Batch: 1,400 sessions of 24 megapixels, simulated",
+        ("machines of 2 cores and 24 GiB", "disk that they share, GB/s", "hours", "days"),
+        rows,
+        "Two workers a machine; a stage's processor seconds are those of the session of nine views "
+        f"below, its share of {sum(DISK_GB.values()):.0f} GB a session goes through one disk that "
+        "all share.",
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all where none is named")
+    asked = parser.parse_args().parts or PARTS
+    at = kept_folder() / "batch"
+    at.mkdir(parents=True, exist_ok=True)
+    figures = at / "figures.json"
+    known: dict[str, Any] = read_json(figures) if figures.exists() else {}
+    for name in asked:
+        known[name] = globals()[f"part_{name}"](at)
+        print(name, known[name], flush=True)
+        write_json(figures, known)
+    if set(known) == set(PARTS):
+        tables({key: value for part in known.values() for key, value in part.items()})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,306 @@
+"""Scans come into a store and go out of it, one by one or all at once."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import zarr
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.errors import LightstageError, one_error
+from lightstage.formats.consents import require_consents
+from lightstage.formats.files import atomic_folder, fsync_path, read_json, sha256_file, write_json
+from lightstage.formats.lock import locked
+from processing.dataset.arrays import written_whole
+from processing.dataset.contents import (
+    HISTORY,
+    RELEASES,
+    Entry,
+    read_entries,
+    require_fits,
+    sums_of,
+    write_entries,
+)
+from processing.dataset.scan import DatasetError, ScanEntry, read_scan
+from processing.dataset.store import CHUNK, DATASET, SCANS, SHARD, STORE, open_store
+
+LOCK = "store.lock"
+LOCK_S = 60.0
+"""Whoever changes dataset.json holds the lock for milliseconds."""
+SHARDS, SHARDS_SCHEMA = "shards.json", "lightstage.shards/1"
+BESIDE = ".adding-"
+"""Begins the name of a scan that is being written, in `scans`."""
+FOLDER_DIGITS = 16
+
+
+def build_store(processed: Sequence[Path], out: Path, progress: ProgressCallback = quiet) -> Path:
+    """Gather the atlas maps of processed folders into one store.
+
+    Every folder is read and checked before anything is said; on an error nothing is left behind.
+
+    Args:
+        processed: folders with atlas/, head_from_world.json and report.json (subject, expression,
+            and the id of the record of the person's consent where there is one).
+        out: the store's folder; an older store there is replaced.
+        progress: called after each folder.
+
+    Returns:
+        `out`.
+
+    Raises:
+        FormatError, DatasetError: no folder, something that is no processed folder, a missing map,
+            maps or atlases of different size, NaN, a missing or not rigid head_from_world, a folder
+            given twice, a scan of the same files, a pseudonym of two people; all in one message.
+    """
+    if not processed:
+        raise DatasetError(
+            "dataset build",
+            found="no processed folder among what was named",
+            expected="at least one",
+            hint="Name folders that `lightstage-processing run` made, as P/*.",
+        )
+    problems: list[LightstageError] = []
+    entries: list[Entry] = []
+    known: dict[str, ScanEntry] = {}
+    with atomic_folder(out, DATASET, STORE) as beside:
+        for index, root in enumerate(processed):
+            try:
+                if root.resolve() in {p.resolve() for p in processed[:index]}:
+                    raise DatasetError(root, found="the same folder twice", expected="once")
+                entry, maps = read_scan(root)
+                require_fits(root, entry, known)
+                known[str(root)] = entry
+                if not problems:
+                    entries.append(_written(beside, entry, maps))
+            except LightstageError as error:
+                problems.append(error)
+            progress(index + 1, len(processed))
+        if problems:
+            raise one_error(problems)
+        # What training and releases were made of is known also after a store was built again.
+        for name in (HISTORY, RELEASES):
+            if (out / name).is_file():
+                shutil.copy(out / name, beside / name)
+        write_entries(beside, entries)
+    return out
+
+
+def add_scan(store: Path, root: Path, consents: Path | None = None) -> str:
+    """Add a processed folder to a store; other processes may read it and add to it meanwhile.
+
+    No other scan is read. The scan is written beside the others, and is in the store as soon as
+    dataset.json, which is replaced in one step, lists it.
+
+    Args:
+        store: its folder.
+        root: the processed folder.
+        consents: the lab's registry, where there is one: research must be agreed to.
+
+    Returns:
+        The scan's name in the store.
+
+    Raises:
+        FormatError, DatasetError: as `build_store`, or a store of an earlier version.
+    """
+    _require_store(store)
+    entry, maps = read_scan(root)
+    if not entry.synthetic:
+        require_consents(consents, "research", {f"{entry.subject} in {root}": entry.consent})
+    require_fits(root, entry, _named(store, read_entries(store)))
+    beside = store / SCANS / f"{BESIDE}{secrets.token_hex(4)}"
+    try:
+        made = _written(store, entry, maps, beside.name)
+        made = dataclasses.replace(made, folder=folder_of(entry))
+        # On the disk before the list tells of them.
+        for path in beside.rglob("*"):
+            fsync_path(path)
+        with _changing(store):
+            before = read_entries(store)
+            require_fits(root, entry, _named(store, before))
+            place = store / SCANS / made.folder
+            if place.exists():
+                # In no list: somebody who was adding it, or removing it, was killed.
+                _discard(place)
+            os.replace(beside, place)
+            fsync_path(place.parent)
+            write_entries(store, [*before, made], before)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    return made.folder
+
+
+def remove_scans(store: Path, names: Sequence[str]) -> list[Entry]:
+    """Take scans out of a store: first off the list, then off the disk.
+
+    Args:
+        store: its folder.
+        names: of scans, as `Scan.folder` has them.
+
+    Returns:
+        What was removed.
+
+    Raises:
+        DatasetError: a name that no scan has, or the last scan.
+    """
+    _require_store(store)
+    with _changing(store):
+        before = read_entries(store)
+        there = {entry.folder for entry in before}
+        unknown = [name for name in dict.fromkeys(names) if name not in there]
+        if unknown:
+            raise DatasetError(
+                store,
+                field="scan",
+                found=", ".join(map(repr, unknown[:5])),
+                expected="names of scans in it",
+                hint=f"`lightstage-processing dataset list {store}` shows them.",
+            )
+        gone = [entry for entry in before if entry.folder in names]
+        left = [entry for entry in before if entry.folder not in names]
+        if not left:
+            raise DatasetError(
+                store,
+                found="no scan that would be left",
+                expected="at least one",
+                hint="Remove the store's folder itself.",
+            )
+        write_entries(store, left, before)
+        for entry in gone:
+            _discard(store / SCANS / entry.folder)
+    return gone
+
+
+def verify_store(store: Path, progress: ProgressCallback = quiet) -> tuple[int, list[str]]:
+    """Hold every file of every scan against its hash.
+
+    Args:
+        store: its folder.
+        progress: called after each scan.
+
+    Returns:
+        Files that were compared, and what else lies in `scans`: left by somebody who was killed.
+
+    Raises:
+        DatasetError: all files that are missing, changed or not of the store, in one message.
+    """
+    entries = read_entries(store)
+    problems: list[LightstageError] = []
+    files = 0
+    for index, entry in enumerate(entries):
+        try:
+            files += _verify_scan(store / SCANS / entry.folder, entry)
+        except LightstageError as error:
+            problems.append(error)
+        progress(index + 1, len(entries))
+    if problems:
+        raise one_error(problems)
+    own = {entry.folder for entry in entries}
+    return files, sorted(p.name for p in (store / SCANS).iterdir() if p.name not in own)
+
+
+def folder_of(entry: ScanEntry) -> str:
+    """A scan's name in a store: it tells nothing of the person, and is the same in every store."""
+    # Two people's scans of the same files are two scans.
+    said = "\0".join((entry.subject, entry.expression, entry.sha256))
+    return hashlib.sha256(said.encode()).hexdigest()[:FOLDER_DIGITS]
+
+
+def _require_store(store: Path) -> None:
+    """Refuse what is no store with the messages of `open_store`."""
+    open_store(store)
+
+
+def _named(store: Path, entries: Sequence[Entry]) -> dict[str, ScanEntry]:
+    return {f"scan {entry.folder} of {store}": entry.scan for entry in entries}
+
+
+@contextlib.contextmanager
+def _changing(store: Path) -> Iterator[None]:
+    busy = DatasetError(
+        store,
+        found=f"a store that another process has been changing for {LOCK_S:g} s",
+        expected="one that is free",
+        hint="Wait until that process has ended.",
+    )
+    with locked(store / LOCK, busy, wait_s=LOCK_S):
+        yield
+
+
+def _discard(folder: Path) -> None:
+    """Remove a scan's folder: in one step it is no scan any more."""
+    away = folder.with_name(f"{BESIDE}{secrets.token_hex(4)}")
+    with contextlib.suppress(FileNotFoundError):
+        os.replace(folder, away)
+    shutil.rmtree(away, ignore_errors=True)
+
+
+def _written(
+    store: Path, entry: ScanEntry, maps: dict[str, np.ndarray], name: str | None = None
+) -> Entry:
+    """Write a scan's arrays and the hashes of their files."""
+    folder = store / SCANS / (name or folder_of(entry))
+    for each, image in maps.items():
+        _write_map(folder / each, each, image)
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    shards = {str(path.relative_to(folder)): sha256_file(path) for path in files}
+    listed = write_json(folder / SHARDS, {"schema": SHARDS_SCHEMA, "files": shards})
+    return Entry(entry, folder.name, sha256_file(listed), sums_of(maps))
+
+
+def _write_map(path: Path, name: str, image: np.ndarray) -> None:
+    rows, columns, channels = image.shape
+    chunk = (min(CHUNK, rows), min(CHUNK, columns), channels)
+    # A shard holds a whole number of chunks; a small map is one shard.
+    shard = tuple(
+        min(SHARD, -(-size // part) * part)
+        for size, part in zip((rows, columns), chunk[:2], strict=True)
+    )
+    array = zarr.create_array(
+        path,
+        shape=image.shape,
+        dtype="float32" if name == "position" else "float16",
+        chunks=chunk,
+        shards=(*shard, channels),
+        **written_whole(),
+    )
+    array[:] = image.astype(array.dtype)
+
+
+def _verify_scan(folder: Path, entry: Entry) -> int:
+    """Compare a scan's files; returns how many."""
+    listed = folder / SHARDS
+    if not listed.is_file() or sha256_file(listed) != entry.shards_sha256:
+        found = "another list of hashes" if listed.is_file() else "no list of hashes"
+        raise DatasetError(listed, found=found, expected="the one that was written", hint=_LACKING)
+    known: dict[str, str] = read_json(listed, SHARDS_SCHEMA)["files"]
+    there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()} - {
+        SHARDS
+    }
+    wrong = [f"{name} is missing" for name in sorted(known.keys() - there)]
+    wrong += [f"{name} is not of the store" for name in sorted(there - known.keys())]
+    wrong += [
+        f"{name} has changed"
+        for name in sorted(known.keys() & there)
+        if sha256_file(folder / name) != known[name]
+    ]
+    if wrong:
+        said = "; ".join(wrong[:4]) + (f"; and {len(wrong) - 4} more" if len(wrong) > 4 else "")
+        raise DatasetError(
+            folder,
+            field=f"{entry.scan.subject}, {entry.scan.expression}",
+            found=said,
+            expected="the files that were written",
+            hint=_LACKING,
+        )
+    return len(known)
+
+
+_LACKING = "Remove this scan and add it again, or copy the store again from where it is whole."

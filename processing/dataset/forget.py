@@ -1,0 +1,472 @@
+"""Taking a person out of a lab's folders: what is theirs, what held them, and the proof.
+
+A plan is written before the first file goes, and kept until the last one has: a call that was
+interrupted goes on with it. What is removed is known by its hash, so that a copy somewhere else is
+found too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import os
+import re
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from lightstage.commands import ProgressCallback, quiet
+from lightstage.formats.files import read_json, sha256_file, write_json
+from lightstage.formats.lock import locked
+from lightstage.formats.processed import ProcessedFolder
+from lightstage.formats.values import read_lines
+from processing.dataset.changes import BESIDE, remove_scans
+from processing.dataset.contents import RELEASES, now_utc, scans_of_fingerprint
+from processing.dataset.scan import DatasetError, scan_digest
+from processing.dataset.store import DATASET, PUBLISHED, SCANS, STORE
+from processing.errors import ProcessingError
+from processing.records import RUN_LOCK
+
+SCHEMA, PROOF_SCHEMA = "lightstage.forget/1", "lightstage.forgotten/1"
+PERSONAL = frozenset(
+    f".{name}"
+    for name in (
+        *("exr", "dng", "nef", "cr2", "cr3", "arw", "raf", "pef", "jpg", "jpeg", "png"),
+        *("tif", "tiff", "ply", "obj"),
+    )
+)
+"""Suffixes of files that show a person: a copy of one elsewhere is the person's too."""
+SHARED = "calibration"
+"""A session's folder of what it has in common with other sessions."""
+TEXT = frozenset(
+    ["", *(f".{n}" for n in ("json", "jsonl", "toml", "txt", "csv", "tsv", "html", "md", "log"))]
+)
+TEXT_BYTES = 1 << 26
+LEFT_BESIDE = re.compile(r"\.(?P<stem>.+)\.[0-9a-f]{8}(\..+)?")
+BATCH_LISTS = ("batch.json", "batch.html")
+KINDS = ("session", "processed folder", "left by a killed process", "list of a batch", "copy")
+
+
+@dataclasses.dataclass
+class Found:
+    """What there is of a person in some folders.
+
+    Attributes:
+        removed: paths that go, by what they are (`KINDS`).
+        scans: by store, the names of the person's scans; `whole` where the store has no others.
+        whole: stores that go as a whole.
+        scan_sha256: of the person's scans, as stores and releases know them.
+        published: releases that held the person.
+        checkpoints: that were trained on a store that held the person.
+        hashes: SHA-256 of files that show the person, to their size.
+    """
+
+    removed: dict[str, list[str]] = dataclasses.field(default_factory=dict)
+    scans: dict[str, list[str]] = dataclasses.field(default_factory=dict)
+    whole: list[str] = dataclasses.field(default_factory=list)
+    scan_sha256: list[str] = dataclasses.field(default_factory=list)
+    published: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    checkpoints: list[str] = dataclasses.field(default_factory=list)
+    hashes: dict[str, int] = dataclasses.field(default_factory=dict)
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is to be removed."""
+        return not (any(self.removed.values()) or self.scans or self.whole)
+
+    def add(self, kind: str, path: Path) -> None:
+        """Note a path that goes."""
+        listed = self.removed.setdefault(kind, [])
+        if str(path) not in listed:
+            listed.append(str(path))
+
+    def joined(self, other: Found) -> Found:
+        """What both know: an interrupted call's plan, and what is there now."""
+        both = Found(whole=sorted({*self.whole, *other.whole}))
+        for kind in KINDS:
+            for path in (*self.removed.get(kind, []), *other.removed.get(kind, [])):
+                both.add(kind, Path(path))
+        for store in {**self.scans, **other.scans}:
+            both.scans[store] = other.scans.get(store, [])
+        both.scan_sha256 = sorted({*self.scan_sha256, *other.scan_sha256})
+        known = {str(each["out"]) + str(each["utc"]): each for each in self.published}
+        both.published = list(
+            (known | {str(e["out"]) + str(e["utc"]): e for e in other.published}).values()
+        )
+        both.checkpoints = sorted({*self.checkpoints, *other.checkpoints})
+        both.hashes = {**self.hashes, **other.hashes}
+        return both
+
+
+def plan_path(out: Path, subject: str) -> Path:
+    """Where the plan of a person lies while it is carried out."""
+    return out / f"forget-{hashlib.sha256(subject.encode()).hexdigest()[:12]}.json"
+
+
+def survey(
+    subject: str, folders: Sequence[Path], hashed: bool, progress: ProgressCallback = quiet
+) -> Found:
+    """Find everything of a person, and change nothing.
+
+    Args:
+        subject: the pseudonym.
+        folders: where to look, with all that lies in them.
+        hashed: hash every file that shows the person; otherwise only those that a file of the same
+            size elsewhere may be a copy of.
+        progress: called after each of the person's folders.
+
+    Raises:
+        DatasetError: a folder that is not there.
+        FormatError: a file of ours that cannot be read: whose it is cannot be told.
+    """
+    for folder in folders:
+        if not folder.is_dir():
+            raise DatasetError(folder, field="--in", found="no such folder", expected="a folder")
+    found = Found()
+    others: list[Path] = []
+    processed: list[Path] = []
+    stores: list[Path] = []
+    checkpoints: list[tuple[Path, str]] = []
+    for path, names in _walked(folders):
+        kind = _kind(path, names)
+        if kind in ("session", "processed folder"):
+            whose = _subject(path, names)
+            if whose == subject:
+                found.add(kind, path)
+            elif kind == "processed folder":
+                processed.append(path)
+        elif kind == STORE:
+            stores.append(path)
+        elif kind == "checkpoint":
+            checkpoints.append(
+                (path, str(read_json(path / "checkpoint.json").get("data_fingerprint")))
+            )
+        if BATCH_LISTS[0] in names and _names(path / BATCH_LISTS[0], subject):
+            for name in BATCH_LISTS:
+                if (path / name).exists():
+                    found.add("list of a batch", path / name)
+        if kind is None:
+            others += [path / name for name in names]
+    own = [Path(p) for kind in KINDS[:2] for p in found.removed.get(kind, [])]
+    for path in own:
+        for beside in path.parent.glob(".*"):
+            match = LEFT_BESIDE.fullmatch(beside.name)
+            if match and match["stem"] == path.name:
+                found.add("left by a killed process", beside)
+    _of_stores(subject, stores, own, found)
+    _holders(stores, checkpoints, found)
+    _hash_own(own, others, found, hashed, progress)
+    _leave_common(processed, found)
+    _copies(others, found)
+    return found
+
+
+def _walked(folders: Sequence[Path]) -> Iterator[tuple[Path, list[str]]]:
+    """Every folder with the names of its files; what lies in one of ours belongs to it."""
+    seen: set[Path] = set()
+    for folder in folders:
+        for root, below, names in os.walk(folder.resolve()):
+            path = Path(root)
+            if path in seen:
+                below[:] = []
+                continue
+            seen.add(path)
+            below.sort()
+            yield path, sorted(names)
+            if _kind(path, names) in ("session", "processed folder", STORE, PUBLISHED):
+                below[:] = []
+
+
+def _kind(path: Path, names: Sequence[str]) -> str | None:
+    """What a folder is by the files in it; None for what is none of ours."""
+    if "session.json" in names or "journal.jsonl" in names:
+        return "session"
+    if DATASET in names:
+        kind = read_json(path / DATASET).get("kind")
+        return kind if kind in (STORE, PUBLISHED) else None
+    if "stages.json" in names or "report.json" in names:
+        return "processed folder"
+    return "checkpoint" if "checkpoint.json" in names else None
+
+
+def _subject(path: Path, names: Sequence[str]) -> str | None:
+    """Whose session or processed folder it is; None where it does not tell."""
+    if "session.json" in names:
+        return _text(read_json(path / "session.json"), "subject")
+    if "journal.jsonl" in names:
+        lines = read_lines(path / "journal.jsonl")
+        return next((_text(line, "subject") for line in lines if _text(line, "subject")), None)
+    told = None
+    if "stages.json" in names:
+        told = _text(read_json(path / "stages.json").get("made_from"), "subject")
+    if told is None and "report.json" in names:
+        told = _text(read_json(path / "report.json"), "subject")
+    return told
+
+
+def _text(value: Any, key: str) -> str | None:
+    said = value.get(key) if isinstance(value, dict) else None
+    return said if isinstance(said, str) else None
+
+
+def _of_stores(subject: str, stores: list[Path], own: list[Path], found: Found) -> None:
+    digests = set()
+    for store in stores:
+        scans = read_json(store / DATASET).get("scans", [])
+        theirs = [scan for scan in scans if _text(scan, "subject") == subject]
+        digests |= {str(scan.get("sha256")) for scan in theirs}
+        if theirs and len(theirs) == len(scans):
+            found.whole.append(str(store))
+        elif theirs:
+            found.scans[str(store)] = [str(scan.get("folder", "")) for scan in theirs]
+        if theirs:
+            for path in sorted((store / SCANS).glob(f"{BESIDE}*")):
+                found.add("left by a killed process", path)
+    for path in own:
+        with contextlib.suppress(OSError):  # of a folder without an atlas no scan was made
+            digests.add(scan_digest(ProcessedFolder(path)))
+    found.scan_sha256 = sorted(digests)
+
+
+def _holders(stores: list[Path], checkpoints: list[tuple[Path, str]], found: Found) -> None:
+    """Releases and checkpoints that held the person, as the stores' records tell."""
+    theirs = set(found.scan_sha256)
+    held: set[str] = set()
+    for store in stores:
+        for fingerprint, scans in scans_of_fingerprint(store).items():
+            if scans & theirs:
+                held.add(fingerprint)
+        value = read_json(store / DATASET)
+        if any(_text(scan, "sha256") in theirs for scan in value.get("scans", [])):
+            held.add(str(value.get("fingerprint")))
+        for line in read_lines(store / RELEASES) if (store / RELEASES).is_file() else []:
+            if isinstance(line, dict) and theirs & set(line.get("scans", [])):
+                found.published.append({k: v for k, v in line.items() if k != "scans"})
+    found.checkpoints = sorted(
+        str(path) for path, fingerprint in checkpoints if fingerprint in held
+    )
+
+
+def _hash_own(
+    own: list[Path],
+    others: list[Path],
+    found: Found,
+    hashed: bool,
+    progress: ProgressCallback,
+) -> None:
+    """Hash what shows the person; without `hashed` only what may have a copy elsewhere."""
+    sizes = {path.stat().st_size for path in others if path.is_file()}
+    for index, folder in enumerate(own):
+        for path in personal_files(folder):
+            size = path.stat().st_size
+            if size and (hashed or size in sizes):
+                found.hashes[sha256_file(path)] = size
+        progress(index + 1, len(own))
+
+
+def _leave_common(processed: list[Path], found: Found) -> None:
+    """Forget hashes of files that other people's processed folders have too: they show nobody."""
+    sizes = set(found.hashes.values())
+    for folder in processed:
+        for path in personal_files(folder):
+            if path.stat().st_size in sizes:
+                found.hashes.pop(sha256_file(path), None)
+
+
+def _copies(others: list[Path], found: Found) -> None:
+    """Find the same bytes in folders that are none of ours: what a card left, a copy."""
+    gone = {Path(p) for paths in found.removed.values() for p in paths}
+    sizes = set(found.hashes.values())
+    for path in others:
+        if path.suffix.lower() not in PERSONAL or gone & {path, *path.parents}:
+            continue
+        if path.is_file() and path.stat().st_size in sizes and sha256_file(path) in found.hashes:
+            found.add("copy", path)
+
+
+def personal_files(folder: Path) -> list[Path]:
+    """Files of a session or processed folder that show its person."""
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in PERSONAL
+        and path.is_file()
+        and SHARED not in path.relative_to(folder).parts
+    )
+
+
+def forget(
+    subject: str,
+    folders: Sequence[Path],
+    out: Path,
+    progress: ProgressCallback = quiet,
+) -> tuple[Found, dict[str, list[str]], Path]:
+    """Remove everything of a person, search what is left, and write the proof.
+
+    Args:
+        subject: the pseudonym.
+        folders: where to look.
+        out: folder for the plan and the proof; it must lie in none of the person's folders.
+        progress: called after each path that went.
+
+    Returns:
+        What was found, what is left by how it was found, and the proof.
+
+    Raises:
+        DatasetError: nobody of this pseudonym; ProcessingError: a folder that is in use.
+    """
+    plan = plan_path(out, subject)
+    found = survey(subject, folders, True)
+    begun = now_utc()
+    if plan.is_file():
+        value = read_json(plan, SCHEMA)
+        begun = str(value["begun_utc"])
+        found = Found(**value["found"]).joined(found)
+    require_somebody(subject, folders, found)
+    where = out.resolve()
+    for path in [p for each in found.removed.values() for p in each] + found.whole:
+        if where.is_relative_to(path):
+            raise ProcessingError(
+                out, field="--out", found=f"a folder in {path}, which goes", expected="another one"
+            )
+    write_json(
+        plan,
+        {
+            "schema": SCHEMA,
+            "subject": subject,
+            "begun_utc": begun,
+            "found": dataclasses.asdict(found),
+        },
+    )
+    _remove(found, progress)
+    left = what_is_left(subject, folders, found, plan)
+    proof = plan.with_name(plan.name.replace("forget-", "forgotten-"))
+    write_json(
+        proof,
+        {
+            "schema": PROOF_SCHEMA,
+            "subject": subject,
+            "begun_utc": begun,
+            "done_utc": now_utc(),
+            "searched": [str(folder.resolve()) for folder in folders],
+            **dataclasses.asdict(found),
+            "left": left,
+        },
+    )
+    plan.unlink()
+    return found, left, proof
+
+
+def require_somebody(subject: str, folders: Sequence[Path], found: Found) -> None:
+    """Refuse a pseudonym of which there is nothing."""
+    if found.empty:
+        raise DatasetError(
+            "dataset forget",
+            field="SUBJECT",
+            found=f"nothing of {subject!r} in {', '.join(map(str, folders))}",
+            expected="the pseudonym of somebody who is there",
+            hint="Look for a typing error, or name more folders with --in.",
+        )
+
+
+def _remove(found: Found, progress: ProgressCallback) -> None:
+    paths = [Path(path) for kind in KINDS for path in found.removed.get(kind, [])]
+    paths += [Path(path) for path in found.whole]
+    total = len(paths) + len(found.scans)
+    done = 0
+    with contextlib.ExitStack() as stack:
+        # All locks before the first file goes: a run that works on one of them is not disturbed.
+        for path in map(Path, found.removed.get("processed folder", [])):
+            if path.is_dir():
+                busy = ProcessingError(
+                    path,
+                    found="a folder that a run is writing to",
+                    expected="one that is at rest",
+                    hint="Wait until that run has ended, and call this again.",
+                )
+                stack.enter_context(locked(path / RUN_LOCK, busy))
+        for store, names in found.scans.items():
+            if names:
+                remove_scans(Path(store), names)
+            done += 1
+            progress(done, total)
+        for path in paths:
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+            done += 1
+            progress(done, total)
+
+
+def what_is_left(
+    subject: str, folders: Sequence[Path], found: Found, plan: Path
+) -> dict[str, list[str]]:
+    """Files that show the person, by their hash, or name the person, by the pseudonym.
+
+    Args:
+        subject: the pseudonym, looked for as a word in names of files and in text.
+        folders: where to look.
+        found: what was removed.
+        plan: passed over: it says who is to be forgotten.
+
+    Returns:
+        `by_hash` and `by_pseudonym`: paths.
+    """
+    sizes = set(found.hashes.values())
+    left: dict[str, list[str]] = {"by_hash": [], "by_pseudonym": []}
+    seen: set[Path] = set()
+    recorded: dict[Path, str] = {}
+    for folder in folders:
+        for path in sorted(folder.resolve().rglob("*")):
+            if path in seen or path == plan.resolve() or path.name.startswith("forgotten-"):
+                continue
+            seen.add(path)
+            if _word(subject).search(path.name) or _names(path, subject):
+                left["by_pseudonym"].append(str(path))
+            if path.is_dir() and (path / "session.json").is_file():
+                recorded |= _recorded(path)
+            plain = path.is_file() and not path.is_symlink()
+            if not (plain and path.stat().st_size in sizes):
+                continue
+            if (recorded.get(path) or sha256_file(path)) in found.hashes:
+                left["by_hash"].append(str(path))
+    return left
+
+
+def _recorded(session: Path) -> dict[Path, str]:
+    """Hashes of a session's photographs as it has them: RAW files of all people are of one size."""
+    frames = read_json(session / "session.json").get("frames", [])
+    return {session / str(f["path"]): str(f["sha256"]) for f in frames if isinstance(f, dict)}
+
+
+def _word(subject: str) -> re.Pattern[str]:
+    return re.compile(rf"(?<![\w-]){re.escape(subject)}(?![\w-])")
+
+
+def _names(path: Path, subject: str) -> bool:
+    """Whether a text file says a pseudonym."""
+    if path.suffix.lower() not in TEXT or path.is_symlink() or not path.is_file():
+        return False
+    if path.stat().st_size > TEXT_BYTES:
+        return False
+    return bool(_word(subject).search(path.read_text("utf-8", errors="replace")))
+
+
+def said_of(found: Found) -> list[str]:
+    """What was found, a line each."""
+    lines = [f"{kind}: {path}" for kind in KINDS for path in found.removed.get(kind, [])]
+    lines += [
+        f"store: {', '.join(names)} of {store}" for store, names in found.scans.items() if names
+    ]
+    lines += [f"store, which holds nobody else: {path}" for path in found.whole]
+    lines += [
+        f"stays, and held the person: {each['out']}, published on {each['utc']}"
+        for each in found.published
+    ]
+    lines += [
+        f"stays, and was trained on the person: {path}; train anew" for path in found.checkpoints
+    ]
+    return lines

@@ -1,0 +1,126 @@
+"""The files of a release: one zarr group, or tars in the naming of webdataset; their checksums.
+
+    PUB/patches-000000.tar      0000000.diffuse_albedo.npy, 0000000.specular_albedo.npy, ...
+
+What stands before the first dot is a patch's number, what follows is the map. All files of a map
+have one size, and no file tells a time or an owner: neither says which patches belong together.
+"""
+
+from __future__ import annotations
+
+import io
+import tarfile
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import zarr
+
+from lightstage.formats.files import sha256_file, write_json
+from processing.dataset.arrays import written_whole
+
+CHANNELS: dict[str, int] = {
+    "diffuse_albedo": 3,
+    "specular_albedo": 1,
+    "diffuse_normal": 3,
+    "specular_normal": 3,
+    "shape": 3,
+}
+AXES = ("patch", "row", "column", "channel")
+FORMS = ("zarr", "webdataset")
+TAR_PATCHES = 256
+"""Patches of a tar."""
+CHECKSUMS, CHECKSUMS_SCHEMA = "checksums.json", "lightstage.checksums/1"
+
+
+def kind_of(name: str) -> type[np.floating[Any]]:
+    """The numbers of a published map."""
+    return np.float32 if name == "shape" else np.float16
+
+
+class ReleaseWriter(Protocol):
+    """Takes patches in the order of the release."""
+
+    def write(self, first: int, blocks: Mapping[str, np.ndarray]) -> None:
+        """Write patches from number `first` on: by map (n, size, size, channels) float32."""
+
+    def close(self) -> None:
+        """Write what is left."""
+
+
+class ZarrRelease:
+    """One zarr group with an array a map."""
+
+    def __init__(self, folder: Path, count: int, size: int, shard_patches: int) -> None:
+        """A group for `count` patches of `size` texels, so many in a file."""
+        self._folder = folder
+        group = zarr.create_group(folder, zarr_format=3, attributes={"about": "dataset.json"})
+        self._arrays = {
+            name: group.create_array(
+                name,
+                shape=(count, size, size, channels),
+                dtype=np.dtype(kind_of(name)).name,
+                chunks=(1, size, size, channels),
+                shards=(min(shard_patches, count), size, size, channels),
+                dimension_names=AXES,
+                **written_whole(),
+            )
+            for name, channels in CHANNELS.items()
+        }
+
+    def write(self, first: int, blocks: Mapping[str, np.ndarray]) -> None:
+        """See `ReleaseWriter`."""
+        for name, block in blocks.items():
+            self._arrays[name][first : first + len(block)] = block.astype(kind_of(name))
+
+    def close(self) -> None:
+        """Put the arrays' metadata into the group's, so that readers need not list the folder.
+
+        Listing it, zarr warns of dataset.json, which is no part of the group.
+        """
+        with warnings.catch_warnings():
+            # It says that the format's text does not define this yet; readers without it list.
+            warnings.simplefilter("ignore")
+            zarr.consolidate_metadata(self._folder)
+
+
+class TarRelease:
+    """Tars of `TAR_PATCHES` patches each."""
+
+    def __init__(self, folder: Path) -> None:
+        """Tars in a folder that is there."""
+        self._folder = folder
+        self._tar: tarfile.TarFile | None = None
+
+    def write(self, first: int, blocks: Mapping[str, np.ndarray]) -> None:
+        """See `ReleaseWriter`."""
+        for index in range(len(blocks["shape"])):
+            number = first + index
+            if number % TAR_PATCHES == 0 or self._tar is None:
+                self.close()
+                name = f"patches-{number // TAR_PATCHES:06d}.tar"
+                path = self._folder / name
+                self._tar = tarfile.TarFile(path, "w", format=tarfile.USTAR_FORMAT)
+            for each in CHANNELS:
+                data = io.BytesIO()
+                np.save(data, np.ascontiguousarray(blocks[each][index].astype(kind_of(each))))
+                # Its time, owner and group are 0 and nobody's until somebody sets them.
+                member = tarfile.TarInfo(f"{number:07d}.{each}.npy")
+                member.size = data.tell()
+                data.seek(0)
+                self._tar.addfile(member, data)
+
+    def close(self) -> None:
+        """End the last tar."""
+        if self._tar is not None:
+            self._tar.close()
+            self._tar = None
+
+
+def write_checksums(folder: Path) -> Path:
+    """Write checksums.json: the SHA-256 of every other file of a release."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    sums = {str(path.relative_to(folder)): sha256_file(path) for path in files}
+    return write_json(folder / CHECKSUMS, {"schema": CHECKSUMS_SCHEMA, "files": sums})

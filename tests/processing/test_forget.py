@@ -1,0 +1,196 @@
+"""A person is taken out of all folders, nobody else is touched, and what is left is told."""
+
+from __future__ import annotations
+
+import functools
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lightstage.errors import LightstageError
+from lightstage.formats.files import write_json
+from lightstage.formats.lock import locked
+from processing.dataset import PublishConfig, build_store, forget, open_store, publish
+from processing.records import RUN_LOCK
+from tests.processing import lit_ball
+from tests.processing.lit_ball import Ball
+
+WHO = "person-1"
+
+
+@pytest.fixture(scope="module")
+def lab_made(tmp_path_factory: pytest.TempPathFactory, make_processed: Callable[..., Path]) -> Path:
+    """Sessions, processed folders, a store, a release and two checkpoints of three people."""
+    lab = tmp_path_factory.mktemp("made") / "lab"
+    people = []
+    for i in range(3):
+        who = f"person-{i}"
+        ball = Ball(albedo=(0.5, 0.3, 0.1 + 0.1 * i))
+        session = lit_ball.write_session(ball, lit_ball.small_rig(1, 0.015), lab / "S" / f"s{i}")
+        value = json.loads((session / "session.json").read_text())
+        write_json(session / "session.json", {**value, "subject": who, "id": f"s{i}"})
+        people.append(make_processed(lab / "P" / f"p{i}", subject=who, seed=i, rows=48, columns=32))
+    store = build_store(people, lab / "store")
+    fingerprint = open_store(store).fingerprint
+    publish(open_store(store), lab / "published", config=PublishConfig(patch_px=4))
+    for name, held in (("run", fingerprint), ("other run", "f" * 64)):
+        (lab / name).mkdir()
+        write_json(lab / name / "checkpoint.json", {"data_fingerprint": held})
+    return lab
+
+
+@pytest.fixture
+def lab(lab_made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(lab_made, tmp_path / "lab"))
+
+
+@pytest.fixture
+def command(run_command: Callable[..., Any]) -> Callable[..., Any]:
+    return functools.partial(run_command, "processing", "dataset", "forget")
+
+
+def names_in(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def test_a_dry_run_lists_everything_and_changes_nothing(
+    lab: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    before = names_in(lab)
+    ended = command(WHO, "--in", lab, "--out", tmp_path / "office")
+    assert ended.code == 0, ended.err
+    scan = next(s.folder for s in open_store(lab / "store").scans if s.subject == WHO)
+    for said in (
+        f"session: {lab / 'S' / 's1'}",
+        f"processed folder: {lab / 'P' / 'p1'}",
+        f"store: {scan} of {lab / 'store'}",
+        "/published, published on",
+        f"trained on the person: {lab / 'run'}",
+        "Nothing was removed",
+    ):
+        assert said in ended.out
+    assert "other run" not in ended.out
+    assert "s0" not in ended.out
+    assert names_in(lab) == before
+    assert not (tmp_path / "office").exists()
+
+
+def test_everything_of_a_person_goes_and_nothing_of_another(
+    lab: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    scans = open_store(lab / "store").scans
+    theirs = f"store/scans/{scans[1].folder}"
+    expected = {
+        name
+        for name in names_in(lab)
+        if not any(name == own or name.startswith(f"{own}/") for own in ("S/s1", "P/p1", theirs))
+    }
+    ended = command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes")
+    assert ended.code == 0, ended.err
+    assert names_in(lab) - {"store/store.lock"} == expected
+    assert [s.subject for s in open_store(lab / "store").scans] == ["person-0", "person-2"]
+    proofs = list((tmp_path / "office").iterdir())
+    assert len(proofs) == 1
+    proof = json.loads(proofs[0].read_text())
+    assert proof["schema"] == "lightstage.forgotten/1"
+    assert proof["left"] == {"by_hash": [], "by_pseudonym": []}
+    assert proof["scan_sha256"] == [scans[1].sha256]
+    assert len(proof["published"]) == 1
+    assert len(proof["hashes"]) == 8  # seven photographs and an albedo of their own
+    again = command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes")
+    assert again.code == 2
+    assert f"nothing of '{WHO}'" in again.err
+
+
+def test_a_copy_elsewhere_and_what_killed_processes_left_go_too(
+    lab: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    card = lab / "card" / "DCIM"
+    card.mkdir(parents=True)
+    shutil.copy(lab / "S" / "s1" / "frames" / "x+" / "cam0.exr", card / "0001.exr")
+    shutil.copy(lab / "S" / "s0" / "frames" / "x+" / "cam0.exr", card / "0002.exr")
+    half = lab / "P" / ".p1.0123abcd"
+    half.mkdir()
+    (half / "half.exr").write_bytes(b"half")
+    (lab / "store" / "scans" / ".adding-01234567").mkdir()
+    ended = command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes")
+    assert ended.code == 0, ended.err
+    assert [p.name for p in card.iterdir()] == ["0002.exr"]
+    assert not half.exists()
+    assert not (lab / "store" / "scans" / ".adding-01234567").exists()
+
+
+def test_what_names_the_person_still_is_told_and_exits_2(
+    lab: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    (lab / "notes.txt").write_text("person-1 wore glasses; person-10 did not")
+    (lab / "others.txt").write_text("person-10, person-1b, my-person-1")
+    ended = command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes")
+    assert ended.code == 2
+    assert f"still there: {lab / 'notes.txt'}" in ended.out
+    assert "others.txt" not in ended.out
+    assert "1 file that still show or name" in ended.err
+
+
+def test_an_interrupted_call_goes_on(
+    lab: Path, tmp_path: Path, command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    removed = shutil.rmtree
+    calls = []
+
+    def interrupted(path: Path, *rest: Any, **more: Any) -> None:
+        calls.append(path)
+        if len(calls) == 2:
+            # The folder's own files that say whose it is are gone already.
+            (Path(path) / "report.json").unlink(missing_ok=True)
+            raise KeyboardInterrupt
+        removed(path, *rest, **more)
+
+    monkeypatch.setattr(forget.shutil, "rmtree", interrupted)
+    assert command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes").code == 130
+    monkeypatch.setattr(forget.shutil, "rmtree", removed)
+    assert [p.name[:7] for p in (tmp_path / "office").iterdir()] == ["forget-"]
+    ended = command(WHO, "--in", lab, "--out", tmp_path / "office", "--yes")
+    assert ended.code == 0, ended.err
+    assert not (lab / "P" / "p1").exists()
+    assert not (lab / "S" / "s1").exists()
+    assert [p.name[:10] for p in (tmp_path / "office").iterdir()] == ["forgotten-"]
+
+
+def test_a_folder_in_use_stops_it_before_anything_goes(lab: Path, tmp_path: Path) -> None:
+    before = names_in(lab)
+    with (
+        locked(lab / "P" / "p1" / RUN_LOCK, LightstageError("held")),
+        pytest.raises(LightstageError, match="a run is writing to"),
+    ):
+        forget.forget(WHO, [lab], tmp_path / "office")
+    assert names_in(lab) - {"P/p1/run.lock"} == before
+
+
+def test_somebody_unknown_and_a_folder_that_is_not_there_are_refused(
+    lab: Path, tmp_path: Path, command: Callable[..., Any]
+) -> None:
+    for words, said in (
+        (("person-9", "--in", lab), "nothing of 'person-9'"),
+        ((WHO, "--in", lab / "none"), "--in: found no such folder"),
+    ):
+        for more in ((), ("--yes",)):
+            ended = command(*words, "--out", tmp_path / "office", *more)
+            assert ended.code == 2
+            assert said in ended.err
+    inside = command(WHO, "--in", lab, "--out", lab / "S" / "s1" / "proofs", "--yes")
+    assert inside.code == 2
+    assert "which goes" in inside.err
+    assert (lab / "S" / "s1" / "session.json").exists()
+
+
+def test_a_store_of_that_person_alone_goes_as_a_whole(lab: Path, tmp_path: Path) -> None:
+    build_store([lab / "P" / "p1"], lab / "own store")
+    found, left, _ = forget.forget(WHO, [lab], tmp_path / "office")
+    assert found.whole == [str(lab / "own store")]
+    assert not (lab / "own store").exists()
+    assert left == {"by_hash": [], "by_pseudonym": []}
