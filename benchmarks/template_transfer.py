@@ -27,8 +27,8 @@ from sim.people.subject import Subject
 from sim.people.subjects import load_subject
 from sim.scans.ict import ict_folder
 
-ROWS = (768, 1536, 3072)
-BY_REGISTRATION = 1536
+ROWS = (384, 768, 1536)
+BY_REGISTRATION = 768
 """Rows at which both ways are registered."""
 SETTINGS = TransferConfig()
 
