@@ -20,7 +20,7 @@ COMMANDS = {
     ),
     "console": (
         "lightstage.console.command",
-        "The operator's page for a day of captures, on 127.0.0.1.",
+        "Serve the operator's page on 127.0.0.1 until Ctrl-C; captures go on without it.",
     ),
     "watch": (
         "lightstage.operator.command",

@@ -216,7 +216,7 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.press("c")
         browser.wait('document.body.innerText.includes("COMPLETE")')
         browser.wait('document.body.dataset.sound === "done"')
-        assert browser.js("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
+        browser.wait("[...document.images].filter(i => i.naturalWidth > 0).length === 9")
         browser.js("document.querySelector('.photo').click()")
         browser.wait("document.getElementById('look').open")
         browser.wait("document.querySelector('#look img').naturalWidth > 0")
