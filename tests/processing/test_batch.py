@@ -263,7 +263,7 @@ def test_killed_workers_cost_nothing_and_a_hopeless_session_stops_no_other(
         alone = tmp_path / f"{session.name} alone"
         run(session, alone, TEMPLATE, PipelineConfig(), until="separate")
         assert differences(out / session.name, alone) == []
-    open_to_others = [p for p in out.rglob("*") if p.stat().st_mode & 0o077]
+    open_to_others = [p for p in out.rglob("*") if p.stat().st_mode & 0o007]
     assert open_to_others == []
     page = (out / "batch.html").read_text()
     assert "1 session failed" in page
