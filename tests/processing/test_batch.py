@@ -254,7 +254,7 @@ def test_killed_workers_cost_nothing_and_a_hopeless_session_stops_no_other(
     assert done.code == 2, done.err
     assert len(killer.killed) == 1
     facts = json.loads(done.out.splitlines()[-2])
-    assert (facts["sessions"], facts["done"]) == (4, 3)
+    assert (facts["sessions"], facts["done"]) == (4, 3), facts["failed"]
     assert list(facts["failed"]) == [str(broken)]
     assert "1 session not done" in done.err
     assert f"{broken} (ball, neutral)" in done.err
@@ -263,7 +263,7 @@ def test_killed_workers_cost_nothing_and_a_hopeless_session_stops_no_other(
         alone = tmp_path / f"{session.name} alone"
         run(session, alone, TEMPLATE, PipelineConfig(), until="separate")
         assert differences(out / session.name, alone) == []
-    open_to_others = [p for p in out.rglob("*") if p.stat().st_mode & 0o077]
+    open_to_others = [p for p in out.rglob("*") if p.stat().st_mode & 0o007]
     assert open_to_others == []
     page = (out / "batch.html").read_text()
     assert "1 session failed" in page
