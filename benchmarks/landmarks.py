@@ -122,8 +122,8 @@ def main() -> None:
         rows,
         "iBUG's 68 against the true ones that the camera sees, mean distance over that between the "
         f"outer corners of the eyes seen from the front; pictures of {PICTURE_PX} px of people "
-        "of seeds that nothing was chosen by, and of the scan, at which the table of indices was looked "
-        "at, five yaws to 40 degrees, ten lights of which three hard. "
+        "of seeds that nothing was chosen by, and of the scan, at which the table of indices was "
+        "looked at, five yaws to 40 degrees, ten lights of which three hard. "
         "Whose landmarks are true: our people's are the template's, ICT's and the scan's (lps, "
         "eyes closed) their own makers'. Triangulated: from the five views in even light, against "
         "the true places, in space. ms: processor time of a picture, finding the face and seeing "
