@@ -20,8 +20,8 @@ from benchmarks.networks_people import KINDS, Head, chosen, make
 from benchmarks.record import record, table
 from learning.checkpoint import load_whole_face, shipped_weights
 from learning.photo.config import FitConfig
-from learning.photo.fit import FittedHead, Photograph, Places, Shape, fit_head, fit_shape
-from learning.photo.model import NOSE_TIP, ShapeModel, shape_model
+from learning.photo.fit import FittedHead, Photograph, Places, fit_head, fit_shape
+from learning.photo.model import NOSE_TIP, shape_model
 from learning.render.view import render_view
 from lightstage.faces import detect_faces
 from lightstage.faces.schemes import FACE_MESH, seen_points
@@ -166,7 +166,7 @@ def measure(head: Head, template: Template, rows: int, whole: bool, scores: Scor
             if yaw in lost:
                 continue
             began = time.perf_counter()
-            shape = _fit([shots[yaw]], template, places, config, model)
+            shape = fit_shape([shots[yaw]], template, places, config, model)
             scores.shape_s.append(time.perf_counter() - began)
             off = apart(shape.meshes[0].vertices[face], truth[face])
             scores.one.append(_mean(off))
@@ -174,7 +174,7 @@ def measure(head: Head, template: Template, rows: int, whole: bool, scores: Scor
             if yaw == 0:
                 shapes.append(shape.neutral.vertices[face])
         if not lost:
-            shape = _fit(list(shots.values()), template, places, config, model)
+            shape = fit_shape(list(shots.values()), template, places, config, model)
             scores.three.append(_mean(apart(shape.meshes[0].vertices[face], truth[face])))
         if whole and THREE_DEG[1] not in lost:
             began = time.perf_counter()
@@ -184,16 +184,6 @@ def measure(head: Head, template: Template, rows: int, whole: bool, scores: Scor
             scores.psnr.append(over_photograph(shots[THREE_DEG[1]], fitted))
     for index, one in enumerate(shapes):
         scores.between += [_mean(apart(one, other)) for other in shapes[:index]]
-
-
-def _fit(
-    shots: list[Photograph],
-    template: Template,
-    places: Places,
-    config: FitConfig,
-    model: ShapeModel,
-) -> Shape:
-    return fit_shape(shots, template, places, config, model)
 
 
 def _mean(off: np.ndarray) -> float:

@@ -401,6 +401,42 @@ def avatar(
 
 
 @app.command()
+def detail(
+    maps: Annotated[
+        Path,
+        typer.Argument(
+            help="Processed folder, folder of maps such as `infer` writes, or a fit's folder."
+        ),
+    ],
+    out: Annotated[
+        Path, output_folder("--out", help="Folder to make; one of an earlier call is replaced.")
+    ],
+    mesh: Annotated[
+        Path | None,
+        typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
+    ] = None,
+    longest_mm: Annotated[
+        float, typer.Option(help="Size in mm above which relief is the mesh's, not the normals'.")
+    ] = 10.0,
+    subdivide: Annotated[
+        int, typer.Option(help="How often triangles are split into four; 0 for no mesh.")
+    ] = 2,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Find the heights of pores and folds: a displacement map in mm, and an embossed mesh."""
+    from learning.detail.command import detail_command
+
+    with limited_access(group_of([maps])), progress_bar("detail") as progress:
+        facts = detail_command(maps, mesh, out, longest_mm, subdivide, progress)
+    finish(
+        f"{out}: heights of {facts['height_rms_mm']:.3f} mm (root mean square), "
+        f"{counted(facts['triangles'], 'triangle')}, {facts['seconds']:.1f} s",
+        facts,
+        as_json,
+    )
+
+
+@app.command()
 def evaluate(
     inferred: Annotated[
         list[Path],

@@ -70,8 +70,9 @@ def require_own(out: Path) -> None:
         ProcessingError: a folder with files in it, none of which the stages make.
     """
     names = sorted(path.name for path in out.iterdir()) if out.is_dir() else []
-    # A run that was ended at its start leaves the lock alone.
-    names = [name for name in names if name != RUN_LOCK]
+    # A run that was killed at its start leaves the lock, and half a file beside a name of its own.
+    half = {path.name for path in [*leftovers(out, "*"), *leftovers(out, "*.*")]}
+    names = [name for name in names if name != RUN_LOCK and name not in half]
     if names and not any(name in names for name in MADE_FIRST):
         raise ProcessingError(
             out,

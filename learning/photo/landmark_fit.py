@@ -134,7 +134,6 @@ def fit_landmarks(
     config: FitConfig,
     normals: np.ndarray | None = None,
     trust: np.ndarray | None = None,
-    fixed_shape: bool = False,
 ) -> LandmarkFit:
     """Fit a person to the landmarks of one or several photographs.
 
@@ -145,7 +144,6 @@ def fit_landmarks(
         normals: (p, 3) of the mean surface there, head frame: landmarks turned away from the
             camera do not count.
         trust: (p,) 0..1, how much each landmark counts; all the same where None.
-        fixed_shape: keep the mean shape: cameras, poses and expressions alone.
 
     Raises:
         ValueError: a photograph with fewer than 8 landmarks.
@@ -153,8 +151,6 @@ def fit_landmarks(
     for sighting in sightings:
         if np.isfinite(sighting.points_px).all(axis=1).sum() < 8:
             raise ValueError("a fit needs 8 landmarks at least")
-    if fixed_shape:
-        model = dataclasses.replace(model, identity=model.identity[:0])
     problem = _Problem(model, sightings, config, normals, trust)
     here = problem.begin()
     damping = 1e-3

@@ -65,6 +65,7 @@ RIGHT: dict[str, dict[str, str]] = {
         "picture": "texture", "--checkpoint": "super-resolution", "--out": NEW,
     },
     "learning fit": {"photo": "portrait", "--template": "template", "--out": NEW},
+    "learning detail": {"maps": "mesh's maps", "--mesh": "mesh", "--out": NEW},
     "learning evaluate": {"inferred": "maps", "--truth": "maps", "--out": NEW},
     "learning avatar": {"photo": "portrait", "--template": "template", "--out": NEW},
     "sim import-ict": {"path": "session", "--out": NEW},

@@ -166,6 +166,7 @@ def test_the_lock_of_an_ended_run_is_no_foreign_file(session: Path, tmp_path: Pa
     out = tmp_path / "new"
     out.mkdir()
     (out / "run.lock").touch()
+    (out / ".stages.0123abcd.json").touch()  # of a run that was killed while it wrote
     assert run(session, out, TEMPLATE, PipelineConfig(), until="decode")["ran"] == ["decode"]
     assert "run.lock" not in read_records(out)["decode"].outputs
 

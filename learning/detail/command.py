@@ -1,0 +1,102 @@
+"""What `detail` does: read maps and mesh, find heights, write a map and an embossed mesh."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learning.detail.emboss import embossed
+from learning.detail.height import heights_mm
+from learning.errors import MapsError
+from learning.export.source import read_source
+from learning.render.uv import rasterise
+from lightstage.commands import ProgressCallback
+from lightstage.errors import ConfigError
+from lightstage.formats.exr import write_exr
+from lightstage.formats.files import atomic_folder, write_json
+from lightstage.formats.mesh import write_obj
+
+SCHEMA = "lightstage.detail/1"
+DISPLACEMENT, EMBOSSED, ABOUT = "displacement.exr", "embossed.obj", "detail.json"
+LONGEST_MM = (0.5, 100.0)
+MOST_TIMES = 4
+LEAST_MM = 1e-3
+"""A map whose heights are less, in the mean, has the mesh's own normals: half floats make that."""
+
+
+def detail_command(
+    maps: Path,
+    mesh: Path | None,
+    out: Path,
+    longest_mm: float,
+    times: int,
+    progress: ProgressCallback,
+) -> dict[str, Any]:
+    """Heights of pores and folds from specular normals; the facts.
+
+    Args:
+        maps: a processed folder, its atlas, maps of `infer`, or a fit's folder.
+        mesh: of the maps; registered_mesh.obj beside them where None.
+        out: folder to make; one of an earlier call is replaced.
+        longest_mm: size above which relief is the mesh's.
+        times: how often each triangle of the embossed mesh is split into four; 0 for no mesh.
+        progress: of the three steps.
+
+    Raises:
+        LightstageError: bad input; nothing is written then.
+    """
+    began = time.monotonic()
+    if not LONGEST_MM[0] <= longest_mm <= LONGEST_MM[1]:
+        least, most = LONGEST_MM
+        raise ConfigError(
+            "--longest-mm", found=f"{longest_mm:g}", expected=f"{least:g} to {most:g} mm"
+        )
+    if not 0 <= times <= MOST_TIMES:
+        raise ConfigError("--subdivide", found=str(times), expected=f"0 to {MOST_TIMES}")
+    source = read_source(maps, mesh)
+    rows, columns = source.size
+    raster = rasterise(source.mesh, rows, columns)
+    progress(1, 3)
+    height, rounds = heights_mm(
+        raster.interpolate(source.mesh.vertices),
+        raster.normals(source.mesh),
+        source.maps["specular_normal"].astype(np.float32),
+        raster.covered,
+        longest_mm,
+    )
+    progress(2, 3)
+    here = height[raster.covered]
+    deviation_mm = float(np.sqrt((here**2).mean()))
+    if not deviation_mm > LEAST_MM:
+        raise MapsError(
+            source.folder / "specular_normal.exr",
+            found="the mesh's own normals",
+            expected="finer ones",
+            hint="`infer --mesostructure` finds pores and folds from 1536 rows on.",
+        )
+    shown = source.spread(height.astype(np.float32))
+    facts = {
+        "rows": rows,
+        "columns": columns,
+        "longest_mm": longest_mm,
+        "rounds": rounds,
+        "height_rms_mm": deviation_mm,
+        "height_1_percent_mm": float(np.percentile(here, 1)),
+        "height_99_percent_mm": float(np.percentile(here, 99)),
+        "triangles": 0,
+    }
+    finer = embossed(source.mesh, shown, times) if times else None
+    if finer is not None:
+        facts["triangles"] = len(finer.faces)
+    with atomic_folder(out, ABOUT) as folder:
+        write_exr(folder / DISPLACEMENT, shown)
+        if finer is not None:
+            write_obj(finer, folder / EMBOSSED)
+        write_json(
+            folder / ABOUT, {"schema": SCHEMA, "units": "mm along the mesh's normal", **facts}
+        )
+    progress(3, 3)
+    return {**facts, "seconds": time.monotonic() - began}
