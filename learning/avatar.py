@@ -106,12 +106,17 @@ def _fit_inputs(request: FitRequest) -> list[Any]:
     named = [request.landmarks, request.config]
     return [
         code_version(),
-        [[path.name, sha256_file(path)] for path in request.photographs],
-        [[path.name, sha256_file(path)] for path in template],
-        [sha256_file(path) for path in sorted(weights.glob("*.safetensors"))],
-        [None if path is None else sha256_file(path) for path in named],
+        [[path.name, _content(path)] for path in request.photographs],
+        [[path.name, _content(path)] for path in template],
+        [_content(path) for path in sorted(weights.glob("*.safetensors"))],
+        [None if path is None else _content(path) for path in named],
         [request.face, request.film_mm, request.rows, request.refine],
     ]
+
+
+def _content(path: Path) -> str | None:
+    """A file's hash; None for what is no file: the fit refuses it, and a pipe is not waited for."""
+    return sha256_file(path) if path.is_file() else None
 
 
 def _hash(values: list[Any]) -> str:

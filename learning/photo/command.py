@@ -81,7 +81,6 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
     """
     began = time.monotonic()
     config = _config(request)
-    template = load_template(request.template)
     about = read_checkpoint(request.checkpoint or shipped_weights())
     if about.family != "whole_face":
         raise ConfigError(
@@ -90,9 +89,10 @@ def fit_command(request: FitRequest, progress: ProgressCallback) -> dict[str, An
             expected="a whole-face network",
             hint="Leave --checkpoint out for the weights that are shipped.",
         )
+    template = load_template(request.template)
+    photographs, places, notes = read_all(request, template)
     network, _ = load_whole_face(about.folder)
     meso, about_meso = load_mesostructure(shipped_mesostructure())
-    photographs, places, notes = read_all(request, template)
     fitted = fit_head(
         photographs,
         template,
