@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,7 +10,9 @@ from lightstage.console.pictures import BINS, Facts, Focus
 from lightstage.console.runner import JobState
 from lightstage.counting import counted
 from lightstage.day import Planned
+from lightstage.errors import FormatError
 from lightstage.findings import two_digits
+from lightstage.formats.values import parse_json
 from lightstage.operator.view import Phase, View
 from lightstage.operator.words import ANSWERS, KEYS, LEGEND, STATES, Mark, duration, merged, said
 
@@ -226,8 +227,8 @@ def device_values(state: JobState | None) -> dict[str, Any]:
     look: Any = None
     if not state.running and state.said:
         try:
-            look = json.loads(state.said.splitlines()[-1])
-        except ValueError:
+            look = parse_json(state.said.splitlines()[-1], "devices")
+        except FormatError:
             look = None
     if not isinstance(look, dict) or "cameras" not in look:
         look = None

@@ -61,6 +61,8 @@ class Command:
     def suffix(self, option: str) -> str:
         """What a file of this output ends in; nothing for a folder."""
         text = self.outputs[option].help.lower()
+        if text.startswith("folder"):
+            return ""
         return next(
             (s for s in (".exr", ".png", ".npz", ".obj", ".svg", ".json") if s[1:] in text), ""
         )

@@ -205,7 +205,8 @@ READ_BY = {
 def test_hostile_json_in_a_folder_is_refused_by_who_reads_it(name, world, tmp_path, run_command):
     source = world["store" if name == "published" else name]
     files = sorted(path.relative_to(source) for path in source.rglob("*.json"))
-    files = [file for file in files if file.name != "zarr.json"]
+    # `dataset verify` alone reads shards.json, and says what is wrong with it.
+    files = [file for file in files if file.name not in ("zarr.json", "shards.json")]
     assert files
     failures, tried = {}, 0
     for file in files:
