@@ -108,7 +108,7 @@ def test_the_search_finds_what_a_plain_solver_finds() -> None:
     left = difference.T @ sparse.diags(weight) @ difference
     left = left + sparse.diags(np.where(covered, steps.hold, 1.0).ravel())
     plain = spsolve(left.tocsc(), difference.T @ (weight * wanted)).reshape(rows, columns)
-    found, _ = solve(steps, covered)
+    found, _ = solve(steps, covered, 1e-9)
     np.testing.assert_allclose(found, np.where(covered, plain, 0), atol=1e-4)
 
 
