@@ -1,4 +1,4 @@
-"""A mesh of more triangles, moved along its normals by a map of heights."""
+"""A mesh of more triangles, rounded by its normals and moved along them by a map of heights."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from learning.render.view import sample_bilinear
 from lightstage.formats.mesh import Mesh, vertex_normals
 
 MOST_TRIANGLES = 8_000_000
+ROUND = 0.75
+"""Part of the way from an edge's middle to the planes of its ends' normals [Boubekeur2008]."""
 
 
 def embossed(mesh: Mesh, height_mm: np.ndarray, times: int) -> Mesh:
@@ -40,11 +42,13 @@ def embossed(mesh: Mesh, height_mm: np.ndarray, times: int) -> Mesh:
     vertices, uvs = mesh.vertices.astype(float), mesh.uvs.astype(float)
     normals = vertex_normals(vertices, triangles)
     for _ in range(times):
-        values, split = _split(np.column_stack([vertices, normals]), triangles)
-        uvs, corners = _split(uvs, corners)
-        vertices, normals, triangles = values[:, :3], values[:, 3:], split
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 1e-12)
+        split, edges = _split(len(vertices), triangles)
+        middle = _rounded(vertices[edges], normals[edges])
+        vertices = np.concatenate([vertices, middle])
+        normals = np.concatenate([normals, _unit(normals[edges].mean(axis=1))])
+        corners, edges = _split(len(uvs), corners)
+        uvs = np.concatenate([uvs, uvs[edges].mean(axis=1)])
+        triangles = split
     said = sample_bilinear(np.asarray(height_mm, float)[..., None], uvs)[:, 0]
     total, count = np.zeros(len(vertices)), np.zeros(len(vertices))
     np.add.at(total, triangles.ravel(), said[corners.ravel()])
@@ -59,12 +63,32 @@ def embossed(mesh: Mesh, height_mm: np.ndarray, times: int) -> Mesh:
     )
 
 
-def _split(values: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values with those of the edges' middles behind them, and four triangles for each."""
+def _split(count: int, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Four triangles for each, and the (e, 2) edges whose middles come behind `count` values."""
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, which = np.unique(edges, axis=0, return_inverse=True)
-    middle = len(values) + which.reshape(-1, 3)
+    middle = count + which.reshape(-1, 3)
     a, b, c = triangles.T
     ab, bc, ca = middle.T
     four = np.stack([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]).transpose(2, 0, 1)
-    return np.concatenate([values, values[unique].mean(axis=1)]), four.reshape(-1, 3)
+    return four.reshape(-1, 3), unique
+
+
+def _rounded(ends: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(e, 3) middles of edges, brought toward the planes of their ends' normals.
+
+    Without it the triangles of the mesh show as flats between which its heights lie.
+
+    Args:
+        ends: (e, 2, 3) places.
+        normals: (e, 2, 3) unit, or zero where there is none.
+    """
+    middle = ends.mean(axis=1)
+    off = ((middle[:, None] - ends) * normals).sum(axis=2, keepdims=True)
+    found: np.ndarray = middle - ROUND * (off * normals).mean(axis=1)
+    return found
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-12)

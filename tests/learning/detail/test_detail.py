@@ -141,6 +141,16 @@ def test_any_normals_give_finite_heights(scale: float, what: str) -> None:
         assert not found.any()
 
 
+def test_a_finer_ball_is_rounder() -> None:
+    mesh = ball(rows=12, columns=16)
+    count = len(mesh.vertices)
+    finer = embossed(mesh, np.zeros((96, 64)), 1).vertices[count:]
+    a, b, c = (mesh.vertices[mesh.triangles()[:, i]] for i in range(3))
+    flat = np.concatenate([a + b, b + c, c + a]) / 2
+    sagging = RADIUS_MM - np.linalg.norm(flat, axis=1).mean()
+    assert np.abs(RADIUS_MM - np.linalg.norm(finer, axis=1)).mean() < 0.5 * sagging
+
+
 def test_an_embossed_ball_is_closed_and_as_high_as_its_map() -> None:
     mesh = ball()
     height = np.full((96, 64), 0.5)
