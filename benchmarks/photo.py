@@ -13,7 +13,6 @@ import dataclasses
 import time
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from benchmarks.networks_lights import light_of
 from benchmarks.networks_people import KINDS, Head, chosen, make
@@ -29,7 +28,7 @@ from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import vertex_normals
 from lightstage.formats.srgb import linear_from_srgb
 from lightstage.formats.template import Template, default_template_path, load_template
-from lightstage.rig import Camera
+from lightstage.rig import Camera, look_at
 from processing.colour import srgb_from_linear
 
 LIGHTS = ("front", "warm-cool", "hard-oblique", "hard-side")
@@ -37,6 +36,8 @@ YAWS_DEG = (0, 30)
 THREE_DEG = (0, 30, -30)
 FACE_MM, FACING = 80.0, 0.3
 """The face that is scored: within this of the nose's tip, and its normals forward by so much."""
+AIM_MM = np.array([0.0, -20.0, 40.0])
+"""Where cameras look, head frame."""
 DISTANCE_MM, FOCAL_PX = 900.0, 2400.0
 WIDTH_PX, HEIGHT_PX = 768, 1024
 GREY = 0.25
@@ -46,10 +47,9 @@ NUMBER = 3
 
 def camera_at(head: Head, yaw_deg: float) -> Camera:
     """A camera that looks at a head's face from a side."""
-    turned = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
-    rotation = np.diag([1.0, -1.0, -1.0]) @ turned.T
-    aim = np.array([0.0, -20.0, 40.0])
-    from_head = np.column_stack([rotation, [0, 0, DISTANCE_MM] - rotation @ aim])
+    turn = np.radians(yaw_deg)
+    place = AIM_MM + DISTANCE_MM * np.array([np.sin(turn), 0.0, np.cos(turn)])
+    from_head = look_at(place, AIM_MM)
     pose = from_head @ np.vstack([head.head_from_world, [0, 0, 0, 1]])
     return Camera(
         "photo",

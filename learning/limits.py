@@ -1,4 +1,4 @@
-"""What a training may be configured as: bounds of every number, told before anything is built.
+"""What a training, or a fit, may be configured as: bounds of every number, told before all work.
 
 A width of minus one, a patch that the network's strides do not divide or a network of a terabyte
 end here in one message, not in a library's traceback.
@@ -13,6 +13,7 @@ from typing import Any
 
 from learning.networks.generator import GeneratorConfig
 from learning.networks.whole_face import WholeFaceConfig
+from learning.photo.config import FitConfig
 from learning.render.occlusion_network import ROWS_MULTIPLE, OcclusionNetworkConfig
 from learning.upscale.network import RcanConfig
 from lightstage.counting import counted
@@ -92,6 +93,19 @@ LIMITS: dict[str, tuple[float, float]] = {
     "occlusion.order": (1, 20),
     "occlusion.features": (1, 4096),
     "occlusion.connected": (1, 4096),
+    "fit.rows": (192, 12288),
+    "fit.landmark_percent": (0.1, 50),
+    "fit.focal_spread": (1e-3, 2),
+    "fit.focal_told_spread": (1e-3, 1),
+    "fit.identity_modes": (0, 1000),
+    "fit.depth_deviation": (1e-3, 1),
+    "fit.free_modes": (0, 400),
+    "fit.free_mm": (1e-3, 500),
+    "fit.free_length_mm": (1e-3, 500),
+    "fit.asymmetry": (0, 1),
+    "fit.expression_spread": (1e-3, 2),
+    "fit.refine_seconds": (0, 3600),
+    "fit.rounds": (1, 5),
     "regressed": (1, 1_000_000),
     "joint_steps": (0, 1_000_000_000),
     "batch": (1, 4096),
@@ -128,7 +142,7 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
     """Refuse a configuration whose numbers are out of bounds.
 
     Args:
-        config: a TrainConfig, or one of its tables.
+        config: a TrainConfig, one of its tables, or a FitConfig (`table` is ``fit``).
         where: what to name in an error.
         table: the name of `config` within a TrainConfig; nothing for all of it.
 
@@ -150,6 +164,8 @@ def require_within(config: Any, where: str | Path, table: str = "") -> None:
         _require_blocks(config, where)
     if isinstance(config, GeneratorConfig):
         _require_size(config, where)
+    if isinstance(config, FitConfig):
+        _require_fit(config, where)
     if hasattr(config, "generator") and hasattr(config, "data"):
         _require_patch(config.data.patch_px, config.generator, where)
         _require_losses(config, where)
@@ -164,6 +180,21 @@ def _require(value: Any, name: str, where: str | Path) -> None:
         most = "a finite number" if high == _ANY else f"at most {high:g}"
         order = ", the smaller first" if len(numbers) > 1 else ""
         raise ConfigError(where, field=name, found=str(value), expected=f"{least}, {most}{order}")
+
+
+def _require_fit(config: FitConfig, where: str | Path) -> None:
+    """A texture is three rows to two columns; each size of change has a strength."""
+    if config.rows % 3:
+        raise ConfigError(
+            where, field="fit.rows", found=str(config.rows), expected="a multiple of 3"
+        )
+    if len(config.free_mm) != len(config.free_length_mm):
+        raise ConfigError(
+            where,
+            field="fit.free_length_mm",
+            found=f"{len(config.free_length_mm)} distances",
+            expected=f"{len(config.free_mm)}, as many as free_mm has",
+        )
 
 
 def _require_halvings(config: WholeFaceConfig, where: str | Path) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 from learning.detail.emboss import embossed
 from learning.detail.height import heights_mm
 from learning.errors import MapsError
-from learning.export.source import read_source
-from learning.render.uv import rasterise
+from learning.export.source import Source, read_source
+from learning.vectors import unit
 from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.exr import write_exr
@@ -58,17 +58,16 @@ def detail_command(
         raise ConfigError("--subdivide", found=str(times), expected=f"0 to {MOST_TIMES}")
     source = read_source(maps, mesh)
     rows, columns = source.size
-    raster = rasterise(source.mesh, rows, columns)
     progress(1, 3)
     height, rounds = heights_mm(
-        raster.interpolate(source.mesh.vertices),
-        raster.normals(source.mesh),
+        _at_texels(source, source.mesh.vertices),
+        unit(_at_texels(source, source.normals)),
         source.maps["specular_normal"].astype(np.float32),
-        raster.covered,
+        source.covered,
         longest_mm,
     )
     progress(2, 3)
-    here = height[raster.covered]
+    here = height[source.covered]
     deviation_mm = float(np.sqrt((here**2).mean()))
     if not deviation_mm > LEAST_MM:
         raise MapsError(
@@ -100,3 +99,11 @@ def detail_command(
         )
     progress(3, 3)
     return {**facts, "seconds": time.monotonic() - began}
+
+
+def _at_texels(source: Source, values: np.ndarray) -> np.ndarray:
+    """(rows, columns, 3) values of the mesh's vertices; zero beside the surface."""
+    rows, columns = source.size
+    out = np.zeros((rows * columns, 3), np.float32)
+    out[source.raster.texels()] = source.raster.at(values, source.mesh.triangles())
+    return out.reshape(rows, columns, 3)

@@ -8,6 +8,7 @@ import numpy as np
 
 from learning.errors import MapsError
 from learning.render.view import sample_bilinear
+from learning.vectors import unit
 from lightstage.formats.mesh import Mesh, vertex_normals
 
 MOST_TRIANGLES = 8_000_000
@@ -45,7 +46,7 @@ def embossed(mesh: Mesh, height_mm: np.ndarray, times: int) -> Mesh:
         split, edges = _split(len(vertices), triangles)
         middle = _rounded(vertices[edges], normals[edges])
         vertices = np.concatenate([vertices, middle])
-        normals = np.concatenate([normals, _unit(normals[edges].mean(axis=1))])
+        normals = np.concatenate([normals, unit(normals[edges].mean(axis=1))])
         corners, edges = _split(len(uvs), corners)
         uvs = np.concatenate([uvs, uvs[edges].mean(axis=1)])
         triangles = split
@@ -87,8 +88,3 @@ def _rounded(ends: np.ndarray, normals: np.ndarray) -> np.ndarray:
     off = ((middle[:, None] - ends) * normals).sum(axis=2, keepdims=True)
     found: np.ndarray = middle - ROUND * (off * normals).mean(axis=1)
     return found
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-12)

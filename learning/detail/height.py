@@ -13,6 +13,8 @@ import dataclasses
 import numpy as np
 from scipy import fft
 
+from learning.vectors import unit
+
 TOLERANCE = 1e-4
 """Of the residual, of the right side's length, at which the search ends: a captured head's heights
 are within a ten-thousandth of those at 1e-6 by then, in a third of the rounds."""
@@ -68,8 +70,8 @@ def heights_mm(
     finite &= np.isfinite(base_normal).all(axis=2)
     known = covered & finite
     position = np.where(known[..., None], position_mm, 0).astype(float)
-    base = _unit(np.where(known[..., None], base_normal, 0))
-    fine = _unit(np.where(known[..., None], fine_normal, 0))
+    base = unit(np.where(known[..., None], base_normal, 0).astype(float))
+    fine = unit(np.where(known[..., None], fine_normal, 0).astype(float))
     facing = (fine * base).sum(axis=2) > LEAST_FACING
     fine = np.where(facing[..., None], fine, base)
     across, across_mm, across_known = _rises(position, base, fine, known, 1)
@@ -178,8 +180,8 @@ def _rises(
     both = known[first] & known[second]
     typical = float(np.median(length[both])) if both.any() else 0.0
     both = both & (length > 0) & (length < SEAM * typical)
-    mesh = _unit(base[first] + base[second])
-    normal = _unit(fine[first] + fine[second])
+    mesh = unit(base[first] + base[second])
+    normal = unit(fine[first] + fine[second])
     facing = np.maximum((normal * mesh).sum(axis=2), LEAST_FACING)
     rise = (mesh * step).sum(axis=2) - (normal * step).sum(axis=2) / facing
     return np.where(both, rise, 0.0), length, both
@@ -192,8 +194,3 @@ def _typical(length_mm: np.ndarray, known: np.ndarray) -> float:
 def _mean_of_counted(weight: np.ndarray) -> float:
     some = weight[weight > 0]
     return float(some.mean()) if some.size else 0.0
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=2, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors, dtype=float), where=length > 1e-12)

@@ -15,7 +15,6 @@ from learning.evaluation.measures import (
     albedo_measures,
     ita_deg,
     normal_measures,
-    psnr_db,
     specular_measures,
 )
 from learning.evaluation.people import Interval, by_tone, interval, spread
@@ -31,6 +30,7 @@ from lightstage.formats.files import write_json, write_text
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder, read_map
 from processing.colour import srgb_from_linear
+from processing.evaluation.maps import psnr_db
 
 SCHEMA = "lightstage.evaluation/1"
 NEEDED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")

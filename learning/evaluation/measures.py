@@ -5,30 +5,19 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from learning.vectors import unit
+from processing.calibration.difference import lab_from_linear
 from processing.colour import srgb_from_linear
+from processing.evaluation.maps import angle_deg, psnr_db
 
 SSIM_SIGMA, SSIM_REACH = 1.5, 5
 """Gaussian window of structural similarity and its half width, texels [Wang2004]."""
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
-D65 = np.array([0.95047, 1.0, 1.08883])
-XYZ_FROM_SRGB = np.array(
-    [
-        [0.4124564, 0.3575761, 0.1804375],
-        [0.2126729, 0.7151522, 0.0721750],
-        [0.0193339, 0.1191920, 0.9503041],
-    ]
-)
-"""Linear sRGB to XYZ of D65 [IEC61966]."""
 LEAST = 1e-12
 ITA_BOUNDS_DEG = (55.0, 41.0, 28.0, 10.0, -30.0)
 """Least individual typology angle of the groups from very light to brown [Chardon1991]; below is
 dark."""
 ITA_NAMES = ("very light", "light", "intermediate", "tan", "brown", "dark")
-
-
-def psnr_db(found: np.ndarray, true: np.ndarray) -> float:
-    """Peak signal to noise in dB, of values whose peak is 1."""
-    return float(-10 * np.log10(max(float(((found - true) ** 2).mean()), LEAST)))
 
 
 def scaled(found: np.ndarray, true: np.ndarray, by_channel: bool) -> np.ndarray:
@@ -75,12 +64,12 @@ def normal_measures(
     name: str, found: np.ndarray, true: np.ndarray, skin: np.ndarray
 ) -> dict[str, float]:
     """Degrees between normals, mean and median, and PSNR of normals encoded as (n + 1) / 2."""
-    mine, theirs = _unit(found[skin]), _unit(true[skin])
+    mine, theirs = (unit(normals[skin].astype(float)) for normals in (found, true))
     known = (np.linalg.norm(mine, axis=1) > 0.5) & (np.linalg.norm(theirs, axis=1) > 0.5)
     if not known.any():
         return {}
     mine, theirs = mine[known], theirs[known]
-    angle = np.degrees(np.arccos(np.clip((mine * theirs).sum(axis=1), -1, 1)))
+    angle = angle_deg(mine, theirs)
     return {
         f"{name}_mean_deg": float(angle.mean()),
         f"{name}_median_deg": float(np.median(angle)),
@@ -136,12 +125,9 @@ def ita_deg(albedo: np.ndarray) -> float:
     Returns:
         arctan((L* - 50) / b*), light skin above, dark skin below.
     """
-    xyz = XYZ_FROM_SRGB @ np.maximum(albedo.reshape(-1, 3).mean(axis=0), 0) / D65
-    small = (6 / 29) ** 3
-    cube = np.where(xyz > small, np.cbrt(xyz), xyz / (3 * (6 / 29) ** 2) + 4 / 29)
-    light, yellow = 116 * cube[1] - 16, 200 * (cube[1] - cube[2])
-    # Skin is yellower than grey; arctan2 keeps the angle where one is not.
-    return float(np.degrees(np.arctan2(light - 50, max(yellow, LEAST))))
+    lab = lab_from_linear(np.maximum(albedo.reshape(-1, 3).mean(axis=0), 0))
+    # Skin is yellower than grey: where one is not, the angle ends upright.
+    return float(np.degrees(np.arctan2(lab[0] - 50, max(float(lab[2]), LEAST))))
 
 
 def tone_of(angle_deg: float) -> str:
@@ -150,9 +136,3 @@ def tone_of(angle_deg: float) -> str:
         if angle_deg > least:
             return name
     return ITA_NAMES[-1]
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    values = vectors.astype(float)
-    length = np.linalg.norm(values, axis=1, keepdims=True)
-    return np.divide(values, length, out=np.zeros_like(values), where=length > LEAST)

@@ -17,6 +17,7 @@ from learning.checkpoint import (
     shipped_weights,
 )
 from learning.errors import MapsError
+from learning.limits import require_within
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, Photograph, Places, fit_head
@@ -232,7 +233,9 @@ def _config(request: FitRequest) -> FitConfig:
         more["rows"] = request.rows
     if request.refine is not None:
         more["refine_seconds"] = request.refine
-    return dataclasses.replace(config, **more)
+    config = dataclasses.replace(config, **more)
+    require_within(config, request.config or "fit", "fit")
+    return config
 
 
 def _facts(

@@ -91,7 +91,7 @@ def shape_model(template: Template, config: FitConfig) -> ShapeModel:
     behind = mean[template.landmarks[EARS], 2].mean()
     deeper = np.zeros_like(mean)
     deeper[:, 2] = np.maximum(mean[:, 2] - behind, 0)
-    mean = mean + (config.depth_ratio - 1) * deeper
+    mean = mean + (template.depth_ratio - 1) * deeper
     own = np.concatenate([own, config.depth_deviation * deeper[None]])
     scales = list(zip(config.free_mm, config.free_length_mm, strict=True))
     free = smooth_changes(mean, face, config.free_modes, scales, config.asymmetry)

@@ -13,7 +13,7 @@ from learning.render.view import render_view
 from lightstage.formats.environment import LightSet
 from lightstage.rig import Camera
 from processing.colour import srgb_from_linear
-from processing.report import Picture, Section, Table, display_error, write_report
+from processing.report import Picture, Section, Table, display, display_error, write_report
 from processing.sides import coloured_sides, lit_sides
 
 LARGEST_PX = 640
@@ -56,9 +56,9 @@ def write_page(path: Path, photographs: list[Photograph], fitted: FittedHead) ->
                 Picture(
                     np.hstack(
                         [
-                            _display(_small(fitted.texture, LARGEST_PX)),
-                            _grey(_small(fitted.confidence, LARGEST_PX)),
-                            _display(_small(fitted.inferred.maps["diffuse_albedo"], LARGEST_PX)),
+                            display(_small(fitted.texture, LARGEST_PX)),
+                            display(_small(fitted.confidence, LARGEST_PX)),
+                            display(_small(fitted.inferred.maps["diffuse_albedo"], LARGEST_PX)),
                         ]
                     ),
                     "Left: the texture with the photograph's light, whole. Middle: where it was "
@@ -98,7 +98,7 @@ def _over(photograph: Photograph, fitted: FittedHead) -> Section:
         "Photograph and fit",
         [
             Picture(
-                np.hstack([_marked(photograph, camera), _display(over)]),
+                np.hstack([_marked(photograph, camera), display(over)]),
                 "Left: the photograph with its landmarks. Right: the fitted head drawn over it; "
                 "eyes, mouth and outline should lie on the photograph's.",
             ),
@@ -125,7 +125,7 @@ def _light(fitted: FittedHead) -> Section:
     return Section(
         "Light",
         [
-            Picture(_display(ball(fitted.light, BALL_PX)), "A white ball under the light."),
+            Picture(display(ball(fitted.light, BALL_PX)), "A white ball under the light."),
             Table(
                 ["degrees to the face's left", "degrees up", "red", "green", "blue"],
                 rows,
@@ -156,7 +156,7 @@ def _marked(photograph: Photograph, camera: Camera) -> np.ndarray:
     """The photograph with its landmarks, at the page's size."""
     small = smaller(camera, LARGEST_PX)
     size = (small.width_px, small.height_px)
-    shown = _display(cv2.resize(photograph.rgb_linear, size, interpolation=cv2.INTER_AREA))
+    shown = display(cv2.resize(photograph.rgb_linear, size, interpolation=cv2.INTER_AREA))
     height, width = photograph.rgb_linear.shape[:2]
     scale = np.array([small.width_px / width, small.height_px / height])
     for point in photograph.landmarks_px:
@@ -171,11 +171,3 @@ def _small(image: np.ndarray, largest_px: int) -> np.ndarray:
     scale = min(1.0, largest_px / max(image.shape[:2]))
     size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-
-
-def _display(rgb_linear: np.ndarray) -> np.ndarray:
-    return np.round(255 * srgb_from_linear(rgb_linear)).astype(np.uint8)
-
-
-def _grey(values: np.ndarray) -> np.ndarray:
-    return np.repeat(np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)[..., None], 3, axis=2)

@@ -9,6 +9,7 @@ import numpy as np
 import open3d
 
 from learning.render.uv import UvRaster
+from learning.render.view import scene_of
 from lightstage.formats.mesh import Mesh
 from lightstage.rig import Camera
 
@@ -70,30 +71,10 @@ def unwrap(rgb_linear: np.ndarray, mesh: Mesh, raster: UvRaster, camera: Camera)
     return Unwrapped(texture, _spread(seen, covered), _spread(cosine.astype(np.float32), covered))
 
 
-def scene_of(mesh: Mesh) -> open3d.t.geometry.RaycastingScene:
-    """The mesh for rays."""
-    scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        open3d.core.Tensor(np.ascontiguousarray(mesh.vertices, np.float32)),
-        open3d.core.Tensor(np.ascontiguousarray(mesh.triangles(), np.uint32)),
-    )
-    return scene
-
-
 def smaller(camera: Camera, largest_px: int) -> Camera:
-    """The camera with a picture of so many pixels a side at most."""
-    scale = min(1.0, largest_px / max(camera.width_px, camera.height_px))
-    width, height = (max(1, round(scale * s)) for s in (camera.width_px, camera.height_px))
-    across, down = width / camera.width_px, height / camera.height_px
-    return dataclasses.replace(
-        camera,
-        width_px=width,
-        height_px=height,
-        fx_px=camera.fx_px * across,
-        cx_px=camera.cx_px * across,
-        fy_px=camera.fy_px * down,
-        cy_px=camera.cy_px * down,
-    )
+    """The camera with a picture of so many pixels a side, where its own has more."""
+    longer = max(camera.width_px, camera.height_px)
+    return camera if longer <= largest_px else camera.scaled(largest_px / longer)
 
 
 def _edges(

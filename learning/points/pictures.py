@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import open3d
 
+from learning.render.view import scene_of
 from lightstage.formats.mesh import Mesh, vertex_normals
 from lightstage.rig import Camera, look_at
 from processing.colour import srgb_from_linear
@@ -52,12 +53,7 @@ class Coloured:
     def __post_init__(self) -> None:
         """Build what rays are cast at."""
         triangles = self.mesh.triangles()
-        scene = open3d.t.geometry.RaycastingScene()
-        scene.add_triangles(
-            open3d.core.Tensor(np.ascontiguousarray(self.mesh.vertices, np.float32)),
-            open3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32)),
-        )
-        object.__setattr__(self, "scene", scene)
+        object.__setattr__(self, "scene", scene_of(self.mesh))
         object.__setattr__(self, "triangles", triangles)
         object.__setattr__(self, "normals", vertex_normals(self.mesh.vertices, triangles))
 

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from scipy import ndimage
 
+from learning.vectors import unit
 from lightstage.errors import FormatError
 from lightstage.formats.mesh import Mesh, vertex_normals
 
@@ -41,9 +42,7 @@ class UvRaster:
 
     def normals(self, mesh: Mesh) -> np.ndarray:
         """(rows, columns, 3) unit interpolated vertex normals of the mesh, zero outside."""
-        normals = self.interpolate(vertex_normals(mesh.vertices, self.triangles))
-        length = np.linalg.norm(normals, axis=2, keepdims=True)
-        return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+        return unit(self.interpolate(vertex_normals(mesh.vertices, self.triangles)))
 
 
 def rasterise(mesh: Mesh, rows: int, columns: int) -> UvRaster:

@@ -39,11 +39,7 @@ def render_view(
     """
     if mesh.uvs is None:
         raise FormatError("mesh", field="uv", found="none", expected="texture coordinates")
-    scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        open3d.core.Tensor(np.ascontiguousarray(mesh.vertices, np.float32)),
-        open3d.core.Tensor(np.ascontiguousarray(mesh.triangles(), np.uint32)),
-    )
+    scene = scene_of(mesh)
     corner_uvs = mesh.uvs[mesh.triangle_uvs()]
     rgba = np.concatenate([spread_outside(texture, known), known[..., None]], axis=2)
     rgba = rgba.astype(np.float32)
@@ -54,6 +50,16 @@ def render_view(
         pixels[top : top + height] = _band(scene, corner_uvs, rgba, band)
     alpha = pixels[..., 3]
     return pixels[..., :3] + background * (1 - alpha[..., None]), alpha
+
+
+def scene_of(mesh: Mesh) -> open3d.t.geometry.RaycastingScene:
+    """A mesh as rays are cast at it."""
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        open3d.core.Tensor(np.ascontiguousarray(mesh.vertices, np.float32)),
+        open3d.core.Tensor(np.ascontiguousarray(mesh.triangles(), np.uint32)),
+    )
+    return scene
 
 
 def _band(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import collections
 import concurrent.futures
+import importlib
 import multiprocessing
 import threading
 from collections.abc import Callable
@@ -102,7 +103,7 @@ class Album:
 
 def behind_is_ready() -> bool:
     """Asked of a new process, which has imported this file then."""
-    import rawpy  # noqa: F401  the first photograph shall not wait for it
+    importlib.import_module("rawpy")  # the first photograph shall not wait for it
 
     return True
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from lightstage.formats.surface_points import (
 
 SCHEMA = "lightstage.template/1"
 FACE_SCHEME = "mediapipe468"
+DEPTH_RATIOS = (0.3, 3.0)
 REGIONS = ("skin", "lips", "eyes", "ears", "hair")
 
 
@@ -54,6 +56,8 @@ class Template:
     modes: Modes | None = None
     maps: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
     """shininess (exponent), translucency (0..1): (rows, columns) float32, where present."""
+    depth_ratio: float = 1.0
+    """People's faces are so many times as deep, from the ears to the front, as the mesh's."""
     face_points: SurfacePoints | None = None
     """Where the face detector's 468 points lie on the mesh, where the folder tells it."""
 
@@ -133,6 +137,7 @@ def load_template(path: Path) -> Template:
         source=str(value.get("source", "")),
         modes=_load_modes(path / "modes.npz", count),
         maps=maps,
+        depth_ratio=_depth_ratio(value.get("depth_ratio", 1.0), path / "template.json"),
         face_points=read_surface_points(points, count) if points.exists() else None,
     )
 
@@ -162,9 +167,23 @@ def save_template(template: Template, path: Path) -> Path:
             "regions": {name: indices.tolist() for name, indices in template.regions.items()},
             "licence": template.licence,
             "source": template.source,
+            "depth_ratio": template.depth_ratio,
         },
     )
     return path
+
+
+def _depth_ratio(value: Any, path: Path) -> float:
+    least, most = DEPTH_RATIOS
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not least <= value <= most:
+        raise FormatError(
+            path,
+            field="depth_ratio",
+            found=repr(value)[:40],
+            expected=f"a number, {least:g} to {most:g}; 1 where people's faces are as deep",
+        )
+    return float(value)
 
 
 def _is_indices(value: object, count: int) -> bool:

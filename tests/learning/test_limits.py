@@ -13,6 +13,7 @@ from learning.limits import LIMITS, require_within
 from learning.mesostructure.config import MesostructureTrainConfig
 from learning.networks.generator import GeneratorConfig
 from learning.patch_config import TrainConfig
+from learning.photo.config import FitConfig
 from learning.presets import PRESETS, preset
 from learning.render.occlusion_training import OcclusionTrainConfig
 from learning.upscale.config import UpscaleTrainConfig
@@ -47,8 +48,16 @@ def changed(config, name, value):
     return dataclasses.replace(config, **{head: inner})
 
 
+ALL = [*((config, "") for config in CONFIGS), (FitConfig(), "fit")]
+"""Each configuration, and its name in the table of bounds."""
+
+
+def numbers_of(config, table):
+    return named_numbers(config, f"{table}." if table else "")
+
+
 def test_every_number_has_bounds_and_every_bound_a_number():
-    assert {name for config in CONFIGS for name in named_numbers(config)} == set(LIMITS)
+    assert {name for each in ALL for name in numbers_of(*each)} == set(LIMITS)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -59,12 +68,13 @@ def test_every_preset_is_within_its_bounds(name):
 @pytest.mark.parametrize("name", LIMITS)
 def test_a_number_out_of_bounds_is_named_with_its_bounds(name):
     low, high = LIMITS[name]
-    configs = [config for config in CONFIGS if name in named_numbers(config)]
+    known = [each for each in ALL if name in numbers_of(*each)]
     wrongs = [low - 1, high * 2 + 1, math.nan, math.inf, -math.inf]
-    for config, wrong in itertools.product(configs, wrongs):
-        value = (wrong, wrong) if isinstance(named_numbers(config)[name], tuple) else wrong
+    for (config, table), wrong in itertools.product(known, wrongs):
+        value = (wrong, wrong) if isinstance(numbers_of(config, table)[name], tuple) else wrong
+        own = name.removeprefix(f"{table}.") if table else name
         with pytest.raises(ConfigError) as raised:
-            require_within(changed(config, name, value), "run.toml")
+            require_within(changed(config, own, value), "run.toml", table)
         assert raised.value.field == name
         assert raised.value.where == "run.toml"
         assert "expected" in str(raised.value)

@@ -34,6 +34,7 @@ def template():
         regions={"skin": np.arange(10, 40), "lips": np.arange(3)},
         licence="CC0",
         source="a test",
+        depth_ratio=0.9,
         modes=Modes(rng.normal(0, 1, (2, 81, 3)), rng.normal(0, 1, (1, 81, 3)), ("smile",)),
         maps={"shininess": np.full((6, 4), 40.0, np.float32)},
     )
@@ -50,7 +51,7 @@ def test_a_template_survives_its_folder(tmp_path, template):
     assert np.allclose(read.modes.identity, template.modes.identity, atol=1e-6)
     assert read.modes.expression_names == ("smile",)
     assert (read.maps["shininess"] == 40).all()
-    assert (read.licence, read.source) == ("CC0", "a test")
+    assert (read.licence, read.source, read.depth_ratio) == ("CC0", "a test", 0.9)
 
 
 def without_uv(path, template):
@@ -86,6 +87,8 @@ DAMAGE = {
     ),
     "index": (changed(landmarks={"ibug68": [81] * 68}), "68 vertex indices below 81"),
     "region": (changed(regions={"lips": [-1]}), "regions.lips"),
+    "depth": (changed(depth_ratio=0), r"depth_ratio: found 0, expected a number, 0.3 to 3"),
+    "depth too": (changed(depth_ratio=True), "depth_ratio: found True"),
     "newer": (changed(schema="lightstage.template/2"), "newer version"),
     "modes": (other_modes, r"modes.npz, identity: found shape \(2, 5, 3\), expected \(k, 81, 3\)"),
     "not npz": (lambda p, _: (p / "modes.npz").write_bytes(b"x"), "modes.npz"),

@@ -3,58 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
-import tarfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
 import pytest
-import zarr
 from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from lightstage.errors import ConfigError, LightstageError
-from lightstage.formats.files import sha256_file
 from lightstage.formats.processed import ProcessedFolder
 from processing.__main__ import app
 from processing.dataset import PublishConfig, Store, build_store, open_store, publish
 from processing.dataset.places import CLEAR, clear_skin, places_of
 from processing.dataset.publish import published_places, read_patch
+from tests.processing.releases import GAP, PEOPLE, SEED, SIZE, SMALL, Make, read, small_store
 
-Make = Callable[..., Path]
-SIZE, GAP = 16, 4
-SMALL = PublishConfig(
-    patch_px=SIZE,
-    gap=GAP / SIZE,
-    wander=0.25,
-    drop=0.0,
-    most_face=0.2,
-    min_coverage=0.3,
-    shard_patches=4,
-)
-SEED = 8675309886753098867
-PEOPLE = ("anna-kowalska-77", "bo-larsson-12", "chidi-okoro-31")
 Found = tuple[int, int, int]
 
 
 @pytest.fixture
 def store(tmp_path: Path, make_processed: Make) -> Store:
-    roots = [
-        make_processed(
-            tmp_path / "in" / name, 192, 128, name, "grin-wide", index, None, f"C-{index}"
-        )
-        for index, name in enumerate(PEOPLE)
-    ]
-    return open_store(build_store(roots, tmp_path / "store"))
-
-
-def read(out: Path, name: str) -> np.ndarray:
-    return np.asarray(zarr.open_group(out, mode="r")[name][:])
+    return small_store(tmp_path, make_processed)
 
 
 def unturned(picture: np.ndarray) -> list[np.ndarray]:
@@ -268,78 +240,6 @@ def test_people_without_a_consent_record_are_refused_by_name(
         "subjects_without": 1,
         "published_without_consent": True,
     }
-
-
-def test_the_whole_set_opens_as_one_zarr_group(tmp_path: Path, store: Store) -> None:
-    out = publish(store, tmp_path / "out", SEED, SMALL)
-    group = zarr.open_group(out, mode="r")
-    facts = json.loads((out / "dataset.json").read_text())
-    assert dict(group.arrays()).keys() == facts["channels"].keys()
-    for name, channels in facts["channels"].items():
-        assert group[name].shape == (facts["counts"]["patches"], SIZE, SIZE, channels)
-    assert sorted(p.name for p in out.iterdir()) == sorted(
-        ["checksums.json", "dataset.json", "zarr.json", *facts["channels"]]
-    )
-
-
-def patches_in(out: Path) -> list[dict[str, np.ndarray]]:
-    """The samples of tars in webdataset's naming, by the standard library alone."""
-    samples: dict[str, dict[str, np.ndarray]] = {}
-    for path in sorted(out.glob("*.tar")):
-        with tarfile.open(path) as tar:
-            for member in tar:
-                key, _, name = member.name.partition(".")
-                file = tar.extractfile(member)
-                assert file is not None
-                data = io.BytesIO(file.read())
-                samples.setdefault(key, {})[name.removesuffix(".npy")] = np.load(data)
-    return list(samples.values())
-
-
-def test_tars_hold_the_patches_of_the_zarr_group_in_its_order(
-    tmp_path: Path, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("processing.dataset.release_files.TAR_PATCHES", 5)
-    arrays = publish(store, tmp_path / "zarr", SEED, SMALL)
-    tars = publish(store, tmp_path / "tars", SEED, dataclasses.replace(SMALL, form="webdataset"))
-    samples = patches_in(tars)
-    assert len(samples) == len(read(arrays, "shape")) > 5
-    for name in ("diffuse_albedo", "specular_albedo", "specular_normal", "shape"):
-        np.testing.assert_array_equal(np.stack([s[name] for s in samples]), read(arrays, name))
-    assert len(list(tars.glob("*.tar"))) == -(-len(samples) // 5)
-    two = [json.loads((each / "dataset.json").read_text()) for each in (arrays, tars)]
-    assert two[0] == two[1]
-
-
-def test_files_in_a_tar_tell_no_time_no_owner_and_no_patch_by_their_size(
-    tmp_path: Path, store: Store
-) -> None:
-    out = publish(store, tmp_path / "out", SEED, dataclasses.replace(SMALL, form="webdataset"))
-    with tarfile.open(next(out.glob("*.tar"))) as tar:
-        members = tar.getmembers()
-    assert {(m.mtime, m.uid, m.gid, m.uname, m.gname) for m in members} == {(0, 0, 0, "", "")}
-    sizes: dict[str, set[int]] = {}
-    for member in members:
-        sizes.setdefault(member.name.partition(".")[2], set()).add(member.size)
-    assert all(len(each) == 1 for each in sizes.values())
-    # What webdataset takes for one sample stands together.
-    keys = [member.name.partition(".")[0] for member in members]
-    assert keys == sorted(keys)
-
-
-@pytest.mark.parametrize("form", ["zarr", "webdataset"])
-def test_every_file_of_a_release_has_a_checksum(
-    tmp_path: Path, store: Store, form: Literal["zarr", "webdataset"]
-) -> None:
-    out = publish(store, tmp_path / "out", SEED, dataclasses.replace(SMALL, form=form))
-    sums = json.loads((out / "checksums.json").read_text())["files"]
-    there = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} - {"checksums.json"}
-    assert sums == {name: sha256_file(out / name) for name in there}
-
-
-def test_a_form_that_there_is_none_of_is_refused() -> None:
-    with pytest.raises(ConfigError, match="format: found 'csv', expected zarr or webdataset"):
-        PublishConfig(form="csv")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("wrong", [{"gap": -0.1}, {"wander": float("nan")}, {"drop": 1.0}])

@@ -6,12 +6,11 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from learning.photo.fit import Places
 from lightstage.formats.environment import LightSet
 from lightstage.formats.mesh import Mesh
-from lightstage.rig import Camera
+from lightstage.rig import Camera, look_at
 
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 360, 480, 1000.0
 KEY = LightSet(
@@ -34,9 +33,8 @@ class Shot:
 
 def camera_at(yaw_deg: float, focal_px: float = FOCAL_PX, distance_mm: float = 800.0) -> Camera:
     """A camera that looks at a face in the head frame from its left by some degrees."""
-    turned = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
-    rotation = np.diag([1.0, -1.0, -1.0]) @ turned.T
-    offset = np.array([0, 0, distance_mm]) - rotation @ np.array([0.0, -20.0, 40.0])
+    turn, aim = np.radians(yaw_deg), np.array([0.0, -20.0, 40.0])
+    place = aim + distance_mm * np.array([np.sin(turn), 0.0, np.cos(turn)])
     return Camera(
         "photo",
         "",
@@ -48,7 +46,7 @@ def camera_at(yaw_deg: float, focal_px: float = FOCAL_PX, distance_mm: float = 8
         WIDTH_PX / 2,
         HEIGHT_PX / 2,
         (0.0,) * 5,
-        np.column_stack([rotation, offset]),
+        look_at(place, aim),
     )
 
 

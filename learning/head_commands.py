@@ -1,0 +1,159 @@
+"""Commands of finished heads: `export`, `detail`, `evaluate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lightstage.commands import (
+    JsonFlag,
+    finish,
+    output_file,
+    output_folder,
+    progress_bar,
+)
+from lightstage.counting import counted
+from lightstage.formats.access import group_of, limited_access
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands `export`, `detail` and `evaluate` to an application."""
+    app.command("export")(export)
+    app.command("detail")(detail)
+    app.command("evaluate")(evaluate)
+
+
+def export(
+    maps: Annotated[
+        Path,
+        typer.Argument(
+            help="Processed folder, whose atlas and registered mesh are taken; or a folder of "
+            "maps, such as `infer` writes."
+        ),
+    ],
+    out: Annotated[Path, output_folder("--out", help="Folder to make.")],
+    mesh: Annotated[
+        Path | None,
+        typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
+    ] = None,
+    formats: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="Some of, with commas: `gltf` (head.glb), `obj` (with head.mtl), `maps` (16-bit "
+            "PNG and OpenEXR, with a recipe for Blender and Unreal), `usd` (needs the extra usd), "
+            "`page` (page.html, which opens in a browser from the disk).",
+        ),
+    ] = "gltf,obj,maps",
+    template: Annotated[
+        Path | None,
+        typer.Option(
+            help="Template whose expressions become morph targets under ARKit's names, and whose "
+            "shininess stands for a map of roughness that is missing."
+        ),
+    ] = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option(
+            help="Inferred maps of the same mesh: the page has a slider between them and MAPS."
+        ),
+    ] = None,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Write a head for artists, engines and researchers: glTF, OBJ, maps, USD, a web page."""
+    from learning.export.command import export_command
+
+    with limited_access(group_of([maps])), progress_bar("export") as progress:
+        facts = export_command(maps, mesh, formats, out, template, compare, progress)
+    finish(
+        f"{out}: {', '.join(facts['formats'])}; {facts['rows']} x {facts['columns']} texels, "
+        f"{facts['bytes'] / 1e6:.1f} MB, {facts['seconds']:.1f} s"
+        + "".join(f"; {note}" for note in facts["notes"]),
+        facts,
+        as_json,
+    )
+
+
+def detail(
+    maps: Annotated[
+        Path,
+        typer.Argument(
+            help="Processed folder, folder of maps such as `infer` writes, or a fit's folder."
+        ),
+    ],
+    out: Annotated[
+        Path, output_folder("--out", help="Folder to make; one of an earlier call is replaced.")
+    ],
+    mesh: Annotated[
+        Path | None,
+        typer.Option(help="Mesh with the maps' UV; else registered_mesh.obj beside the maps."),
+    ] = None,
+    longest_mm: Annotated[
+        float, typer.Option(help="Size in mm above which relief is the mesh's, not the normals'.")
+    ] = 10.0,
+    subdivide: Annotated[
+        int, typer.Option(help="How often triangles are split into four; 0 for no mesh.")
+    ] = 2,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Find the heights of pores and folds: a displacement map in mm, and an embossed mesh."""
+    from learning.detail.command import detail_command
+
+    with limited_access(group_of([maps])), progress_bar("detail") as progress:
+        facts = detail_command(maps, mesh, out, longest_mm, subdivide, progress)
+    finish(
+        f"{out}: heights of {facts['height_rms_mm']:.3f} mm (root mean square), "
+        f"{counted(facts['triangles'], 'triangle')}, {facts['seconds']:.1f} s",
+        facts,
+        as_json,
+    )
+
+
+def evaluate(
+    inferred: Annotated[
+        list[Path],
+        typer.Argument(help="Folders of maps, such as `infer`, `fit` and `avatar` write."),
+    ],
+    truth: Annotated[
+        list[Path],
+        typer.Option(
+            help="Processed folder with the captured maps; once for each inferred one, in order, "
+            "or once for all: these are then of one person, and how far they agree is measured."
+        ),
+    ],
+    data: Annotated[
+        str, typer.Option(help="Whose truth: `captured` or `simulated` people.")
+    ] = "captured",
+    out: Path | None = output_file(
+        "--out",
+        help="Figures to write, .json; a table with .md stands beside it.",
+        suffixes=[".json"],
+        default=None,
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Measure inferred maps against captured ones, with intervals over people."""
+    from learning.evaluation.command import evaluate_command
+
+    with (
+        limited_access(group_of([*inferred, *truth])),
+        progress_bar("evaluate") as progress,
+    ):
+        facts = evaluate_command(tuple(inferred), tuple(truth), data, out, progress)
+    figures = facts["figures"]
+    finish(
+        f"{counted(facts['people'], 'person', 'people')}, {facts['data']}: albedo "
+        f"{figures['albedo_psnr_db']['mean']:.1f} dB "
+        f"({figures['albedo_relative_psnr_db']['mean']:.1f} relative), "
+        + (
+            f"diffuse normals {figures['diffuse_normal_mean_deg']['mean']:.1f} deg, "
+            if "diffuse_normal_mean_deg" in figures
+            else ""
+        )
+        + f"skin colour {figures['ita_error_deg']['mean']:.1f} deg of ITA, "
+        f"{facts['seconds']:.1f} s",
+        facts,
+        as_json,
+    )

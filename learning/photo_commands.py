@@ -1,0 +1,181 @@
+"""Commands of photographs: `fit`, `avatar`, and where faces' points lie on a template."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lightstage.commands import (
+    JsonFlag,
+    finish,
+    output_file,
+    output_folder,
+    progress_bar,
+)
+from lightstage.counting import counted
+from lightstage.formats.access import group_of, limited_access
+
+PhotosArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Photographs of one person: JPEG, PNG, TIFF or linear .exr. Shape comes from all, the "
+        "texture from the first."
+    ),
+]
+FaceTemplateOption = Annotated[
+    Path,
+    typer.Option("--template", help="Template's folder, whose topology and UV the head has."),
+]
+CheckpointOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Run folder of a whole-face network, or its checkpoint.json; the weights that are "
+        "shipped else."
+    ),
+]
+MarksOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--landmarks",
+        help="Points of each photograph by its file's name (lightstage.landmarks/1, of iBUG's 68 "
+        "or MediaPipe's 468); detected without it.",
+    ),
+]
+FaceOption = Annotated[int, typer.Option("--face", help="Which face, 1 is the largest.")]
+FilmOption = Annotated[
+    float | None,
+    typer.Option(
+        "--focal-35mm",
+        help="Focal length of the lens as on 35 mm film, mm, in place of what the files tell.",
+    ),
+]
+FitRowsOption = Annotated[
+    int | None,
+    typer.Option("--rows", help="Rows of the texture, a multiple of 3; 1536 where not given."),
+]
+FitRefineOption = Annotated[
+    float | None,
+    typer.Option(
+        "--refine",
+        help="Seconds, at most, for the search of the light; 20 where not given, 0 for none.",
+    ),
+]
+FitConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="TOML that overrides the defaults of the fit.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands `fit`, `avatar` and `template-points` to an application."""
+    app.command("fit")(fit)
+    app.command("avatar")(avatar)
+    app.command("template-points")(template_points)
+
+
+def fit(
+    photo: PhotosArgument,
+    template: FaceTemplateOption,
+    out: Annotated[
+        Path, output_folder("--out", help="Folder to make; one of an earlier fit is replaced.")
+    ],
+    landmarks: MarksOption = None,
+    face: FaceOption = 1,
+    film_mm: FilmOption = None,
+    checkpoint: CheckpointOption = None,
+    rows: FitRowsOption = None,
+    refine: FitRefineOption = None,
+    config: FitConfigOption = None,
+    as_json: bool = JsonFlag,
+) -> None:
+    """Find a head's shape, texture, skin and light from photographs of one person."""
+    from learning.photo.command import FitRequest, fit_command
+
+    request = FitRequest(
+        tuple(photo), template, out, landmarks, face, film_mm, checkpoint, rows, refine, config
+    )
+    with limited_access(group_of([path.parent for path in photo])), progress_bar("fit") as progress:
+        facts = fit_command(request, progress)
+    first = facts["photographs"][0]
+    finish(
+        f"{out}: {facts['rows']} x {facts['columns']} texels, {facts['seen_percent']:.0f} % from "
+        f"the photograph, landmarks {first['landmark_px']:.1f} px, "
+        + ("no light found, " if facts["lamps"] is None else f"{counted(facts['lamps'], 'lamp')}, ")
+        + f"{facts['seconds']:.1f} s"
+        + "".join(f"; {note}" for note in facts["notes"]),
+        facts,
+        as_json,
+    )
+
+
+def avatar(
+    photo: PhotosArgument,
+    template: FaceTemplateOption,
+    out: Annotated[
+        Path, output_folder("--out", help="Folder of the avatar; what is up to date stays.")
+    ],
+    landmarks: MarksOption = None,
+    face: FaceOption = 1,
+    film_mm: FilmOption = None,
+    checkpoint: CheckpointOption = None,
+    rows: FitRowsOption = None,
+    refine: FitRefineOption = None,
+    config: FitConfigOption = None,
+    formats: Annotated[
+        str, typer.Option("--format", help="As `export --format`, with commas.")
+    ] = "gltf,page",
+    until: Annotated[str, typer.Option(help="Last stage: `fit` or `export`.")] = "export",
+    as_json: bool = JsonFlag,
+) -> None:
+    """Make a head that leaves the program from photographs of one person: fit, then export."""
+    from learning.avatar import avatar_command
+    from learning.photo.command import FitRequest
+
+    request = FitRequest(
+        tuple(photo), template, out, landmarks, face, film_mm, checkpoint, rows, refine, config
+    )
+    with (
+        limited_access(group_of([path.parent for path in photo])),
+        progress_bar("avatar") as progress,
+    ):
+        facts = avatar_command(request, until, formats, progress)
+    skipped = f"{' and '.join(facts['skipped'])} up to date, " if facts["skipped"] else ""
+    finish(
+        f"{out}: {facts['rows']} x {facts['columns']} texels, {skipped}{facts['seconds']:.1f} s"
+        + "".join(f"; {note}" for note in facts["notes"]),
+        facts,
+        as_json,
+    )
+
+
+def template_points(
+    template: Annotated[Path, typer.Option(help="Template's folder: mesh, landmarks, regions.")],
+    out: Path | None = output_file(
+        "--out",
+        help="Points to write, .json; mediapipe468.json in the template's folder without it.",
+        suffixes=[".json"],
+        default=None,
+        shared=True,
+    ),
+    picture: Path | None = output_file(
+        "--picture",
+        help="Picture of the head with its points, .png.",
+        suffixes=[".png"],
+        default=None,
+        shared=True,
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Find where the face detector's 468 points lie on a template, from pictures all round."""
+    from learning.points.command import template_points as find_template_points
+
+    with progress_bar("template-points") as progress:
+        facts = find_template_points(template, out, picture, progress)
+    finish(
+        f"{facts['points']}: {facts['found']} points, {facts['absent']} without a place, lines of "
+        f"sight {facts['spread_median_mm']} mm apart (median), a face in {facts['faces']} of "
+        f"{facts['pictures']} pictures, {facts['seconds']:.0f} s",
+        facts,
+        as_json,
+    )

@@ -1,0 +1,39 @@
+"""A small store, and the settings under which tests publish it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import zarr
+
+from processing.dataset import PublishConfig, Store, build_store, open_store
+
+Make = Callable[..., Path]
+SIZE, GAP = 16, 4
+SMALL = PublishConfig(
+    patch_px=SIZE,
+    gap=GAP / SIZE,
+    wander=0.25,
+    drop=0.0,
+    most_face=0.2,
+    min_coverage=0.3,
+    shard_patches=4,
+)
+SEED = 8675309886753098867
+PEOPLE = ("anna-kowalska-77", "bo-larsson-12", "chidi-okoro-31")
+
+
+def small_store(folder: Path, make_processed: Make) -> Store:
+    """Three people, one expression each."""
+    roots = [
+        make_processed(folder / "in" / name, 192, 128, name, "grin-wide", index, None, f"C-{index}")
+        for index, name in enumerate(PEOPLE)
+    ]
+    return open_store(build_store(roots, folder / "store"))
+
+
+def read(out: Path, name: str) -> np.ndarray:
+    """All patches of a channel."""
+    return np.asarray(zarr.open_group(out, mode="r")[name][:])
