@@ -147,21 +147,37 @@ def make(who: Who, rows: int) -> Head:
     """Make a head's maps at so many rows, a multiple of 3."""
     if who.folder is not None:
         return _of_folder(who, who.folder, rows)
+    if who.kind in ("scan", "ict"):
+        return _registered(who, *of_other_topology(who, SHARPER * rows), rows)
+    assert who.person is not None
+    seed, traits = who.person.seed, who.person.traits
+    return _own(who, parametric_subject(who.name, seed, "neutral", rows, traits))
+
+
+def of_other_topology(who: Who, rows: int) -> tuple[Subject, np.ndarray]:
+    """A scanned head or one of ICT's model, with textures of so many rows.
+
+    Returns:
+        The head, and which of its triangles a camera sees: without the sockets, gums and teeth
+        behind the lips.
+    """
     if who.kind == "scan":
         folder = scan_folder()
         assert folder is not None
-        return _registered(who, load_scan(folder, SHARPER * rows), None, rows)
+        scan = load_scan(folder, rows)
+        return scan, np.arange(len(scan.mesh.triangles()))
+    path = ict_folder()
+    assert path is not None
     assert who.person is not None
-    seed, traits = who.person.seed, who.person.traits
-    if who.kind == "ict":
-        path = ict_folder()
-        assert path is not None
-        subject = ict_subject(who.name, path, seed, "neutral", SHARPER * rows, traits)
-        parts = parts_of(load_ict(path)).triangle_parts()
-        # What a camera sees: without the sockets, gums and teeth behind the lips.
-        outside = np.isin(parts, (*SKIN_PARTS, LEFT_EYE, RIGHT_EYE))
-        return _registered(who, subject, outside, rows)
-    return _own(who, parametric_subject(who.name, seed, "neutral", rows, traits))
+    subject = ict_subject(who.name, path, who.person.seed, "neutral", rows, who.person.traits)
+    parts = parts_of(load_ict(path)).triangle_parts()
+    return subject, np.flatnonzero(np.isin(parts, (*SKIN_PARTS, LEFT_EYE, RIGHT_EYE)))
+
+
+def outside_of(subject: Subject, kept: np.ndarray) -> Mesh:
+    """A head's mesh of these triangles alone, as a scanner would see it."""
+    used, corners = np.unique(subject.mesh.triangles()[kept], return_inverse=True)
+    return Mesh(subject.mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))
 
 
 def _own(who: Who, subject: Subject) -> Head:
@@ -173,20 +189,18 @@ def _own(who: Who, subject: Subject) -> Head:
     )
 
 
-def _registered(who: Who, subject: Subject, outside: np.ndarray | None, rows: int) -> Head:
+def _registered(who: Who, subject: Subject, kept: np.ndarray, rows: int) -> Head:
     """A subject of another topology, our template laid onto it.
 
     Args:
         who: it is.
         subject: the head.
-        outside: (t,) its triangles that a camera sees; all where None.
+        kept: its triangles that a camera sees.
         rows: of our maps.
     """
     triangles = subject.mesh.triangles()
-    kept = np.arange(len(triangles)) if outside is None else np.flatnonzero(outside)
-    used, corners = np.unique(triangles[kept], return_inverse=True)
-    scan = Mesh(subject.mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))
     template = load_template(default_template_path())
+    scan = outside_of(subject, kept)
     vertices, _ = register_mesh(scan, subject.landmarks_mm, template, RegisterConfig())
     mesh = template.mesh.with_vertices(vertices)
     pose = head_pose(vertices, template).matrix()

@@ -10,15 +10,20 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from lightstage.formats.mesh import Mesh, connected, directed_edges, vertex_normals
 from processing.errors import RegistrationError
+from processing.registration.both_ways import vertex_areas
 from processing.registration.plate import Plate, PlateConfig, Springs
 from processing.registration.rigid import Similarity, umeyama
 from processing.registration.target import Target
 
 HELD_MM2 = 1e4
+LEAST_VERTICES = 8
+"""Of a template's ear; fewer are isolated crumbs of the region."""
 BLEND_STIFFNESS_MM = 5.0
 """Of the plate between an ear that was moved and skin that was not, both held this hard."""
 
@@ -63,23 +68,29 @@ def find_ears(
         Of each ear that the scan shows, its (k,) vertices and what lays them onto the scan's.
     """
     out: list[tuple[np.ndarray, Similarity]] = []
-    bare = triangles[~ears[triangles].any(axis=1)]
-    if not (config.sought and len(bare) and ears.any()):
+    if not (config.sought and ears.any() and (~ears[triangles]).any()):
         return out
-    skin = Target(Mesh(vertices, bare))
-    normals = vertex_normals(vertices, triangles)
+    skin = Target(Mesh(_without(vertices, triangles, ears), triangles))
+    own = _Ear.all_of(vertices, triangles)
+    scan = _Ear(target.vertices, target.normals, vertex_areas(target.vertices, target.triangles))
+    used = np.unique(target.triangles)
     for ear in _parts(triangles, ears):
-        found = _standing_off(vertices[ear], skin, target, config)
-        pose = _laid(vertices[ear], normals[ear], target, found, config)
+        centre = vertices[ear].mean(axis=0)
+        reach = config.reach * np.linalg.norm(vertices[ear] - centre, axis=1).max()
+        near = used[np.linalg.norm(target.vertices[used] - centre, axis=1) < reach]
+        found = near[_height(target.vertices[near], skin) > config.stands_off_mm]
+        found = _largest_part(found, target.triangles, len(target.vertices))
+        found = found[:: max(1, len(found) // config.points)]
+        raised = ear[_height(vertices[ear], skin) > config.stands_off_mm]
+        pose = _laid(own.some(raised), scan.some(found), config)
         if pose is not None:
             out.append((ear, pose))
     return out
 
 
 def ears_in_place(
-    rest: np.ndarray,
+    vertices: np.ndarray,
     triangles: np.ndarray,
-    rough: np.ndarray,
     found: list[tuple[np.ndarray, Similarity]],
     plate: PlateConfig,
     blend_mm: float,
@@ -87,9 +98,8 @@ def ears_in_place(
     """A mesh with its ears moved as wholes, and the skin around them after them as a plate bends.
 
     Args:
-        rest: (n, 3) mm.
+        vertices: (n, 3) mm, the mesh on which the ears were found.
         triangles: (t, 3).
-        rough: (n, 3) mm, the mesh on which the ears were found.
         found: by `find_ears` on it.
         plate: settings.
         blend_mm: what is farther from all ears stays.
@@ -98,18 +108,18 @@ def ears_in_place(
         (n, 3) mm.
     """
     if not found:
-        return rest
-    moved, held = np.zeros_like(rest), np.zeros(len(rest), bool)
+        return vertices
+    moved, held = np.zeros_like(vertices), np.zeros(len(vertices), bool)
     for ear, pose in found:
-        moved[ear] = pose.apply(rough[ear]) - rough[ear]
+        moved[ear] = pose.apply(vertices[ear]) - vertices[ear]
         held[ear] = True
-    held |= cKDTree(rest[held]).query(rest)[0] > blend_mm
-    springs = Springs.none(len(rest))
+    held |= cKDTree(vertices[held]).query(vertices)[0] > blend_mm
+    springs = Springs.none(len(vertices))
     some = np.flatnonzero(held)
     springs.add(some, HELD_MM2 * np.tile(np.eye(3), (len(some), 1, 1)), moved[some])
-    sheet = Plate(rest, triangles, plate)
+    sheet = Plate(vertices, triangles, plate)
     sheet.stiffen(BLEND_STIFFNESS_MM, springs)
-    return rest + sheet.solve(springs, moved)
+    return vertices + sheet.solve(springs, moved)
 
 
 def _parts(triangles: np.ndarray, ears: np.ndarray) -> list[np.ndarray]:
@@ -118,56 +128,105 @@ def _parts(triangles: np.ndarray, ears: np.ndarray) -> list[np.ndarray]:
     label = connected(ends[ears[ends].all(axis=1)], len(ears))
     size = np.bincount(label[ears], minlength=label.max() + 1)
     largest = np.argsort(-size, kind="stable")[:2]
-    return [np.flatnonzero(ears & (label == k)) for k in largest if size[k] >= 8]
+    return [np.flatnonzero(ears & (label == k)) for k in largest if size[k] >= LEAST_VERTICES]
 
 
-def _standing_off(ear: np.ndarray, skin: Target, target: Target, config: EarConfig) -> np.ndarray:
-    """Indices of the scan's vertices around an ear that are off the skin."""
-    centre = ear.mean(axis=0)
-    reach = config.reach * np.linalg.norm(ear - centre, axis=1).max()
-    used = np.unique(target.triangles)
-    near = used[np.linalg.norm(target.vertices[used] - centre, axis=1) < reach]
-    if not len(near):
-        return near
-    off = near[skin.closest(target.vertices[near]).distance_mm > config.stands_off_mm]
-    return off[:: max(1, len(off) // config.points)]
+def _without(vertices: np.ndarray, triangles: np.ndarray, ears: np.ndarray) -> np.ndarray:
+    """(n, 3) mm, the skin as if there were no ears: a membrane closes their places.
+
+    Each vertex of an ear lies in the mean of its neighbours. Left open, the holes' middles would be
+    far from all skin, and so would the scan's skin there.
+    """
+    ends = directed_edges(triangles)
+    count = len(vertices)
+    joined = sp.coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    joined = ((joined + joined.T) > 0).astype(float).tocsr()
+    laplacian = (sp.diags(np.asarray(joined.sum(axis=1)).ravel()) - joined).tocsr()
+    part = connected(ends, count)
+    inside = np.flatnonzero(ears & np.isin(part, part[~ears]))
+    border = np.flatnonzero(~ears)
+    here = laplacian[inside]
+    flat = vertices.copy()
+    flat[inside] = splu(here[:, inside].tocsc()).solve(-(here[:, border] @ vertices[border]))
+    return flat
 
 
-def _laid(
-    ear: np.ndarray, normals: np.ndarray, target: Target, found: np.ndarray, config: EarConfig
-) -> Similarity | None:
+def _height(points: np.ndarray, skin: Target) -> np.ndarray:
+    """(k,) mm that points stand above a surface; negative below it."""
+    closest = skin.closest(points)
+    return np.einsum("nk,nk->n", points - closest.point, closest.normal)
+
+
+def _largest_part(some: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
+    """Of (k,) vertices those of the largest connected part: a shoulder is no ear."""
+    if not len(some):
+        return some
+    chosen = np.zeros(count, bool)
+    chosen[some] = True
+    ends = directed_edges(triangles)
+    label = connected(ends[chosen[ends].all(axis=1)], count)[some]
+    return some[label == np.argmax(np.bincount(label))]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Ear:
+    """Points of a surface: (k, 3) mm, (k, 3) unit normals, (k,) mm^2 that each stands for.
+
+    Areas weigh, because a scan's ear hole may have more vertices than all else of the ear.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    areas: np.ndarray
+
+    @classmethod
+    def all_of(cls, vertices: np.ndarray, triangles: np.ndarray) -> _Ear:
+        """Every vertex of a mesh."""
+        return cls(vertices, vertex_normals(vertices, triangles), vertex_areas(vertices, triangles))
+
+    def some(self, chosen: np.ndarray) -> _Ear:
+        """These alone."""
+        return _Ear(self.points[chosen], self.normals[chosen], self.areas[chosen])
+
+    def centre(self) -> np.ndarray:
+        """(3,) mm."""
+        return np.average(self.points, axis=0, weights=self.areas)
+
+    def size(self) -> float:
+        """Root mean squared distance from the centre, mm."""
+        squared = ((self.points - self.centre()) ** 2).sum(axis=1)
+        return float(np.sqrt(np.average(squared, weights=self.areas)))
+
+
+def _laid(ear: _Ear, place: _Ear, config: EarConfig) -> Similarity | None:
     """The similarity that lays an ear onto what stands off, looked for both ways; None if none."""
-    if len(found) < config.least_points:
+    if len(place.points) < config.least_points or len(ear.points) < LEAST_VERTICES:
         return None
-    place, facing = target.vertices[found], config.radian_mm * target.normals[found]
-    size = _size(ear)
-    start = _size(place) / size
+    if not (ear.areas.sum() > 0 and place.areas.sum() > 0):
+        return None
+    size = ear.size()
+    start = place.size() / size
     if not config.size[0] < start < config.size[1]:
         return None
-    pose = Similarity(np.eye(3), place.mean(axis=0) - start * ear.mean(axis=0), start)
-    tree = cKDTree(np.concatenate([place, facing], axis=1))
+    pose = Similarity(np.eye(3), place.centre() - start * ear.centre(), start)
+    tree = cKDTree(np.concatenate([place.points, config.radian_mm * place.normals], axis=1))
+    share = np.concatenate([one.areas / one.areas.sum() for one in (ear, place)])
     for _ in range(config.rounds):
-        turned = config.radian_mm * normals @ pose.rotation.T
-        here = np.concatenate([pose.apply(ear), turned], axis=1)
+        turned = config.radian_mm * ear.normals @ pose.rotation.T
+        here = np.concatenate([pose.apply(ear.points), turned], axis=1)
         there_mm, there = tree.query(here)
         back_mm, back = cKDTree(here).query(tree.data)
         away = np.concatenate([there_mm, back_mm])
-        weight = 1 / (1 + (away / max(float(np.median(away)), 1e-9)) ** 2)
-        weight /= np.concatenate([np.full(len(ear), len(ear)), np.full(len(place), len(place))])
+        weight = share / (1 + (away / max(float(np.median(away)), 1e-9)) ** 2)
         try:
             pose = umeyama(
-                np.concatenate([ear, ear[back]]),
-                np.concatenate([place[there], place]),
+                np.concatenate([ear.points, ear.points[back]]),
+                np.concatenate([place.points[there], place.points]),
                 weight,
                 scale=True,
             )
         except RegistrationError:
             return None
-    left = float(np.median(np.linalg.norm(place[there] - pose.apply(ear), axis=1)))
+    left = float(np.median(np.linalg.norm(place.points[there] - pose.apply(ear.points), axis=1)))
     good = config.size[0] < pose.scale < config.size[1]
     return pose if good and left < config.residual_share * size else None
-
-
-def _size(points: np.ndarray) -> float:
-    """Root mean squared distance from the centre, mm."""
-    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))

@@ -118,6 +118,7 @@ def fit_nonrigid(
     hidden: np.ndarray | None = None,
     intricate: np.ndarray | None = None,
     asked_both_ways: np.ndarray | None = None,
+    in_place: np.ndarray | None = None,
     progress: ProgressCallback = quiet,
 ) -> Fit:
     """Draw a mesh onto a scan.
@@ -134,6 +135,8 @@ def fit_nonrigid(
         intricate: (n,) bool, vertices that follow its coarse shape only (ears).
         asked_both_ways: (n,) bool, vertices of thin and folded parts, roughly in their places: the
             scan's points draw them too.
+        in_place: (n,) bool, those of them that lie in their places to begin with. Stiffnesses that
+            do not ask both ways hold them there: landmarks nearby would carry them away.
         progress: called once a round.
 
     Returns:
@@ -144,6 +147,7 @@ def fit_nonrigid(
     """
     none = np.zeros(len(rest), bool)
     thin = none if asked_both_ways is None else asked_both_ways
+    placed = none if in_place is None else in_place
     fine = Sheet.of(
         rest,
         triangles,
@@ -161,11 +165,13 @@ def fit_nonrigid(
         return BothWays(sheet.rest, faces, chosen, areas, target, config.both_ways)
 
     sheet, coarse, sheets = fine, None, [fine]
+    held = np.flatnonzero(placed)
     if config.coarse_cell_mm > 0:
         coarse = coarsened(rest, triangles, config.coarse_cell_mm, landmark_vertices)
         sheet = fine.coarsened(coarse)
         sheets.append(sheet)
         both = drawn_both_ways(sheet, coarse.triangles, thin[coarse.chosen])
+        held = np.flatnonzero(placed[coarse.chosen])
     else:
         both = drawn_both_ways(fine, triangles, thin)
     faults = Faults(rest, triangles, target)
@@ -182,9 +188,15 @@ def fit_nonrigid(
         followed[both.vertices] &= stiffness > config.both_ways.from_mm
         if stiffness < config.intricate_stiffness_mm:
             followed &= ~sheet.stiff
+        hold = stiffness > config.both_ways.from_mm
+        if hold:
+            followed[held] = False
         matches = sheet.matcher.match(sheet.rest + moved, stiffness)
         springs = _matched(sheet.plate, matches, followed, sheet.rest, moved, stiffness, config)
         both.draw(springs, sheet.rest, moved, stiffness)
+        if hold:
+            pull = config.landmark_pull * 8 * stiffness**2 * np.eye(3)
+            springs.add(held, np.tile(pull, (len(held), 1, 1)), np.zeros((len(held), 3)))
         if sheet is fine:
             springs.scale(yields)
         return springs, matches
@@ -192,7 +204,7 @@ def fit_nonrigid(
     for level, stiffness in enumerate(levels):
         if coarse is not None and stiffness < config.coarse_above_mm:
             moved = fine.carried(coarse, moved, config.coarse_cell_mm)
-            sheet, coarse = fine, None
+            sheet, coarse, held = fine, None, np.flatnonzero(placed)
             both = drawn_both_ways(fine, triangles, thin)
         for turn in range(config.iterations):
             springs, matches = pulled(stiffness)

@@ -264,18 +264,25 @@ def register_mesh(
             **given,
         )
 
-    begin, found, both_ways = fit.vertices, [], np.zeros_like(ears)
+    begin, found = fit.vertices, []
+    both_ways, in_place = np.zeros_like(ears), np.zeros_like(ears)
     if ears.any() and config.ears.sought:
         rough = laid(begin, config.nonrigid.down_to(config.ears_after_mm), quiet, free=ears)
         found = find_ears(rough.vertices, triangles, ears, target, config.ears)
         plate = config.nonrigid.plate
-        begin = ears_in_place(begin, triangles, rough.vertices, found, plate, config.ears.blend_mm)
+        if found:
+            begin = ears_in_place(rough.vertices, triangles, found, plate, config.ears.blend_mm)
         for ear, _ in found:
             away = cKDTree(begin[ear]).query(begin)[0]
             both_ways |= (away <= config.nonrigid.both_ways.around_mm) & ~hidden
-            both_ways[ear] = True
+            in_place[ear] = True
     result = laid(
-        begin, config.nonrigid, progress, intricate=ears & ~both_ways, asked_both_ways=both_ways
+        begin,
+        config.nonrigid,
+        progress,
+        intricate=ears & ~in_place,
+        asked_both_ways=both_ways | in_place,
+        in_place=in_place,
     )
     contradicted = np.zeros(len(gap), bool)
     contradicted[kept[result.contradicted]] = True
