@@ -8,8 +8,10 @@ import re
 import secrets
 import shutil
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from lightstage.cameras.camera import CardFile
 from lightstage.commands import ProgressCallback, quiet
@@ -20,7 +22,7 @@ from lightstage.formats.files import fsync_path, sha256_file
 from lightstage.formats.landmarks import LANDMARKS, read_points_px, write_points_px
 from lightstage.imported_light import Exposures, developed_findings
 from lightstage.opening import Opened, open_photograph
-from lightstage.patterns import SEQUENCES, pattern_levels
+from lightstage.patterns import SEQUENCES, drive_levels, pattern_levels
 from lightstage.rig import Rig
 from lightstage.session import (
     Carried,
@@ -188,6 +190,7 @@ def import_session(
     consent: str | None = None,
     findings: Sequence[Finding] = (),
     one_light: str | None = None,
+    emitters: Collection[str] = (),
 ) -> Imported:
     """Make a session of photographs taken elsewhere; all of it appears at once, or nothing.
 
@@ -203,6 +206,8 @@ def import_session(
         consent: id of the record of the person's consent.
         findings: of whoever looked before, for the journal.
         one_light: see find_photographs.
+        emitters: colours of the lights that were driven; none named: all. Where some are, the
+            session records each light's level: 0 or what the pattern's name says.
 
     Returns:
         How many photographs, and what should be known of them.
@@ -211,6 +216,7 @@ def import_session(
         FormatError: every photograph that cannot be opened (`opening`) or has not its camera's
             size, in one message.
         CaptureError: `out` holds something.
+        PatternError: a colour of no light, or a single light of another colour.
     """
     check_pseudonym(subject, "subject")
     check_pseudonym(expression, "expression")
@@ -220,6 +226,7 @@ def import_session(
     marks = None if landmarks is None else read_points_px(landmarks)
     found = find_photographs(folder, rig, one_light=one_light)
     total = sum(len(files) for files in found.values())
+    levels = {p: drive_levels(p, rig, "on-off", emitters=emitters) for p in found if emitters}
     beside = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
     try:
         plan = SessionPlan(tuple(found), subject, expression, consent=consent)
@@ -230,7 +237,7 @@ def import_session(
         try:
             for finding in findings:
                 writer.finding(finding)
-            more = _keep_all(found, rig, writer, total, progress)
+            more = _keep_all(found, levels, rig, writer, total, progress)
             for finding in more:
                 writer.finding(finding)
             writer.finish()
@@ -248,6 +255,7 @@ def import_session(
 
 def _keep_all(
     found: dict[str, dict[str, Path]],
+    levels: dict[str, np.ndarray],
     rig: Rig,
     writer: SessionWriter,
     total: int,
@@ -284,7 +292,8 @@ def _keep_all(
             done += 1
             progress(done, total)
         if not problems:
-            writer.shot(pattern)
+            driven = {"levels": levels[pattern].tolist()} if pattern in levels else {}
+            writer.shot(pattern, **driven)
     if problems:
         raise one_error(problems)
     return developed_findings(exposures)

@@ -26,6 +26,7 @@ from lightstage.motion.cameras import FoundCameras, find_cameras
 from lightstage.motion.lengths import Length, parse_length
 from lightstage.motion.lenses import read_lenses
 from lightstage.motion.points import read_clicks
+from lightstage.patterns import split_emitters
 from lightstage.preflight import consent_findings, require_known
 from lightstage.rig import Rig, default_rig, load_rig
 from lightstage.session import Carried, check_pseudonym, read_calibration, require_new
@@ -82,6 +83,9 @@ def import_command(
         None,
         help="Without --rig: lenses.json, who shares a focal length [by EXIF, else found].",
     ),
+    emitters: str | None = typer.Option(
+        None, help="With --rig: colours of the emitters that were driven, with commas [all]."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Make a session of photographs taken elsewhere.
@@ -104,6 +108,10 @@ def import_command(
                 ", ".join(unused), found="together with --rig", expected="one or the other"
             )
         the_rig = load_rig(rig)
+    elif emitters is not None:
+        raise ConfigError(
+            "--emitters", found="without --rig", expected="a rig.json whose lights have a `colour`"
+        )
     else:
         lengths = [parse_length(text) for text in length]
         found = _found(folder, lengths, landmarks, points, front, lights, lenses, pattern)
@@ -115,7 +123,7 @@ def import_command(
     with limited_access(settings.group), progress_bar("import") as progress:
         imported = import_session(
             folder, the_rig, out, subject, expression, carried, landmarks, progress,
-            consent, findings, pattern,
+            consent, findings, pattern, () if emitters is None else split_emitters(emitters),
         )  # fmt: skip
     frames = imported.frames
     warnings = [*map(str, (*findings, *imported.findings))]

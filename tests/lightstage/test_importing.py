@@ -1,5 +1,6 @@
 """`lightstage import`: photographs taken elsewhere become a session, whole or not at all."""
 
+import dataclasses
 import json
 import os
 import stat
@@ -43,6 +44,30 @@ def test_linear_photographs_become_a_session_that_passes_its_check(folder, tmp_p
         original = folder / frame.pattern / f"{frame.camera}.exr"
         assert session.frame_path(frame).read_bytes() == original.read_bytes()
     assert check_session(out).sums == 3
+
+
+def test_an_import_says_which_emitters_were_driven(folder, tmp_path, small_rig, run_command):
+    colours = ["warm", "cool"]
+    lights = tuple(
+        dataclasses.replace(light, colour=colours[k % 2])
+        for k, light in enumerate(small_rig.lights)
+    )
+    rig = dataclasses.replace(small_rig, lights=lights)
+    save_rig(rig, tmp_path / "rig.json")
+    words = ["lightstage", "import", folder, "--rig", tmp_path / "rig.json"]
+    done = run_command(*words, "--out", tmp_path / "S", "--emitters", "warm")
+    assert done.code == 0, done.err
+    session = load_session(tmp_path / "S")
+    for pattern in PATTERNS:
+        expected = pattern_levels(pattern, rig) * rig.colours["warm"]
+        assert np.array_equal(session.levels(pattern), expected)
+    unknown = run_command(*words, "--out", tmp_path / "T", "--emitters", "warm,blue")
+    assert unknown.code == 2
+    assert "'blue', expected some of warm, cool" in unknown.err
+    bare = run_command(*words[:3], "--out", tmp_path / "T", "--emitters", "warm")
+    assert bare.code == 2
+    assert "--emitters: found without --rig" in bare.err
+    assert not (tmp_path / "T").exists()
 
 
 @pytest.mark.parametrize("lost", ["nothing", "session.json"])
