@@ -8,14 +8,14 @@ READY  := $(VENV)/.ready
 INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-cache-dir
 # Benchmarks that ask for folders or pictures are called by hand.
 BY_HAND := atlas_rerender atlas_session geometry_pictures registration_pictures
-BENCHMARKS = $(filter-out $(BY_HAND), $(notdir $(basename $(shell grep -l __main__ benchmarks/*.py))))
+BENCHMARKS = $(filter-out $(BY_HAND) stale, $(notdir $(basename $(shell grep -l '__name__ == "__main__"' benchmarks/*.py))))
 # Waiting threads sleep instead of spinning: two test workers share the cores.
 export OMP_WAIT_POLICY := PASSIVE
 # Every step and many tests start a process: they need not compile this code again.
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: demo test check bench setup lock clean help
+.PHONY: demo test check bench bench-stale setup lock clean help
 
 demo: $(READY) ## the main job on the simulated stage; ends with build/demo/report.html
 	$(BIN)/python -m demo.run --out build/demo
@@ -33,6 +33,9 @@ check: $(READY) ## lint, types, import arrows
 
 bench: $(READY) ## every benchmark; tables go to benchmarks/RESULTS.md; keeps 23 GB (CONTRIBUTING.md)
 	for name in $(BENCHMARKS); do $(BIN)/python -m benchmarks.$$name || exit 1; done
+
+bench-stale: $(READY) ## tables of benchmarks/RESULTS.md that are older than the code they measure
+	$(BIN)/python -m benchmarks.stale
 
 setup: $(READY) ## system packages and the virtual environment, pinned
 
@@ -55,4 +58,4 @@ clean: ## remove what demo and tests made (not the virtual environment)
 	rm -rf build .pytest_cache .hypothesis .mypy_cache .ruff_cache .import_linter_cache
 
 help: ## this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

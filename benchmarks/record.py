@@ -1,13 +1,17 @@
-"""Append a benchmark's table to RESULTS.md with date, machine and commit."""
+"""Put a benchmark's table into RESULTS.md with its command, date, commit and machine."""
 
 from __future__ import annotations
 
 import datetime
 import os
 import platform
+import shlex
 import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from benchmarks.results_file import Table, read_tables, results_text, with_table
 
 RESULTS = Path(__file__).parent / "RESULTS.md"
 
@@ -24,16 +28,26 @@ def machine() -> str:
 
 
 def commit() -> str:
-    """The commit that ran; "+ changes" when a file other than RESULTS.md differs from it."""
-    said = _git("rev-parse", "--short", "HEAD")
-    changed = _git("status", "--porcelain", "--untracked-files=no")
-    changed = "\n".join(line for line in changed.splitlines() if RESULTS.name not in line)
-    return (said or "no commit") + (" + changes" if changed else "")
+    """Abbreviated hash of the commit that is checked out."""
+    return git("rev-parse", "--short", "HEAD") or "none"
 
 
-def _git(*words: str) -> str:
-    asked = ["git", *words]
-    return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
+def changed() -> list[str]:
+    """Tracked files other than RESULTS.md that differ from the commit."""
+    lines = git("status", "--porcelain", "--untracked-files=no").splitlines()
+    return [line[3:] for line in lines if RESULTS.name not in line]
+
+
+def git(*words: str) -> str:
+    """What git says in this repository; nothing where it fails."""
+    asked = ["git", "-C", str(RESULTS.parent.parent), *words]
+    return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.rstrip()
+
+
+def running() -> str:
+    """Name of the benchmark that runs, as `python -m benchmarks.NAME` has it."""
+    spec = sys.modules["__main__"].__spec__
+    return Path(sys.argv[0]).stem if spec is None else spec.name.rsplit(".", 1)[-1]
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -46,20 +60,29 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 def record(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], note: str) -> None:
     """Print a table and put it into RESULTS.md in place of the last one of the same title.
 
+    Nothing is written where tracked files differ from the commit: nobody could make it again.
+
     Args:
         title: of the section, one a benchmark.
         header: column names with units.
         rows: cells, printed with str.
         note: one sentence on what was measured and on what data.
     """
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    lines = [f"## {title}", "", f"{today}, {machine()}, commit {commit()}. {note}", ""]
-    section = "\n".join(lines) + "\n" + table(header, rows) + "\n"
-    print(section)
-    old = RESULTS.read_text() if RESULTS.exists() else "# Results\n"
-    parts = old.split("\n## ")
-    kept = [part for part in parts[1:] if part.split("\n", 1)[0] != title]
-    text = parts[0].rstrip() + "\n\n" + section
-    for part in kept:
-        text += f"\n## {part.rstrip()}\n"
-    RESULTS.write_text(text)
+    made = Table(
+        title,
+        running(),
+        "".join(f" {shlex.quote(word)}" for word in sys.argv[1:]),
+        datetime.datetime.now(datetime.UTC).date().isoformat(),
+        commit(),
+        machine(),
+        f"{note}\n\n{table(header, rows)}",
+    )
+    print(made.text())
+    if files := changed():
+        print(
+            f"{RESULTS.name} is left as it is: {', '.join(files)} differ from commit "
+            f"{made.commit}. Commit them and run this again.",
+            file=sys.stderr,
+        )
+        return
+    RESULTS.write_text(results_text(with_table(read_tables(RESULTS.read_text()), made)))

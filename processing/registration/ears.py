@@ -139,8 +139,9 @@ def _without(vertices: np.ndarray, triangles: np.ndarray, ears: np.ndarray) -> n
     """
     ends = directed_edges(triangles)
     count = len(vertices)
-    joined = sp.coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    joined = ((joined + joined.T) > 0).astype(float).tocsr()
+    # An edge is listed once for each of its triangles: one in the rim of a hole weighs half.
+    joined = sp.coo_matrix((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
+    joined = joined + joined.T
     laplacian = (sp.diags(np.asarray(joined.sum(axis=1)).ravel()) - joined).tocsr()
     part = connected(ends, count)
     inside = np.flatnonzero(ears & np.isin(part, part[~ears]))
