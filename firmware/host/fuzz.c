@@ -1,7 +1,6 @@
 /* Damaged packets by the hundred thousand, held against a second hand: fuzz COUNT SEED.
 
-   The second hand takes a frame apart whole, as the documents say it, and shares no line with the
-   firmware. Lamps may change only by a whole SET of the right length, to exactly its levels, by a
+   Lamps may change only by a whole SET of the right length, to exactly its levels, by a
    whole DARK, or to darkness after a silence. Exits 1 with the frame where they did otherwise. */
 
 #include <stdio.h>
@@ -9,6 +8,7 @@
 #include <string.h>
 
 #include "../lightstage_leds/src/device.h"
+#include "second_hand.h"
 
 #define LONGEST (2 * LS_LIGHTS + 64)
 
@@ -41,58 +41,7 @@ static uint32_t milliseconds(void *context) {
     return clock_ms;
 }
 
-static uint16_t slow_crc(const uint8_t *bytes, size_t count) {
-    uint32_t crc = 0xFFFF;
-    for (size_t place = 0; place < count; place++) {
-        crc ^= (uint32_t)bytes[place] << 8;
-        for (int bit = 0; bit < 8; bit++) {
-            crc = crc & 0x8000 ? crc << 1 ^ 0x1021 : crc << 1;
-        }
-        crc &= 0xFFFF;
-    }
-    return (uint16_t)crc;
-}
-
-/* The packet in a frame without zeros, with its CRC; 0 where it is none. */
-static size_t second_hand(const uint8_t *frame, size_t count, uint8_t *packet) {
-    size_t length = 0;
-    size_t place = 0;
-    while (place < count) {
-        size_t code = frame[place++];
-        if (place + code - 1 > count) {
-            return 0;
-        }
-        memcpy(packet + length, frame + place, code - 1);
-        length += code - 1;
-        place += code - 1;
-        if (code < 255 && place < count) {
-            packet[length++] = 0;
-        }
-    }
-    if (length < 6 || packet[0] != 1) {
-        return 0;
-    }
-    uint16_t crc = slow_crc(packet, length - 2);
-    return packet[length - 2] == (crc & 0xFF) && packet[length - 1] == crc >> 8 ? length : 0;
-}
-
-/* COBS of a packet and its CRC, without the closing zero. */
-static size_t encoded(const uint8_t *packet, size_t length, uint8_t *frame) {
-    size_t count = 1;
-    size_t code_at = 0;
-    for (size_t place = 0; place < length; place++) {
-        if (packet[place] != 0) {
-            frame[count++] = packet[place];
-        }
-        if (packet[place] == 0 || (count - code_at == 255 && place + 1 < length)) {
-            frame[code_at] = (uint8_t)(count - code_at);
-            code_at = count++;
-        }
-    }
-    frame[code_at] = (uint8_t)(count - code_at);
-    return count;
-}
-
+/* A packet without its CRC: what a host says, now and then too short, too long or unknown. */
 static size_t packet_for(uint16_t sequence, uint8_t *packet) {
     static const uint8_t KINDS[] = {0x10, 0x10, 0x10, 0x10, 0x11, 0x12, 0x01, 0x20, 0x33};
     uint8_t kind = KINDS[drawn(sizeof KINDS)];
@@ -113,9 +62,6 @@ static size_t packet_for(uint16_t sequence, uint8_t *packet) {
     } else if (drawn(20) == 0) {
         packet[length++] = (uint8_t)drawn(256);
     }
-    uint16_t crc = slow_crc(packet, length);
-    packet[length++] = (uint8_t)(crc & 0xFF);
-    packet[length++] = (uint8_t)(crc >> 8);
     return length;
 }
 
@@ -212,7 +158,9 @@ int main(int argc, char **argv) {
         }
         /* Mostly the next number; now and then the same, or any. */
         sequence = (uint16_t)(drawn(20) == 0 ? drawn(65536) : sequence + (drawn(8) > 0 ? 1U : 0U));
-        size_t count = drawn(10) == 0 ? noise(stream) : encoded(packet, packet_for(sequence, packet), stream);
+        size_t count = drawn(10) == 0
+                           ? noise(stream)
+                           : put_together(packet, packet_for(sequence, packet), stream) - 1;
         uint32_t times = drawn(2) ? 0 : 1 + drawn(4);
         damages += times > 0;
         while (times-- > 0) {
@@ -230,7 +178,7 @@ int main(int argc, char **argv) {
                 }
                 continue;
             }
-            size_t length = second_hand(stream + begin, end - begin, packet);
+            size_t length = taken_apart(stream + begin, end - begin, packet);
             int set = length == 8 + 2 * LS_LIGHTS && packet[1] == 0x10 &&
                       (packet[4] | packet[5] << 8) == LS_LIGHTS;
             int dark = length == 6 && packet[1] == 0x11;

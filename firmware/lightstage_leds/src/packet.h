@@ -8,6 +8,10 @@
 
 #include "limits.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define LS_VERSION 1
 #define LS_HEADER 4 /* version, type, sequence number */
 /* Of a packet so much is kept: its header and a SET's payload. */
@@ -39,5 +43,9 @@ uint16_t ls_crc(uint16_t crc, uint8_t byte);
 #define LS_SHORT 251
 void ls_write_packet(const uint8_t *body, uint8_t length, void (*write_byte)(void *, uint8_t),
                      void *context);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif
