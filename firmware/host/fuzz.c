@@ -183,7 +183,8 @@ int main(int argc, char **argv) {
                       (packet[4] | packet[5] << 8) == LS_LIGHTS;
             int dark = length == 6 && packet[1] == 0x11;
             if (changed && !(set && shows(packet + 6)) && !(dark && all_dark())) {
-                return broken("lamps changed by what is no command", input, stream + begin, end - begin);
+                return broken("lamps changed by what is no command", input, stream + begin,
+                              end - begin);
             }
             if (length > 0) {
                 heard_ms = clock_ms;

@@ -1,5 +1,5 @@
-/* Packets taken apart and put together whole, as docs/led_wire.md says it. The firmware shares no line
-   with this: what both hold for a packet is one. */
+/* Packets taken apart and put together whole, as docs/led_wire.md says it. The firmware shares no
+   line with this: what both hold for a packet is one. */
 
 #ifndef LIGHTSTAGE_SECOND_HAND_H
 #define LIGHTSTAGE_SECOND_HAND_H

@@ -87,7 +87,8 @@ int main(void) {
     }
     ls_begin(&device, &hardware, (uint32_t)time(NULL) ^ (uint32_t)getpid() << 16);
     for (;;) {
-        struct pollfd ends[2] = {{.fd = line, .events = POLLIN}, {.fd = STDIN_FILENO, .events = POLLIN}};
+        struct pollfd ends[2] = {{.fd = line, .events = POLLIN},
+                                 {.fd = STDIN_FILENO, .events = POLLIN}};
         poll(ends, 2, TICK_MS);
         uint8_t bytes[256];
         if (ends[1].revents != 0 && read(STDIN_FILENO, bytes, sizeof bytes) <= 0) {

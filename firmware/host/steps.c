@@ -1,8 +1,8 @@
 /* What one byte costs at most, counted: steps FRAMES SEED.
 
    The compiler puts a call at the begin of each basic block of the firmware
-   (-fsanitize-coverage=trace-pc). Prints the most blocks that a byte cost which ended no whole packet,
-   and the most that the last byte of a whole packet cost. */
+   (-fsanitize-coverage=trace-pc). Prints the most blocks that a byte cost which ended no whole
+   packet, and the most that the last byte of a whole packet cost. */
 
 #include <stdio.h>
 #include <stdlib.h>

@@ -55,7 +55,8 @@ class Bench:
         return self
 
     def __exit__(self, *_: object) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
         self._process.stdin.close()
         # A sanitizer that found something says so on stderr and ends it otherwise.
         assert self._process.wait(PATIENCE_S) == 0

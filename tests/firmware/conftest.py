@@ -25,7 +25,7 @@ def make(*words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="session")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """A function that compiles a program of firmware/host with sanitizers: `compiled("bench", 8)`."""
+    """A function that compiles a program of firmware/Makefile: `compiled("bench", lights=8)`."""
     done: dict[tuple[str, int], Path] = {}
     root = tmp_path_factory.mktemp("firmware")
 

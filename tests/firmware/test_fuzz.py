@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 
-@pytest.mark.parametrize(("lights", "inputs"), [(3, 300_000), (168, 30_000)])
+@pytest.mark.parametrize(("lights", "inputs"), [(3, 200_000), (168, 15_000)])
 def test_no_damaged_frame_lights_a_lamp_and_no_sanitizer_finds_anything(
     compiled, lights, inputs
 ) -> None:

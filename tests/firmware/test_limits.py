@@ -71,5 +71,5 @@ def test_what_a_byte_costs_does_not_grow_with_the_frame(compiled) -> None:
         most[lights] = [int(number) for number in told.stdout.split()]
     # Basic blocks of code: of any byte but the last of a whole packet, and of that one.
     assert most[3][0] == most[168][0] < 25
-    # Levels are taken over and hashed once, four bytes of them a light and round.
-    assert most[168][1] - most[3][1] < 40 * (168 - 3)
+    # The levels are taken over and hashed, once.
+    assert most[168][1] - most[3][1] < 250 * (168 - 3)

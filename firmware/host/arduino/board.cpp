@@ -4,8 +4,8 @@
         c MS        the clock shows MS milliseconds
         z ID        reset; the EEPROM keeps ID where it is not 0
    out: r N bytes   were sent on the serial port
-        l N bytes   a chain of TLC5947 shines so: 12 bits a channel, u16 little endian; while BLANK is
-                    high, zeros
+        l N bytes   a chain of TLC5947 shines so: 12 bits a channel, u16 little endian; zeros while
+                    BLANK is high
         d 0         the record was dealt with */
 
 #include <cstdio>
@@ -37,7 +37,7 @@ static void tell(char letter, const std::vector<uint8_t> &data) {
     std::fwrite(data.data(), 1, data.size(), stdout);
 }
 
-/* Bit 287 of a chip is the highest of its output 23; what was shifted in first has gone farthest. */
+/* Bit 287 of a chip is the highest of its output 23; what was shifted in first went farthest. */
 static void show() {
     std::vector<uint8_t> levels;
     for (size_t channel = 0; channel < CHANNELS; channel++) {
@@ -102,7 +102,8 @@ int main() {
     uint8_t head[5];
     while (std::fread(head, 1, sizeof head, stdin) == sizeof head) {
         uint32_t number = head[1] | static_cast<uint32_t>(head[2]) << 8 |
-                          static_cast<uint32_t>(head[3]) << 16 | static_cast<uint32_t>(head[4]) << 24;
+                          static_cast<uint32_t>(head[3]) << 16 |
+                          static_cast<uint32_t>(head[4]) << 24;
         arrived.assign(head[0] == 'b' ? number : 0, 0);
         next_byte = 0;
         if (std::fread(arrived.data(), 1, arrived.size(), stdin) != arrived.size()) {

@@ -26,7 +26,7 @@ LS_ASSERT(a_lit_fits, LS_HEADER + LS_SHA256 <= LS_REPLY_BYTES);
 LS_ASSERT(a_reason_fits, LS_HEADER + 1 + 31 <= LS_REPLY_BYTES);
 
 static uint16_t u16_at(const uint8_t *bytes) {
-    return (uint16_t)(bytes[0] | ((uint32_t)bytes[1] << 8));
+    return (uint16_t)(bytes[0] | ((unsigned)bytes[1] << 8));
 }
 
 static uint32_t now_ms(const ls_device *device) {
@@ -121,9 +121,11 @@ static void refuse_length(ls_device *device, uint16_t sequence, uint32_t length,
     put_text(device, expected);
 }
 
-/* Lamps are written even where nothing changes: one that lost its level gets it again. */
+/* Lamps are written even where nothing changes: one that lost its level gets it again. While they
+   settle the host is silent, because it waits for the answer. */
 static void write_lamps(ls_device *device) {
     device->hardware.write_lamps(device->hardware.context, device->levels);
+    device->heard_ms = now_ms(device);
 }
 
 static void put_out(ls_device *device) {
@@ -215,7 +217,7 @@ void ls_begin(ls_device *device, const ls_hardware *hardware, uint32_t boot_id) 
 }
 
 void ls_tick(ls_device *device) {
-    /* The difference of two unsigned numbers is right when the clock has begun again between them. */
+    /* The difference of unsigned numbers is right also where the clock began again between them. */
     if (device->lit && (uint32_t)(now_ms(device) - device->heard_ms) >= LS_WATCHDOG_MS) {
         put_out(device);
     }
@@ -224,8 +226,7 @@ void ls_tick(ls_device *device) {
 void ls_take(ls_device *device, uint8_t byte) {
     ls_tick(device);
     if (ls_reader_take(&device->reader, byte)) {
-        answer(device);
-        /* Not before: while its lamps settle the device is what the host waits for. */
         device->heard_ms = now_ms(device);
+        answer(device);
     }
 }

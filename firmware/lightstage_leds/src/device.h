@@ -1,8 +1,8 @@
 /* An LED device of the acknowledged protocol (docs/led_wire.md): bytes in, lamps and bytes out.
 
-   It takes no memory but `ls_device`, waits for nothing, and knows no board: what it needs of one are
-   the functions of `ls_hardware`. All its functions are called from one place, the main loop; none
-   from an interrupt. */
+   It takes no memory but `ls_device`, waits for nothing, and knows no board: what it needs of one
+   are the functions of `ls_hardware`. All its functions are called from one place, the main loop;
+   none from an interrupt. */
 
 #ifndef LIGHTSTAGE_DEVICE_H
 #define LIGHTSTAGE_DEVICE_H
@@ -49,7 +49,7 @@ typedef struct {
     ls_hardware hardware;
     ls_reader reader;
     uint32_t boot_id;
-    uint32_t heard_ms;      /* when the last whole packet had been dealt with */
+    uint32_t heard_ms;      /* when the last whole packet had come, and its lamps had settled */
     bool lit;               /* some light is on */
     bool asked;             /* a packet was dealt with since the reset */
     bool told_lit;          /* and answered with LIT, which is made anew for a repetition */
@@ -59,15 +59,15 @@ typedef struct {
     uint16_t levels[LS_LIGHTS];
 } ls_device;
 
-/* After a reset: all lamps off, and HELLO, unasked. `boot_id` must be another one after each reset. */
+/* After a reset: all lamps off, and HELLO, unasked. Each reset must have another `boot_id`. */
 void ls_begin(ls_device *device, const ls_hardware *hardware, uint32_t boot_id);
 
 /* Take one byte of the line: whole packets are done and answered, all else is dropped in silence.
    Looks at the clock as ls_tick does, so that a line full of noise keeps no light on. */
 void ls_take(ls_device *device, uint8_t byte);
 
-/* Look at the clock: all lamps off where nobody has spoken for LS_WATCHDOG_MS. To be called at least
-   every few milliseconds. */
+/* Look at the clock: all lamps off where nobody has spoken for LS_WATCHDOG_MS. To be called every
+   few milliseconds at least. */
 void ls_tick(ls_device *device);
 
 #ifdef __cplusplus

@@ -8,7 +8,7 @@ uint16_t ls_crc(uint16_t crc, uint8_t byte) {
        back at these three places. */
     uint8_t out = (uint8_t)((crc >> 8) ^ byte);
     out = (uint8_t)(out ^ (out >> 4));
-    return (uint16_t)(((uint32_t)crc << 8) ^ ((uint32_t)out << 12) ^ ((uint32_t)out << 5) ^ out);
+    return (uint16_t)(((unsigned)crc << 8) ^ ((unsigned)out << 12) ^ ((unsigned)out << 5) ^ out);
 }
 
 void ls_reader_reset(ls_reader *reader) {
@@ -37,9 +37,9 @@ static void decoded(ls_reader *reader, uint8_t byte) {
 }
 
 static bool whole(const ls_reader *reader) {
-    uint16_t crc = (uint16_t)(reader->newest[0] | ((uint32_t)reader->newest[1] << 8));
-    return reader->taken <= LS_MAX_FRAME && reader->block_left == 0 && reader->length >= LS_HEADER &&
-           reader->crc == crc && reader->body[0] == LS_VERSION;
+    uint16_t crc = (uint16_t)(reader->newest[0] | ((unsigned)reader->newest[1] << 8));
+    return reader->taken <= LS_MAX_FRAME && reader->block_left == 0 &&
+           reader->length >= LS_HEADER && reader->crc == crc && reader->body[0] == LS_VERSION;
 }
 
 bool ls_reader_take(ls_reader *reader, uint8_t byte) {
@@ -61,7 +61,7 @@ bool ls_reader_take(ls_reader *reader, uint8_t byte) {
         decoded(reader, byte);
         return false;
     }
-    /* A COBS code: so many bytes follow, less one, and then a zero unless it is the last or full. */
+    /* A COBS code: so many bytes follow, less one; then a zero, unless the block is full or last. */
     if (reader->zero_due) {
         decoded(reader, 0);
     }

@@ -32,8 +32,8 @@ typedef struct {
 /* Forget what came. */
 void ls_reader_reset(ls_reader *reader);
 
-/* Take one byte. Returns whether it was the last of a whole packet: `length` and `body` hold it until
-   the next byte is taken. Of a longer packet the body has the first LS_BODY bytes. */
+/* Take one byte. Returns whether it was the last of a whole packet: `length` and `body` hold it
+   until the next byte is taken. Of a longer packet the body has the first LS_BODY bytes. */
 bool ls_reader_take(ls_reader *reader, uint8_t byte);
 
 /* CRC-16/IBM-3740 of one byte more; it begins with 0xFFFF. */

@@ -12,8 +12,19 @@ static const uint32_t ROUND[64] = {
     0x748f82ee, 0x78a5636f, 0x84c87814, 0x8cc70208, 0x90befffa, 0xa4506ceb, 0xbef9a3f7, 0xc67178f2,
 };
 
-static uint32_t turned(uint32_t word, unsigned bits) {
-    return (word >> bits) | (word << (32 - bits));
+/* A word turned to the right. Processors of 8 bits shift one bit at a time, but move whole bytes:
+   so they take half of the time. */
+static uint32_t turned(uint32_t word, uint8_t bits) {
+    if (bits & 16) {
+        word = (word >> 16) | (word << 16);
+    }
+    if (bits & 8) {
+        word = (word >> 8) | (word << 24);
+    }
+    for (uint8_t left = bits & 7; left > 0; left--) {
+        word = (word >> 1) | (word << 31);
+    }
+    return word;
 }
 
 static void add_block(ls_sha256 *sum) {
@@ -50,7 +61,8 @@ static void add_block(ls_sha256 *sum) {
 void ls_sha256_begin(ls_sha256 *sum) {
     /* First 32 bits of the fractional parts of the square roots of the first 8 primes. */
     static const uint32_t START[8] = {
-        0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19,
+        0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
+        0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19,
     };
     for (unsigned i = 0; i < 8; i++) {
         sum->state[i] = START[i];
