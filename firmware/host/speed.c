@@ -65,8 +65,8 @@ int main(int argc, char **argv) {
     size_t size = 0;
     double whole_s = measured(frames, 0, &answered, &size);
     double spoilt_s = measured(frames, 1, &refused, &size);
-    printf("SET of %ld lights, %lu bytes: %.0f a second done and answered (%lu), %.0f a second with "
-           "a wrong CRC dropped (%lu), %.1f ns a byte\n",
+    printf("SET of %ld lights, %lu bytes: %.0f a second done and answered (%lu), "
+           "%.0f a second with a wrong CRC dropped (%lu), %.1f ns a byte\n",
            (long)LS_LIGHTS, (unsigned long)size, (double)frames / whole_s, answered - 1,
            (double)frames / spoilt_s, refused - 1, 1e9 * spoilt_s / (double)frames / (double)size);
     return 0;

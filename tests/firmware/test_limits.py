@@ -6,6 +6,8 @@ import subprocess
 
 import pytest
 
+from lightstage.leds import wire
+from lightstage.leds.wire import Kind, Packet
 from tests.firmware.conftest import make
 
 
@@ -73,3 +75,14 @@ def test_what_a_byte_costs_does_not_grow_with_the_frame(compiled) -> None:
     assert most[3][0] == most[168][0] < 25
     # The levels are taken over and hashed, once.
     assert most[168][1] - most[3][1] < 250 * (168 - 3)
+
+
+def test_a_frame_of_the_greatest_length_is_a_packet_and_a_longer_one_is_not(bench) -> None:
+    limit = 262_144
+    by_size = {}
+    for size in range(limit * 254 // 255 - 12, limit * 254 // 255):  # header, CRC, COBS's bytes
+        frame = wire.encode(Packet(0x33, 1, b"\1" * size))
+        by_size[len(frame) - 1] = frame
+    assert wire.decode(bench.line(by_size[limit]).replies[:-1]).kind == Kind.REFUSED
+    assert bench.line(by_size[limit + 1]).replies == b""
+    assert bench.line(by_size[limit + 1][:-1] + b"\1\2\3\0").replies == b""

@@ -61,7 +61,7 @@ bool ls_reader_take(ls_reader *reader, uint8_t byte) {
         decoded(reader, byte);
         return false;
     }
-    /* A COBS code: so many bytes follow, less one; then a zero, unless the block is full or last. */
+    /* A COBS code: so many bytes follow, less one; then a zero, unless it is full or last. */
     if (reader->zero_due) {
         decoded(reader, 0);
     }
