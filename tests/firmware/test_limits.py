@@ -81,7 +81,7 @@ def test_a_frame_of_the_greatest_length_is_a_packet_and_a_longer_one_is_not(benc
     limit = 262_144
     by_size = {}
     for size in range(limit * 254 // 255 - 12, limit * 254 // 255):  # header, CRC, COBS's bytes
-        frame = wire.encode(Packet(0x33, 1, b"\1" * size))
+        frame = wire.encode(Packet(0x33, 0x101, b"\1" * size))
         by_size[len(frame) - 1] = frame
     assert wire.decode(bench.line(by_size[limit]).replies[:-1]).kind == Kind.REFUSED
     assert bench.line(by_size[limit + 1]).replies == b""
