@@ -294,7 +294,7 @@ class SafeLights:
                 self._fail(failure, number)
 
     def _ask(self) -> None:
-        """Ask the device what is lit. Its watchdog counts from the question, not from its answer."""
+        """Ask the device what is lit. Its watchdog counts from the question, not the answer."""
         asked_s = time.monotonic()
         self._lights.confirm()
         self._heard_s = asked_s
