@@ -50,7 +50,7 @@ def test_there_is_no_state_but_the_callers(tmp_path) -> None:
     ],
 )
 def test_a_limit_out_of_range_is_refused_by_the_compiler(define, said) -> None:
-    checked = make("check", f"DEFINES={define}")
+    checked = make("check", f"DEFINES={define}", "CHECKED=lightstage_leds/src/device.c")
     assert checked.returncode != 0
     assert said in checked.stderr
 
@@ -60,7 +60,7 @@ def test_a_limit_out_of_range_is_refused_by_the_compiler(define, said) -> None:
     ["-DLS_LIGHTS=1", "-DLS_LIGHTS=65535", "-DLS_MAX_FRAME=346", "-DLS_PULSE_HZ=20000"],
 )
 def test_a_limit_at_its_bound_compiles(define) -> None:
-    checked = make("check", f"DEFINES={define}")
+    checked = make("check", f"DEFINES={define}", "CHECKED=lightstage_leds/src/device.c")
     assert (checked.returncode, checked.stderr) == (0, "")
 
 
