@@ -5,6 +5,9 @@
 
 #include <EEPROM.h>
 #include <SPI.h>
+#ifdef __AVR__
+#include <avr/wdt.h>
+#endif
 
 #include "src/device.h"
 
@@ -82,7 +85,29 @@ static uint32_t next_boot_id() {
     return id;
 }
 
+/* The processor's own watchdog: a program that hangs is reset, and BLANK is pulled up then. */
+static void stop_own_watchdog() {
+#ifdef __AVR__
+    /* Else it goes on after a reset of its own, with its shortest time. */
+    MCUSR = 0;
+    wdt_disable();
+#endif
+}
+
+static void start_own_watchdog() {
+#ifdef __AVR__
+    wdt_enable(WDTO_500MS);
+#endif
+}
+
+static void tell_own_watchdog() {
+#ifdef __AVR__
+    wdt_reset();
+#endif
+}
+
 void setup() {
+    stop_own_watchdog();
     digitalWrite(BLANK_PIN, HIGH);
     pinMode(BLANK_PIN, OUTPUT);
     digitalWrite(LATCH_PIN, LOW);
@@ -91,11 +116,14 @@ void setup() {
     Serial.begin(BAUD);
     ls_hardware hardware = {write_lamps, NULL, write_byte, milliseconds, NULL};
     ls_begin(&device, &hardware, next_boot_id());
+    start_own_watchdog();
 }
 
 void loop() {
-    while (Serial.available() > 0) {
+    /* A line that never rests must not keep the loop from its end. */
+    for (uint8_t left = 64; left > 0 && Serial.available() > 0; left--) {
         ls_take(&device, (uint8_t)Serial.read());
     }
     ls_tick(&device);
+    tell_own_watchdog();
 }
