@@ -117,7 +117,9 @@ int main() {
             }
             setup();
         }
-        loop();
+        do {
+            loop();
+        } while (Serial.available() > 0);
         tell('r', sent);
         sent.clear();
         shifted.clear();
