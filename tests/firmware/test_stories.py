@@ -11,6 +11,7 @@ import time
 
 import pytest
 
+from lightstage.safety import SafeLights
 from sim.devices.faults import Fault
 from tests.firmware.bench import FirmwareProtocol
 from tests.sim.devices.misbehaviour import test_led_stories as stories
@@ -37,20 +38,34 @@ SUFFERED = [
 
 
 @pytest.fixture
-def stage(tmp_path, compiled, monkeypatch):
+def live_stage(tmp_path, compiled, monkeypatch):
+    """A small stage whose lights have the firmware's mind."""
     program = compiled("bench", 8)
+    small = SmallStage(tmp_path, make_rig())
+    small.watchdog_s = WATCHDOG_S
     made = []
 
     def firmware(*args):
-        made.append(FirmwareProtocol(program, time.monotonic, *args))
+        clock = (lambda: 0.0) if small.watchdog_s is None else time.monotonic
+        made.append(FirmwareProtocol(program, clock, *args))
         return made[-1]
 
     monkeypatch.setattr("sim.devices.led_faults.LedProtocol", firmware)
-    small = SmallStage(tmp_path, make_rig())
-    small.watchdog_s = WATCHDOG_S
     yield small
     assert len(made) == 1
     made[0].close()
+
+
+@pytest.fixture
+def stage(live_stage, monkeypatch):
+    """The same, without a watchdog and without what keeps it quiet.
+
+    The stories count packets: on a slow computer those that keep the lights awake, four in .9 s,
+    would be counted too. The firmware's clock stands still instead.
+    """
+    live_stage.watchdog_s = None
+    monkeypatch.setattr(SafeLights, "_keep_awake", lambda _: None)
+    return live_stage
 
 
 @pytest.mark.parametrize(("name", "way"), SUFFERED)
@@ -58,8 +73,13 @@ def test_what_one_packet_suffers_on_the_line_is_mended_by_asking_again(stage, na
     stories.test_what_one_packet_suffers_on_the_line_is_mended_by_asking_again(stage, name, way)
 
 
-def test_a_line_that_drops_everything_ends_the_capture_and_says_that_lights_may_be_on(stage):
-    # Of the simulated device also without a watchdog, which the firmware always has.
-    ending = stage.capture(Fault("drop", at=stories.SET_X, until=1000))
+def test_a_line_that_drops_everything_ends_the_capture_and_says_that_lights_may_be_on(live_stage):
+    ending = live_stage.capture(Fault("drop", at=stories.SET_X, until=1000))
     stories.refused(ending, "no answer to", "The lights may still be on")
+    assert ending.dark
+
+
+def test_a_capture_keeps_the_firmware_awake_and_ends_dark(live_stage):
+    ending = live_stage.capture()
+    assert ending.fine, ending.said
     assert ending.dark
