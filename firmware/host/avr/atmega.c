@@ -2,8 +2,8 @@
 
    Prints the terminal's name, then a line for each change of the pin BLANK: the ATmega's
    milliseconds, and what a chain of TLC5947 shines with, as hexadecimal numbers of four digits. On
-   stderr: how long each reply took. Runs no faster than the ATmega would, and ends when its standard
-   input does. */
+   stderr: how long each reply took. Runs no faster than the ATmega would, and ends when its
+   standard input does. */
 
 #define _XOPEN_SOURCE 600
 
