@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import struct
 import subprocess
 from collections.abc import Callable
@@ -162,8 +161,3 @@ class FirmwareProtocol(LedProtocol):
             self.lies -= 1
             told = np.bitwise_xor(told, 1)
         return told
-
-
-def lit_hash(levels: np.ndarray) -> bytes:
-    """LIT's payload for these levels."""
-    return hashlib.sha256(np.asarray(levels).astype("<u2").tobytes()).digest()

@@ -9,7 +9,7 @@ import pytest
 
 from lightstage.leds import wire
 from lightstage.leds.wire import Kind, Packet
-from tests.firmware.bench import Bench, lit_hash, states
+from tests.firmware.bench import Bench, states
 
 LIGHTS, CHANNELS = 30, 48
 DARK = [0] * CHANNELS
@@ -36,7 +36,7 @@ def test_each_light_gets_its_level_on_its_channel_in_twelve_bits(board) -> None:
         counts[:4] = (0, 65535, 8, 32768)
         payload = wire.set_payload(counts)
         heard = board.line(wire.encode(Packet(Kind.SET, number, payload)))
-        assert heard.replies == wire.encode(Packet(Kind.LIT, number, lit_hash(counts)))
+        assert heard.replies == wire.encode(Packet(Kind.LIT, number, wire.lit_payload(counts)))
         steps = np.zeros(CHANNELS, int)
         steps[:LIGHTS] = np.round(counts * (4095 / 65535))
         # All are dark between two states.

@@ -7,7 +7,7 @@ import pytest
 
 from lightstage.leds import wire
 from lightstage.leds.wire import Kind, Packet
-from tests.firmware.bench import Bench, lit_hash, states
+from tests.firmware.bench import Bench, states
 
 WATCHDOG_MS = 900
 LEVELS = np.array([65535, 1, 256])
@@ -23,7 +23,7 @@ def sent(bench: Bench, kind: int, number: int, payload: bytes = b"") -> list[Pac
 def lit(bench: Bench, number: int = 1) -> None:
     """Light the lamps."""
     (reply,) = sent(bench, Kind.SET, number, wire.set_payload(LEVELS))
-    assert reply == Packet(Kind.LIT, number, lit_hash(LEVELS))
+    assert reply == Packet(Kind.LIT, number, wire.lit_payload(LEVELS))
 
 
 def test_the_second_is_told_in_hello(bench) -> None:
@@ -44,7 +44,7 @@ def test_after_a_silence_all_is_dark_and_not_before(bench, start) -> None:
     assert bench.clock(start + WATCHDOG_MS - 1).lamps == []
     assert states(bench.clock(start + WATCHDOG_MS).lamps) == DARK
     (reply,) = sent(bench, Kind.ASK_STATE, 2)
-    assert reply == Packet(Kind.LIT, 2, lit_hash(np.zeros(3)))
+    assert reply == Packet(Kind.LIT, 2, wire.lit_payload(np.zeros(3)))
     # It has done its work: the lamps are left alone until they are lit again.
     assert bench.clock(start + 5000).lamps == []
     lit(bench, 3)
@@ -57,7 +57,7 @@ def test_questions_keep_the_light_for_as_long_as_they_come(bench, start) -> None
     for number in range(2, 22):
         assert bench.clock(start + 850 * (number - 1)).lamps == []
         (reply,) = sent(bench, Kind.ASK_STATE, number)
-        assert reply.payload == lit_hash(LEVELS)
+        assert reply.payload == wire.lit_payload(LEVELS)
     assert states(bench.clock(start + 850 * 20 + WATCHDOG_MS).lamps) == DARK
 
 
@@ -97,7 +97,7 @@ def test_a_repetition_of_what_was_lit_before_the_silence_lights_nothing(bench) -
     lit(bench)
     bench.clock(WATCHDOG_MS)
     (reply,) = sent(bench, Kind.SET, 1, wire.set_payload(LEVELS))
-    assert reply.payload == lit_hash(np.zeros(3))
+    assert reply.payload == wire.lit_payload(np.zeros(3))
 
 
 def test_a_reset_is_dark_says_hello_and_forgets_the_numbers(bench) -> None:

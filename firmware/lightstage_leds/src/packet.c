@@ -11,7 +11,7 @@ uint16_t ls_crc(uint16_t crc, uint8_t byte) {
     return (uint16_t)(((unsigned)crc << 8) ^ ((unsigned)out << 12) ^ ((unsigned)out << 5) ^ out);
 }
 
-void ls_reader_reset(ls_reader *reader) {
+static void begin_packet(ls_reader *reader) {
     reader->taken = 0;
     reader->length = 0;
     reader->crc = 0xFFFF;
@@ -45,7 +45,7 @@ static bool whole(const ls_reader *reader) {
 bool ls_reader_take(ls_reader *reader, uint8_t byte) {
     if (reader->taken == 0) {
         /* The packet before stood there for whoever asked. */
-        ls_reader_reset(reader);
+        begin_packet(reader);
     }
     if (byte == 0) {
         bool good = whole(reader);

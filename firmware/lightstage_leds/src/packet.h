@@ -17,7 +17,7 @@ extern "C" {
 /* Of a packet so much is kept: its header and a SET's payload. */
 #define LS_BODY (LS_HEADER + 2 + 2UL * LS_LIGHTS)
 
-/* Takes a packet apart byte by byte. What one byte costs does not depend on what came before. */
+/* Takes a packet apart byte by byte; all zeros at the begin. What one byte costs does not depend on what came before. */
 typedef struct {
     uint32_t taken;      /* bytes since the last zero; never more than LS_MAX_FRAME + 1 */
     uint32_t length;     /* bytes of the packet so far, without the newest two: header, payload */
@@ -28,9 +28,6 @@ typedef struct {
     bool zero_due;       /* the next block stands behind a zero */
     uint8_t body[LS_BODY];
 } ls_reader;
-
-/* Forget what came. */
-void ls_reader_reset(ls_reader *reader);
 
 /* Take one byte. Returns whether it was the last of a whole packet: `length` and `body` hold it
    until the next byte is taken. Of a longer packet the body has the first LS_BODY bytes. */
