@@ -25,11 +25,12 @@ test: export OMP_NUM_THREADS := 1
 test: $(READY) ## all tests
 	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 8
 
-check: $(READY) ## lint, types, import arrows
+check: $(READY) ## lint, types, import arrows, the firmware's warnings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	@if command -v gcc >/dev/null; then $(MAKE) -C firmware check; else echo "no gcc: no firmware"; fi
 
 bench: $(READY) ## every benchmark; tables go to benchmarks/RESULTS.md; keeps 23 GB (CONTRIBUTING.md)
 	for name in $(BENCHMARKS); do $(BIN)/python -m benchmarks.$$name || exit 1; done

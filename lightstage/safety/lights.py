@@ -134,8 +134,7 @@ class SafeLights:
     def confirm(self) -> None:
         """DeviceError unless the lights are, and have been all the time, as last set."""
         self._raise_failure()
-        self._lights.confirm()
-        self._heard_s = time.monotonic()
+        self._ask()
         self._raise_failure()
 
     def dark(self) -> None:
@@ -290,10 +289,15 @@ class SafeLights:
                 pause_s = min(pause_s, left_s)
                 continue
             try:
-                self._lights.confirm()
-                self._heard_s = time.monotonic()
+                self._ask()
             except LightstageError as failure:
                 self._fail(failure, number)
+
+    def _ask(self) -> None:
+        """Ask the device what is lit. Its watchdog counts from the question, not the answer."""
+        asked_s = time.monotonic()
+        self._lights.confirm()
+        self._heard_s = asked_s
 
     def _watch(self) -> None:
         """Say to the guardian that we live, and put out what stays too long.

@@ -232,6 +232,23 @@ def test_a_device_is_kept_awake_while_lit_and_one_that_never_answers_always(
         until(lambda: lamps.asked.count("confirm") > before + 2)
 
 
+def test_the_next_question_is_due_from_when_the_last_one_was_asked_not_answered(small_rig):
+    lamps = Lamps(watchdog_s=60.0)
+    asked_s = []
+
+    def slow():
+        asked_s.append(time.monotonic())
+        time.sleep(0.02)
+
+    lamps.confirm = slow
+    with SafeLights(lamps, QUICK, small_rig) as lights:
+        lights.light(FULL)
+        lights.confirm()
+        assert lights._heard_s <= asked_s[-1]
+        # The device's own watchdog began then, at the earliest.
+        assert lights._heard_s > lamps.times_s[-1]
+
+
 def test_a_light_lost_meanwhile_is_told_by_the_next_confirm_though_it_be_back(small_rig):
     lamps = Lamps(watchdog_s=0.04)
     with SafeLights(lamps, QUICK, small_rig) as lights:
