@@ -43,6 +43,35 @@ def options(command: str) -> set[str]:
     return {word.split("=")[0] for word in shlex.split(command) if word.startswith("--")}
 
 
+def anchors(text: str) -> set[str]:
+    """Anchors of a page's headings, as GitHub makes them."""
+    found: set[str] = set()
+    for heading in re.findall(r"^#{1,6} +(.*?) *$", without_code(text), re.MULTILINE):
+        words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower()
+        anchor = re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
+        doubled = sum(1 for other in found if re.fullmatch(rf"{re.escape(anchor)}(-\d+)?", other))
+        found.add(f"{anchor}-{doubled}" if doubled else anchor)
+    return found
+
+
+def without_code(text: str) -> str:
+    """A page's text without its code blocks."""
+    return re.sub(r"^( *)```.*?^\1```$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def broken_links(page: Path) -> list[str]:
+    """Relative links and pictures of a page that meet no file, or no heading of it."""
+    broken = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", without_code(page.read_text())):
+        if re.match(r"[a-z]+:", link):
+            continue
+        name, _, anchor = link.partition("#")
+        target = page.parent / name if name else page
+        if not target.exists() or (anchor and anchor not in anchors(target.read_text())):
+            broken.append(link)
+    return broken
+
+
 def run_as_written(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """Run a command by the shell in a folder; only its program's name is replaced."""
     program, _, rest = command.partition(" ")

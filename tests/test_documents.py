@@ -13,10 +13,20 @@ import pytest
 from lightstage.formats.files import write_json
 from processing.dataset import CHANNELS, build_store, open_store, publish
 from processing.dataset.release_files import CHANNELS as PUBLISHED_CHANNELS
-from tests.documents import PACKAGES, ROOT, blocks, commands, options, run_as_written, table_code
+from tests.documents import (
+    PACKAGES,
+    ROOT,
+    blocks,
+    broken_links,
+    commands,
+    options,
+    run_as_written,
+    table_code,
+)
 
 README = (ROOT / "README.md").read_text()
 DATASET = (ROOT / "docs" / "dataset.md").read_text()
+PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "firmware" / "README.md"]
 PEOPLE = ("person-0000", "person-0001", "person-0002")
 
 
@@ -26,6 +36,22 @@ def help_of(*words: str) -> str:
     said = run_as_written(shlex.join([*words, "--help"]), ROOT)
     assert said.returncode == 0, said.stderr
     return said.stdout
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_of_a_page_meets_a_file_and_its_heading(page: Path) -> None:
+    assert broken_links(page) == []
+
+
+def test_links_to_a_missing_file_or_heading_are_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# Title\n\n## `a.json`: b, c\n\n## Twice\n\n## Twice\n\n"
+        "```\n[x](gone.md)\n## Code\n```\n\n"
+        "[1](#ajson-b-c) [2](page.md#twice-1) [3](https://example.org/#x) [4](.)\n"
+        "[5](#twice-2) [6](#code) ![7](gone.jpg) [8](page.md#tit)\n"
+    )
+    assert broken_links(page) == ["#twice-2", "#code", "gone.jpg", "page.md#tit"]
 
 
 def test_every_command_of_the_readmes_steps_begins_with_a_programs_name() -> None:
