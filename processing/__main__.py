@@ -79,9 +79,15 @@ def run(
         help="Mesh of what else casts shadows or hides skin: clothes, hair, glasses.",
     ),
     force: bool = Force,
+    why: bool = typer.Option(
+        False, "--why", help="Print which stages would run and why; run none."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Everything from photographs to the atlas; what is up to date is skipped."""
+    if why:
+        _why(session, out, template, config, atlas_rows, as_json, until, force, (mesh, occluders))
+        return
     _process(
         session,
         out,
@@ -172,6 +178,28 @@ def _process(
     warned = f", {counted(len(report['warnings']), 'warning')}" if report["warnings"] else ""
     facts = {"out": str(out), "ran": ran, "stages": report["stages"]}
     finish(f"{out}: {said}{warned}", {**facts, "warnings": report["warnings"]}, as_json)
+
+
+def _why(
+    session: Path,
+    out: Path,
+    template: Path,
+    config: Path | None,
+    atlas_rows: int | None,
+    as_json: bool,
+    until: str,
+    force: bool,
+    meshes: tuple[Path | None, Path | None],
+) -> None:
+    """Print which stages would run, and why."""
+    from processing import pipeline
+
+    settings = pipeline.read_config(config, atlas_rows, *meshes)
+    if force:
+        settings = settings.as_forced()
+    reasons = pipeline.why(pipeline.read_job(session, out, template, settings, until), until)
+    lines = [f"{stage}: {reason or 'up to date'}" for stage, reason in reasons.items()]
+    finish("\n".join(lines), {"out": str(out), "stages": reasons}, as_json)
 
 
 @app.command("register-mesh")
