@@ -11,6 +11,7 @@ from lightstage.leds.adalight import AdalightLeds
 from lightstage.leds.address import (
     AdalightOptions,
     Address,
+    IclOptions,
     SacnOptions,
     SerialOptions,
     parse_url,
@@ -55,6 +56,10 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
     address = parse_url(url) if isinstance(url, str) else url
     options = address.options
     where = f"LED device at {address}"
+    if isinstance(options, IclOptions):
+        from lightstage.leds.icl import IclLeds  # takes a while to load; no other device needs it
+
+        return IclLeds(address, range(light_count))
     if isinstance(options, SacnOptions):
         return SacnLeds(address.place, address.port, light_count, options)
     if light_count > MAX_LIGHTS:
