@@ -10,6 +10,7 @@ import collections
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -51,6 +52,14 @@ class Labels:
     of_another: tuple[str, ...] = ()
 
 
+class LightsEnd(Protocol):
+    """The lights' device, as this stage sees it."""
+
+    @property
+    def commanded(self) -> np.ndarray:
+        """(n,) uint16 that the host asked for last, whatever shines."""
+
+
 class CodedStage:
     """Use as a context manager.
 
@@ -89,12 +98,9 @@ class CodedStage:
         self._shown = shown
         count = len(rig.lights)
         self._asked: list[np.ndarray] = []
-        self._device: LedDevice | None = None
+        self._device: LightsEnd | None = None
         self._show(np.zeros(count))
-        banks = [light.bank or "" for light in rig.lights]
-        self.device = self._device = LedDevice(
-            count, self._show, 1, story, self.log, banks, watchdog_s
-        )
+        self.device = self._device = self._far_end(story, watchdog_s)
 
     def __enter__(self) -> CodedStage:
         self.device.__enter__()
@@ -102,6 +108,11 @@ class CodedStage:
 
     def __exit__(self, *_: object) -> None:
         self.device.__exit__()
+
+    def _far_end(self, story: Story | None, watchdog_s: float | None) -> Any:
+        """The lights' device, a LightsEnd; another one where this is overridden."""
+        banks = [light.bank or "" for light in self.rig.lights]
+        return LedDevice(len(banks), self._show, 1, story, self.log, banks, watchdog_s)
 
     def _show(self, levels: np.ndarray) -> None:
         light = self._photographer.lit(levels)
