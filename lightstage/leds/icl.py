@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -36,14 +35,14 @@ class IclLeds(UnansweredLeds):
 
     Args:
         address: of the server; its options are IclOptions.
-        channels: of each light, in the rig's order (`IclLights`).
+        light_count: channels that are driven, from the first on (`IclLights`).
 
     Raises:
-        ConfigError: a channel that the stage does not have.
+        ConfigError: more channels than the stage has.
         DeviceError: nobody there, somebody else there, or in use by another program here.
     """
 
-    def __init__(self, address: Address, channels: Sequence[int]) -> None:
+    def __init__(self, address: Address, light_count: int) -> None:
         assert isinstance(address.options, IclOptions)
         options = address.options
         where = f"lsserver at {address}"
@@ -54,17 +53,17 @@ class IclLeds(UnansweredLeds):
         self._broken = self._cut = False
         self._set = False  # whether the mode is the one that this program has set
         self._other_mode: str | None = None
-        super().__init__(where, len(channels), "", options)
+        super().__init__(where, light_count, "", options)
         self._lock = lock_address(f"tcp {address}")
         try:
             self._line = self._open()
             grid = self._ask_grid()
-            self._lights = IclLights(grid, channels, options)
+            self._lights = IclLights(grid, light_count, options)
         except BaseException:
             self.close()
             raise
         firmware = f"lsserver, {grid[0]} x {grid[1]}, {options.lights} (does not tell what is lit)"
-        self._hello = Hello(0, len(channels), firmware)
+        self._hello = Hello(0, light_count, firmware)
 
     def dark(self) -> None:
         """All emitters of the stage off, and Manual; another thread's request is given up for it.

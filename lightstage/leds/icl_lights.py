@@ -1,15 +1,13 @@
-"""Which emitters of ICL's stage each light of a rig is: channels of its addresses to its grid."""
+"""Which emitters of ICL's stage a channel of a rig's addresses is."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.leds.address import IclOptions
-from lightstage.leds.lsserver import EMITTERS, FULL
+from lightstage.leds.lsserver import EMITTERS
 
 UPRIGHT_RGB = (0, 2, 4, 6, 7, 9, 11, 13)
 """Of an even arc, lights whose rgb emitters have an upright polariser and whose white ones lie; of
@@ -18,52 +16,53 @@ RGB, WHITE = slice(0, 3), slice(3, 6)
 
 
 class IclLights:
-    """From levels of a rig's lights to values of a stage's emitters.
+    """From levels of channels to values of a stage's emitters.
 
     A place is arc * (lights of an arc) + light. A channel is, by `options.lights`:
 
-    - ``white``, ``rgb``, ``both``: the place whose emitters of that group are the light;
+    - ``white``, ``rgb``, ``both``: the emitters of these groups in the place of that number;
     - ``polarised``: a place's emitters behind the upright polariser, or, as many channels as there
       are places further on, those behind the lying one;
     - ``emitters``: 6 * place + one of red, green, blue, warm, neutral, cool.
 
     Args:
         grid: arcs, and lights of each.
-        channels: of each light, in the rig's order; each at most once.
+        count: channels, from the first on.
         options: which emitters, and their colours at full level.
 
     Raises:
-        ConfigError: a channel that the stage does not have.
+        ConfigError: more channels than the stage has.
     """
 
-    def __init__(self, grid: tuple[int, int], channels: Sequence[int], options: IclOptions) -> None:
+    def __init__(self, grid: tuple[int, int], count: int, options: IclOptions) -> None:
         self.grid = grid
-        weights = np.array([*bytes.fromhex(options.rgb), *bytes.fromhex(options.white)]) / 255
         members = channel_emitters(grid, options.lights)
-        last = max(channels, default=0)
-        if last >= len(members):
+        if count > len(members):
             raise ConfigError(
                 "--leds",
                 field=f"lights={options.lights}",
-                found=f"a rig with a light at channel {last}",
+                found=f"a rig with a light at channel {count - 1}",
                 expected=f"channels 0 to {len(members) - 1}: the stage has "
                 f"{grid[0]} arcs of {counted(grid[1], 'light')}",
                 hint="Do the rig's addresses and the URL's lights=.. belong together?",
             )
-        # (emitters, lights): one light's share of each emitter.
-        self._shares = members[list(channels)].T * np.tile(weights, grid[0] * grid[1])[:, None]
+        own = members[:count]
+        colour = [*bytes.fromhex(options.rgb), *bytes.fromhex(options.white)]
+        # Of each emitter: its channel, and its share of that channel's level.
+        self._channel = own.argmax(axis=0)
+        self._share = own.any(axis=0) * np.tile(colour, grid[0] * grid[1]) / 255
 
     def counts(self, steps: np.ndarray) -> np.ndarray:
         """Values of all emitters.
 
         Args:
-            steps: (n,) of the lights, 0..65535.
+            steps: (n,) of the channels, 0..65535.
 
         Returns:
-            (arcs, lights, 6) int, 0..65535; 0 where no light of the rig is.
+            (arcs, lights, 6) int, 0..65535; 0 where no channel is.
         """
-        values = np.round(self._shares @ np.asarray(steps, float))
-        return np.clip(values, 0, FULL).astype(int).reshape(*self.grid, EMITTERS)
+        values = np.round(np.asarray(steps, float)[self._channel] * self._share)
+        return values.astype(int).reshape(*self.grid, EMITTERS)
 
 
 def channel_emitters(grid: tuple[int, int], lights: str) -> np.ndarray:
