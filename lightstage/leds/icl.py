@@ -65,6 +65,11 @@ class IclLeds(UnansweredLeds):
         firmware = f"lsserver, {grid[0]} x {grid[1]}, {options.lights} (does not tell what is lit)"
         self._hello = Hello(0, light_count, firmware)
 
+    def confirm(self) -> None:
+        """Set the state once more; LightLostError unless the server takes it."""
+        with self._turn:
+            self._send(self._repeats)
+
     def dark(self) -> None:
         """All emitters of the stage off, and Manual; another thread's request is given up for it.
 
@@ -142,9 +147,7 @@ class IclLeds(UnansweredLeds):
                 self._set = True
                 return
             else:
-                found = (
-                    f"refused ({reply.error})" if reply.error else lsserver.said(reply.response)
-                )
+                found = f"refused ({reply.error})" if reply.error else lsserver.said(reply.response)
                 failure = self._lost(name, found, repr(lsserver.OK))
         assert failure is not None
         raise failure
@@ -165,7 +168,7 @@ class IclLeds(UnansweredLeds):
             raise DeviceError(
                 self._where, found=error.found, expected=expected, hint=hint
             ) from None
-        found = f"no answer to {self._repeats} GetConfig of {self._timeout_s:g} s"
+        found = f"no answer in {self._timeout_s:g} s, asked {self._repeats} times"
         raise DeviceError(self._where, found=found, expected=expected, hint=hint)
 
     def _exchange(self, command: Any, name: str, to_dark: bool = False) -> Reply | None:
@@ -260,12 +263,10 @@ class IclLeds(UnansweredLeds):
     def _silent(self, name: str, times: int) -> LightLostError:
         return self._lost(
             name,
-            f"no answer to {times} {name} of {self._timeout_s:g} s",
+            f"no answer in {self._timeout_s:g} s, asked {times} times",
             "an answer",
             "Is the server busy? A slower one's timeout_s stands in the URL.",
         )
 
     def _lost(self, field: str, found: str, expected: str, hint: str = "") -> LightLostError:
-        return LightLostError(
-            self._where, field=field, found=found, expected=expected, hint=hint
-        )
+        return LightLostError(self._where, field=field, found=found, expected=expected, hint=hint)

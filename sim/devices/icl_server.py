@@ -292,7 +292,7 @@ class IclServer:
     def _reply(self, client: Client, request: bytes, due: Sequence[Due]) -> None:
         answer = self.stage.answer(request)
         self.commands += 1
-        if self._at_once:
+        if self._at_once and self.stage.mode == MANUAL:
             self._output()
         self._tell_events()
         names = [each.name for each in due]

@@ -275,7 +275,9 @@ class IclStage:
         frame = next(self._frames, None)
         if frame is None:
             if self.mode == OLAT:  # a dark packet; a playback's last frame is sent once more
-                self.fixtures = {group: np.zeros_like(grid) for group, grid in self.fixtures.items()}
+                self.fixtures = {
+                    group: np.zeros_like(grid) for group, grid in self.fixtures.items()
+                }
             self.events.append("CaptureFinished")
             self._change_mode(DEMO)
             return

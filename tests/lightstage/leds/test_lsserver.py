@@ -62,7 +62,8 @@ def test_any_bytes_are_read_or_refused(data):
 
 SIMPLE = st.none() | st.booleans() | st.integers(-5, 1 << 70) | st.text(max_size=8) | st.floats()
 TREES = st.recursive(
-    SIMPLE, lambda below: st.lists(below, max_size=3) | st.dictionaries(st.text(), below, max_size=3)
+    SIMPLE,
+    lambda below: st.lists(below, max_size=3) | st.dictionaries(st.text(), below, max_size=3),
 )
 
 
@@ -122,9 +123,7 @@ def test_a_channel_is_the_emitters_that_the_stage_has_there(lights, count):
     white=st.integers(1, 0xFFFFFF),
     data=st.data(),
 )
-def test_values_are_a_channels_share_of_each_of_its_emitters(
-    lights, rgb, white, data
-):
+def test_values_are_a_channels_share_of_each_of_its_emitters(lights, rgb, white, data):
     options = IclOptions(lights=lights, rgb=f"{rgb:06x}", white=f"{white:06x}")
     most = {"polarised": 336, "emitters": 1008}.get(lights, 168)
     count = data.draw(st.sampled_from([1, 5, 168, most]))
