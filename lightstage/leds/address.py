@@ -91,7 +91,7 @@ class IclOptions(Options):
     """lsserver of ICL's stage, over a WebSocket (docs/icl.md).
 
     Attributes:
-        lights: which emitters a light of the rig is: `white`, `rgb`, `both`, `polarised`, `emitters`.
+        lights: which emitters a channel is: `white`, `rgb`, `both`, `polarised`, `emitters`.
         rgb: RRGGBB of a fixture's red, green and blue emitter at full level.
         white: the same of its warm, neutral and cool emitter.
         settle_s: after the server took the state until the light counts as settled: it sends every
@@ -156,8 +156,8 @@ class Address:
     def worst_s(self) -> float:
         """After so long a request has failed, or its light has settled."""
         options = self.options
-        settles = isinstance(options, AdalightOptions | SacnOptions | IclOptions)
-        settle_s = options.settle_s if settles else 0.0
+        unanswered = AdalightOptions | SacnOptions | IclOptions
+        settle_s = options.settle_s if isinstance(options, unanswered) else 0.0
         return options.timeout_s * options.attempts + settle_s
 
     def __str__(self) -> str:

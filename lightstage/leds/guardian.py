@@ -65,7 +65,8 @@ def make_dark_anew(will: dict[str, Any]) -> bool:
     while time.monotonic() < until:
         read_to_its_end = read_to_its_end or ended(will["handle"])
         try:
-            with socket.create_connection(tuple(will["connect"]), until - time.monotonic()) as line:
+            left_s = max(1e-3, until - time.monotonic())
+            with socket.create_connection(tuple(will["connect"]), left_s) as line:
                 line.sendall(greeting)
                 heard = hear(line, b"", HEAD_END, until)
                 line.sendall(messages)

@@ -1,4 +1,7 @@
-"""What is said to ICL's lsserver and by it: one map of CBOR a message (docs/icl.md). Pure bytes."""
+"""What is said to ICL's lsserver and by it: one map of CBOR a message (docs/icl.md). Pure bytes.
+
+The commands are lsserver 0.4's, as its sources and its client's have them; CBOR is [RFC8949-2020].
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ GROUPS = (("rgb", slice(0, 3)), ("white", slice(3, 6)))
 """Of a fixture's emitters: red, green, blue, warm, neutral, cool."""
 EMITTERS = 6
 MANUAL = "Manual"
-MOST_ARCS = MOST_LIGHTS = 64
+MOST_A_SIDE = 64
 """A grid of more is not believed."""
 OK = "Ok"
 GET_CONFIG = "GetConfig"
@@ -113,16 +116,19 @@ def read_message(data: bytes) -> Reply | Event:
 
 
 def read_grid(response: Any) -> tuple[int, int]:
-    """Arcs, and lights of an arc, as GetConfig's answer tells; LsserverError on any other answer."""
+    """Arcs, and lights of each, as GetConfig's answer tells; LsserverError on any other answer."""
     config = response.get("Config") if isinstance(response, dict) else None
     if not isinstance(config, dict):
         raise LsserverError(f"an answer to GetConfig that is {_kind(response)}")
-    sizes = [config.get(name) for name in ("num_arcs", "lights_per_arc")]
-    for size, most in zip(sizes, (MOST_ARCS, MOST_LIGHTS), strict=True):
-        if not isinstance(size, int) or isinstance(size, bool) or not 1 <= size <= most:
-            found = " x ".join(printable(repr(each), 20) for each in sizes)
-            raise LsserverError(f"a grid of {found} lights")
-    return sizes[0], sizes[1]
+    arcs, lights = (config.get(name) for name in ("num_arcs", "lights_per_arc"))
+    if not (_is_size(arcs) and _is_size(lights)):
+        found = " x ".join(printable(repr(each), 20) for each in (arcs, lights))
+        raise LsserverError(f"a grid of {found} lights")
+    return int(arcs), int(lights)
+
+
+def _is_size(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_A_SIDE
 
 
 def said(response: Any) -> str:

@@ -1,4 +1,4 @@
-"""Whole messages over a TCP connection: the client's end of a WebSocket. The only file with websockets."""
+"""Whole messages over TCP: the client's end of a WebSocket. The only file with websockets."""
 
 from __future__ import annotations
 

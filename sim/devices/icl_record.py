@@ -45,7 +45,7 @@ def record(states: Sequence[IclState], triggers: int, began_s: float) -> dict[st
 
 
 def drawn(states: Sequence[IclState]) -> np.ndarray:
-    """(h, w, 3) uint8 sRGB: a tile for each of the last states, coloured fixtures left of white ones.
+    """(h, w, 3) uint8 sRGB: a tile for each of the last states, coloured fixtures left of white.
 
     A column is an arc; rows are heights, the uppermost light on top.
     """

@@ -162,6 +162,7 @@ class IclServer:
                         next_s = max(next_s + REFRESH_MS / 1000, now_s)
                     for client in list(self._clients):
                         self._work(client)
+                self._output()  # the last packet: what was set is told, however soon it ends
         except BaseException as failure:  # whatever it is, the owner must learn of it
             self.failure = failure
 

@@ -1,4 +1,4 @@
-"""ICL's stage without its network: what its lsserver makes of commands and of time. No socket, no clock.
+"""ICL's stage: what its lsserver makes of commands and of time. No socket, no clock.
 
 Played after lsserver 0.4's public sources, so that its clients and ours can be tried on it. What is
 set is sent to the fixtures packet by packet, every 33 ms; nothing tells whether they lit.
@@ -32,11 +32,11 @@ Grid = np.ndarray
 """(ARCS, LIGHTS, 3) uint16."""
 
 
-class Unreadable(Exception):
+class UnreadableError(Exception):
     """A command that is none: "InvalidPayload"."""
 
 
-class Refused(Exception):
+class RefusedError(Exception):
     """A command that cannot be done.
 
     Attributes:
@@ -110,9 +110,9 @@ class IclStage:
             return number, _error("InvalidPayload", "Missing 'command' field in payload")
         try:
             return number, self._do(command)
-        except Unreadable as error:
+        except UnreadableError as error:
             return number, _error("InvalidPayload", f"Invalid command payload: {error}")
-        except Refused as error:
+        except RefusedError as error:
             return number, _error(error.code, str(error))
 
     def _do(self, command: Any) -> Any:
@@ -121,7 +121,7 @@ class IclStage:
         elif isinstance(command, dict) and len(command) == 1:
             ((name, value),) = command.items()
         else:
-            raise Unreadable("expected a command's name, or a map of one")
+            raise UnreadableError("expected a command's name, or a map of one")
         known: dict[Any, Callable[[Any], Any]] = {
             "GetConfig": self._config,
             "GetMode": lambda _: {"Mode": self.mode},
@@ -137,7 +137,7 @@ class IclStage:
             "UploadSequence": self._upload,
         }
         if not isinstance(name, str) or name not in known:
-            raise Unreadable(f"unknown variant `{name}`")
+            raise UnreadableError(f"unknown variant `{name}`")
         return known[name](value)
 
     def _config(self, _: Any) -> Any:
@@ -164,16 +164,16 @@ class IclStage:
             sequence = self._known(_field(value, "id"), "InvalidPayload")
             self._begin(PLAYBACK, sequence["capture_hz"], iter(sequence["frames"]))
         else:
-            raise Unreadable(f"unknown variant `{kind}`, expected one of Demo, Manual, OLAT ..")
+            raise UnreadableError(f"unknown variant `{kind}`, expected Demo, Manual, OLAT ..")
         return "Ok"
 
     def _begin(self, mode: str, hz: Any, frames: Iterator[dict[str, Grid]]) -> None:
         if not _is_number(hz):
-            raise Unreadable("expected a float")
+            raise UnreadableError("expected a float")
         if not math.isfinite(hz) or hz <= 0:
-            raise Refused("InvalidPayload", "Capture rate must be a positive finite number")
+            raise RefusedError("InvalidPayload", "Capture rate must be a positive finite number")
         if hz > MAX_HZ:
-            raise Refused(
+            raise RefusedError(
                 "InvalidPayload",
                 f"Requested capture rate ({hz:.1f} Hz) exceeds maximum supported rate "
                 f"({MAX_HZ:.1f} Hz)",
@@ -198,7 +198,7 @@ class IclStage:
 
     def _set_fixtures(self, values: Any) -> str:
         if not isinstance(values, list):
-            raise Unreadable("expected a sequence")
+            raise UnreadableError("expected a sequence")
         read = [
             (_index(each, "arc_idx"), _index(each, "light_idx"), _colour(_field(each, "colour")))
             for each in values
@@ -206,7 +206,7 @@ class IclStage:
         for arc, light, _ in read:  # all of them, before one is set
             _require_arc(arc)
             if light >= LIGHTS:
-                raise Refused(
+                raise RefusedError(
                     "InvalidPayload",
                     f"Light index {light} out of bounds for arc {arc} (max light_idx per arc: "
                     f"{LIGHTS - 1})",
@@ -222,9 +222,9 @@ class IclStage:
 
     def _trigger(self, _: Any) -> str:
         if self.mode != MANUAL:
-            raise Refused("InvalidPayload", "Manual trigger only available in manual mode")
+            raise RefusedError("InvalidPayload", "Manual trigger only available in manual mode")
         if self._trigger_waits:
-            raise Refused("InvalidPayload", "Manual trigger already pending")
+            raise RefusedError("InvalidPayload", "Manual trigger already pending")
         self._trigger_waits = True
         return "Ok"
 
@@ -233,9 +233,9 @@ class IclStage:
 
     def _known(self, value: Any, code: str = "CommandFailed") -> dict[str, Any]:
         if not isinstance(value, str) or len(value) != ULID_LETTERS or set(value) - set(CROCKFORD):
-            raise Unreadable("invalid ULID")
+            raise UnreadableError("invalid ULID")
         if value not in self.sequences:
-            raise Refused(code, f"Sequence id '{value}' not found")
+            raise RefusedError(code, f"Sequence id '{value}' not found")
         return self.sequences[value]
 
     def _delete(self, value: Any) -> str:
@@ -245,13 +245,14 @@ class IclStage:
     def _upload(self, value: Any) -> Any:
         name, hz, frames = (_field(value, key) for key in ("name", "capture_hz", "frames"))
         if not isinstance(name, str) or not _is_number(hz) or not isinstance(frames, list):
-            raise Unreadable("expected a name, a rate and frames")
+            raise UnreadableError("expected a name, a rate and frames")
         read = [
             {group: _grid(_field(frame, f"{group}_fixtures")) for group in GROUPS}
             for frame in frames
         ]
-        sequence = {"id": _ulid(), "name": name, "capture_hz": float(hz), "frames": read}
-        self.sequences[sequence["id"]] = sequence
+        number = _ulid()
+        sequence = {"id": number, "name": name, "capture_hz": float(hz), "frames": read}
+        self.sequences[number] = sequence
         return {"Sequence": self._summary(sequence)}
 
     def _summary(self, sequence: dict[str, Any]) -> dict[str, Any]:
@@ -312,45 +313,45 @@ def _is_number(value: Any) -> bool:
 
 def _field(value: Any, name: str) -> Any:
     if not isinstance(value, dict) or name not in value:
-        raise Unreadable(f"missing field `{name}`")
+        raise UnreadableError(f"missing field `{name}`")
     return value[name]
 
 
 def _index(value: Any, name: str) -> int:
     index = _field(value, name)
     if not _is_whole(index, 0, MOST_ID):
-        raise Unreadable(f"invalid value of `{name}`, expected usize")
+        raise UnreadableError(f"invalid value of `{name}`, expected usize")
     return int(index)
 
 
 def _require_arc(arc: int) -> None:
     if arc >= ARCS:
-        raise Refused("InvalidPayload", f"Arc index {arc} out of bounds (max: {ARCS - 1})")
+        raise RefusedError("InvalidPayload", f"Arc index {arc} out of bounds (max: {ARCS - 1})")
 
 
 def _values(value: Any) -> list[int]:
     """Three values of a fixture."""
     if not isinstance(value, (list, tuple)) or len(value) != 3:
-        raise Unreadable("expected three values of a colour")
+        raise UnreadableError("expected three values of a colour")
     if not all(_is_whole(each, 0, MOST) for each in value):
-        raise Unreadable("invalid value of a colour, expected u16")
+        raise UnreadableError("invalid value of a colour, expected u16")
     return list(value)
 
 
 def _colour(value: Any) -> dict[str, list[int]]:
     """Values of the groups that are there; the others stay as they are."""
     if not isinstance(value, dict):
-        raise Unreadable("expected a colour")
+        raise UnreadableError("expected a colour")
     return {group: _values(value[group]) for group in GROUPS if value.get(group) is not None}
 
 
 def _grid(value: Any) -> Grid:
     """A frame's values of one group; arcs and lights that the stage does not have go nowhere."""
     if not isinstance(value, list) or not all(isinstance(arc, list) for arc in value):
-        raise Unreadable("expected arcs of lights")
+        raise UnreadableError("expected arcs of lights")
     rows = [[_values(light) for light in arc] for arc in value]
     if len({len(row) for row in rows}) > 1:
-        raise Unreadable("arcs of different lengths")
+        raise UnreadableError("arcs of different lengths")
     return np.array(rows, np.uint16).reshape(len(rows), len(rows[0]) if rows else 0, 3)
 
 

@@ -67,7 +67,7 @@ class IclEnd(IclServer):
 class IclCodedStage(CodedStage):
     """The stage of coded photographs, behind ICL's server."""
 
-    def _far_end(self, story, watchdog_s):
+    def _far_end(self, story, watchdog_s):  # noqa: ARG002
         return IclEnd(self._wires.count, self._show, story, self.log)
 
 

@@ -1,4 +1,4 @@
-"""ICL's own client, pylightstage's lscli from the package index, on our server: every command of it."""
+"""ICL's own client, pylightstage's lscli, on our server: every command of it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ for line in sys.stdin:
             code = error.code
     print(json.dumps([code, out.getvalue(), err.getvalue()]), flush=True)
 """
-"""Runs one command of lscli after the other, as its own entry point does; with keys: interactively."""
+"""Runs one command of lscli after the other, as its entry point does; with keys, interactively."""
 
 SEQUENCE = """
 import sys
