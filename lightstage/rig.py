@@ -11,7 +11,7 @@ import functools
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -237,6 +237,18 @@ class Rig:
                 return camera
         known = ", ".join(camera.id for camera in self.cameras)
         raise RigError("rig", field="cameras", found=f"no {camera_id}", expected=f"one of {known}")
+
+    def rewired(self, channels: Sequence[int]) -> Rig:
+        """The same rig with an address of each light; controllers stay.
+
+        Args:
+            channels: one of each light, in the rig's order.
+        """
+        lights = tuple(
+            dataclasses.replace(light, address=dataclasses.replace(address, channel=int(channel)))
+            for light, address, channel in zip(self.lights, self.addresses, channels, strict=True)
+        )
+        return dataclasses.replace(self, lights=lights)
 
     def scaled(self, factor: float) -> Rig:
         """The same rig with `factor` times as many pixels a side in every camera."""

@@ -48,6 +48,10 @@ class WiredLeds(Closing):
         line[self._channels] = levels
         return np.asarray(self._device.light(line)[self._channels])
 
+    def rewire(self, channels: Sequence[int]) -> None:
+        """From the next light on these channels count."""
+        self._channels = np.array(channels)
+
     def confirm(self) -> None:
         """Ask what is lit."""
         self._device.confirm()

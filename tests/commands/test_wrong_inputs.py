@@ -22,6 +22,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "lightstage calibrate": {"kind": "grey", "--rig": "rig", "--out": NEW, "--leds": "serial:///n"},
     "lightstage calibrations": {"lab": "lab"},
     "lightstage rig check": {"rig": "rig"},
+    "lightstage lights identify": {"--rig": "rig", "--out": NEW, "--leds": "serial:///dev/none"},
     "lightstage patterns": {"sequence": "binary", "--rig": "rig"},
     "lightstage import": {"folder": "photographs", "--rig": "rig", "--out": NEW},
     "lightstage landmarks": {"photo": "portrait", "--out": NEW},
