@@ -1,4 +1,4 @@
-"""Which emitters of ICL's stage a channel of a rig's addresses is."""
+"""Which emitters of ICL's stage a channel of a rig's addresses is [Lsserver2026]."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What is said to ICL's lsserver and by it: one map of CBOR a message (docs/icl.md). Pure bytes.
 
-The commands are lsserver 0.4's, as its sources and its client's have them; CBOR is [RFC8949-2020].
+The commands are those of lsserver 0.4 and its client [Lsserver2026]; CBOR is [RFC8949-2020].
 """
 
 from __future__ import annotations

@@ -77,10 +77,13 @@ NAMES: dict[str, FaultName] = {
         "leds", "packet", False, "acknowledges levels that nobody asked for"
     ),
     "hang-up": FaultName(
-        "leds", "packet", False, "the connection ends before the packet; lights as they are (ICL's)"
+        "leds",
+        "packet",
+        False,
+        "the connection ends before the packet is read; the lights stay as they are",
     ),
     "other-id": FaultName(
-        "leds", "packet", False, "the answer is that of a request nobody sent (ICL's)"
+        "leds", "packet", False, "the answer is that of a request that nobody sent"
     ),
     "stuck-on": _lamps("these lights stay fully on; the device tells so"),
     "stuck-on-hidden": _lamps("these lights stay fully on; the device says what it was told"),
