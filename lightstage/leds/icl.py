@@ -23,6 +23,8 @@ POLL_S = 0.05
 """How long one look at the line may last; what comes is seen at once."""
 RECOVER_S = 10.0
 """A server that starts again is waited for so long."""
+DARK_AGAIN_S = 5.0
+"""So long where the lights are only to go out."""
 WILL_NUMBER = (1 << 53) - 1
 """Of the guardian's request; a capture's numbers stay far below."""
 
@@ -73,14 +75,15 @@ class IclLeds(UnansweredLeds):
     def dark(self) -> None:
         """All emitters of the stage off, and Manual; another thread's request is given up for it.
 
-        A connection that broke is opened again first, once: dark matters more than what broke.
+        A connection that broke is opened again first: a server that starts again would light its
+        animation.
         """
         self._hurry.set()
         with self._turn:
             self._hurry.clear()
             self._steps = np.zeros_like(self._steps)
             if self._broken or self._cut:
-                self._connect_again(0.0)
+                self._connect_again(DARK_AGAIN_S)
             self._insist(lsserver.BLACK, self._repeats)
 
     def recover(self) -> Hello:
@@ -132,12 +135,13 @@ class IclLeds(UnansweredLeds):
     def _insist(self, command: dict[str, Any], times: int) -> None:
         """Ask until "Ok" comes; a wrong answer is one of the attempts."""
         (name,) = command
+        gives_way = command is not lsserver.BLACK
         failure: LightLostError | None = None
         for _ in range(times):
             try:
-                reply = self._exchange(command, name, to_dark=command is lsserver.BLACK)
+                reply = self._exchange(command, name, gives_way)
             except LightLostError as error:
-                if self._broken or self._hurry.is_set():
+                if self._broken or (gives_way and self._hurry.is_set()):
                     raise
                 failure = error
                 continue
@@ -154,25 +158,31 @@ class IclLeds(UnansweredLeds):
 
     def _ask_grid(self) -> tuple[int, int]:
         """Arcs and lights of an arc; DeviceError where who answers is no lsserver."""
-        expected = "lsserver's answer to GetConfig"
-        hint = "Is it lsserver (0.4) that answers at this address?"
-        try:
-            for _ in range(self._repeats):
+        found = ""
+        for _ in range(self._repeats):
+            try:
                 reply = self._exchange(lsserver.GET_CONFIG, lsserver.GET_CONFIG)
                 if reply is not None:
                     return lsserver.read_grid(reply.response)
-        except LsserverError as error:
-            raise DeviceError(self._where, found=str(error), expected=expected, hint=hint) from None
-        except LightLostError as error:
-            # Nothing was lit yet.
-            raise DeviceError(
-                self._where, found=error.found, expected=expected, hint=hint
-            ) from None
-        found = f"no answer in {self._timeout_s:g} s, asked {self._repeats} times"
-        raise DeviceError(self._where, found=found, expected=expected, hint=hint)
+                found = f"no answer in {self._timeout_s:g} s, asked {self._repeats} times"
+            except LsserverError as error:
+                found = str(error)
+            except LightLostError as error:  # nothing was lit yet
+                found = error.found
+                if self._broken:
+                    break
+        raise DeviceError(
+            self._where,
+            found=found,
+            expected="lsserver's answer to GetConfig",
+            hint="Is it lsserver (0.4) that answers at this address?",
+        )
 
-    def _exchange(self, command: Any, name: str, to_dark: bool = False) -> Reply | None:
-        """Send once and wait for the answer of the same number; None when none came in time."""
+    def _exchange(self, command: Any, name: str, gives_way: bool = False) -> Reply | None:
+        """Send once and wait for the answer of the same number; None when none came in time.
+
+        What gives way is given up when another thread wants the lights out.
+        """
         self._number += 1
         number = self._number
         try:
@@ -186,7 +196,7 @@ class IclLeds(UnansweredLeds):
                     found = self._read(data, number, name) or found
                 if found is not None:
                     return found
-                if self._hurry.is_set() and not to_dark:
+                if gives_way and self._hurry.is_set():
                     raise self._lost(
                         name, "given up after another thread put the lights out", "an answer"
                     )

@@ -1,7 +1,7 @@
 """ICL's stage: what its lsserver makes of commands and of time. No socket, no clock.
 
-Played after lsserver 0.4 [Lsserver2026], so that its clients and ours can be tried on it. What is set
-is sent to the fixtures packet by packet, every 33 ms; nothing tells whether they lit.
+Played after lsserver 0.4 [Lsserver2026], so that its clients and ours can be tried on it. What is
+set is sent to the fixtures packet by packet, every 33 ms; nothing tells whether they lit.
 """
 
 from __future__ import annotations

@@ -143,8 +143,9 @@ def test_a_server_that_goes_away_between_frames_is_greeted_again_dark(name):
         assert server.dark
 
 
-def test_dark_opens_a_connection_that_broke_once_more():
-    with far_end(Fault("hang-up", at=3)) as server, open_leds(server.url(QUICK), 168) as leds:
+@pytest.mark.parametrize("fault", [Fault("hang-up", at=3), Fault("reset", at=3, seconds=0.3)])
+def test_dark_opens_a_connection_that_broke_once_more(fault):
+    with far_end(fault) as server, open_leds(server.url(QUICK), 168) as leds:
         leds.light(np.ones(168))
         with pytest.raises(LightLostError):
             leds.confirm()
