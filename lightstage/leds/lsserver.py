@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeGuard
 
 import cbor2
 import numpy as np
@@ -120,14 +120,14 @@ def read_grid(response: Any) -> tuple[int, int]:
     config = response.get("Config") if isinstance(response, dict) else None
     if not isinstance(config, dict):
         raise LsserverError(f"an answer to GetConfig that is {_kind(response)}")
-    arcs, lights = (config.get(name) for name in ("num_arcs", "lights_per_arc"))
-    if not (_is_size(arcs) and _is_size(lights)):
-        found = " x ".join(printable(repr(each), 20) for each in (arcs, lights))
-        raise LsserverError(f"a grid of {found} lights")
-    return int(arcs), int(lights)
+    arcs, lights = config.get("num_arcs"), config.get("lights_per_arc")
+    if _is_size(arcs) and _is_size(lights):
+        return arcs, lights
+    found = " x ".join(printable(repr(each), 20) for each in (arcs, lights))
+    raise LsserverError(f"a grid of {found} lights")
 
 
-def _is_size(value: Any) -> bool:
+def _is_size(value: Any) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_A_SIDE
 
 

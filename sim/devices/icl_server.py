@@ -56,7 +56,7 @@ class Client:
     Attributes:
         line: the connection.
         protocol: its WebSocket.
-        parts: of a message that is not whole yet.
+        parts: of the message that comes, and whether it is a text.
         requests: whole messages that wait: from when on they are looked at (monotonic), and what
             happens to them; None where that is still to be asked of the story.
         answers: what is to be sent, and when at the earliest (monotonic).
@@ -65,6 +65,7 @@ class Client:
     line: socket.socket
     protocol: ServerProtocol
     parts: list[bytes] = dataclasses.field(default_factory=list)
+    is_text: bool = False
     requests: collections.deque[tuple[float, bytes, Sequence[Due] | None]] = dataclasses.field(
         default_factory=collections.deque
     )
@@ -232,12 +233,11 @@ class IclServer:
 
     def _take(self, client: Client, frame: Frame) -> None:
         """Join a message's frames; texts are passed over."""
-        if frame.opcode is Opcode.TEXT and frame.fin:
-            return
+        if frame.opcode is not Opcode.CONT:
+            client.is_text, client.parts = frame.opcode is Opcode.TEXT, []
         client.parts.append(bytes(frame.data))
-        if frame.fin:
+        if frame.fin and not client.is_text:
             client.requests.append((0.0, b"".join(client.parts), None))
-            client.parts = []
 
     def _flush(self, client: Client) -> None:
         try:
@@ -253,6 +253,8 @@ class IclServer:
         if client in self._clients:
             self._clients.remove(client)
         client.line.close()
+        client.requests.clear()
+        client.answers.clear()
         if not self._clients:
             self.connected.clear()
 
@@ -340,7 +342,7 @@ class IclServer:
         return counts
 
     def _output(self) -> None:
-        """Send a packet to the fixtures, and the events to everybody."""
+        """Send a packet to the fixtures, and to everybody what has happened."""
         counts = self._shining()
         mode = self.stage.mode
         if not np.array_equal(counts, self.states[-1].counts) or mode != self._shown_mode:

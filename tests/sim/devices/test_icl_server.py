@@ -174,6 +174,7 @@ def test_events_go_to_every_client_and_texts_are_passed_over():
         where = server.url()
         with connect(where, compression=None) as one, connect(where, compression=None) as two:
             one.send("a text")
+            one.send(["a text ", "in parts"])
             one.send(cbor2.dumps({"id": 5, "command": {"SetMode": {"type": "Manual"}}}))
             for line, count in ((one, 2), (two, 1)):
                 told = [cbor2.loads(line.recv(5)) for _ in range(count)]
