@@ -93,18 +93,20 @@ def hear(line: socket.socket, heard: bytes, wanted: bytes, until: float) -> byte
 def ended(handle: int) -> bool:
     """Say that the capture's connection ends; whether the device has ended it as well, in time."""
     line = socket.socket(fileno=os.dup(handle))
+    until = time.monotonic() + ANSWER_WAIT_S
     try:
         line.shutdown(socket.SHUT_WR)
-        line.settimeout(ANSWER_WAIT_S)
-        while line.recv(65536):
-            pass
+        while (left_s := until - time.monotonic()) > 0:
+            line.settimeout(left_s)
+            if not line.recv(65536):
+                return True
     except TimeoutError:
-        return False
+        pass
     except OSError:
-        pass  # it is gone already
+        return True  # it is gone already
     finally:
         line.close()
-    return True
+    return False
 
 
 def make_dark(will: dict[str, Any]) -> bool:

@@ -131,11 +131,13 @@ class SocketLine:
 
     def end(self, wait_s: float) -> None:
         """Close it when the other end has read everything and closed it too, or after so long."""
+        until = time.monotonic() + wait_s
         try:
             self._socket.shutdown(socket.SHUT_WR)
-            self._socket.settimeout(wait_s)
-            while self._socket.recv(65536):
-                pass
+            while (left_s := until - time.monotonic()) > 0:
+                self._socket.settimeout(left_s)
+                if not self._socket.recv(65536):
+                    break
         except OSError:
             pass  # it is gone, or is not read
         self.close()
