@@ -29,6 +29,7 @@ RIGHT: dict[str, dict[str, str]] = {
     "lightstage check": {"session": "session"},
     "processing calibrate": {"lab": "lab", "--out": NEW},
     "processing calibrate-cameras": {"lab": "lab", "--out": NEW},
+    "processing locate-lights": {"lab": "lab", "--out": NEW},
     "processing run": {"session": "session", "--out": NEW, "--until": "decode"},
     "processing separate": {"session": "session", "--out": NEW},
     "processing reconstruct": {"session": "session", "--out": NEW},
