@@ -363,8 +363,8 @@ def _listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         raise SimError(
             f"{host}:{port}",
-            found=(os.strerror(error.errno) if error.errno else str(error)).lower(),
-            expected="a port of this machine that is free",
+            found=(error.strerror or str(error)).lower(),
+            expected="an address of this machine, and a port of it that is free",
         ) from None
 
 

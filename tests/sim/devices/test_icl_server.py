@@ -256,12 +256,15 @@ def test_the_command_writes_what_was_lit_and_ends_with_ctrl_c(tmp_path):
     assert "other-id" in (tmp_path / "story.jsonl").read_text()
 
 
-def test_a_port_that_is_taken_is_told(run_command):
+def test_a_port_that_is_taken_or_an_address_that_is_not_here_is_told(run_command):
     with IclServer(lambda _: None) as server:
         port = server.place.rpartition(":")[2]
         ended = run_command("sim", "icl", "--port", port)
         assert ended.code == 2
-        assert "address already in use, expected a port of this machine that is free" in ended.err
+        assert "found address already in use" in ended.err
+    ended = run_command("sim", "icl", "--port", "0", "--host", "no-such-host.invalid")
+    assert ended.code == 2
+    assert "expected an address of this machine, and a port of it that is free" in ended.err
 
 
 def test_a_picture_shows_each_light_where_it_stands():
