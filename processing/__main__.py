@@ -29,7 +29,7 @@ from lightstage.formats.consents import require_consents
 from lightstage.formats.template import default_template_path
 from processing import dataset_commands
 from processing.batch import command as batch_command
-from processing.calibration import cameras_command
+from processing.calibration import cameras_command, wiring_command
 from processing.calibration import command as calibration_command
 from processing.errors import ProcessingError
 from processing.template import command as template_command
@@ -41,6 +41,7 @@ app.add_typer(template_command.app, name="template")
 dataset_commands.register(dataset_app)
 calibration_command.register(app)
 cameras_command.register(app)
+wiring_command.register(app)
 batch_command.register(app)
 
 SessionPath = typer.Argument(..., help="Session folder.", show_default=False)

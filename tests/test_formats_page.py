@@ -33,6 +33,7 @@ PAGE = (ROOT / "docs" / "formats.md").read_text()
 EXAMPLES = dict(re.findall(r"^Example: `([^`]+)`\n\n```\w+\n(.*?)^```$", PAGE, re.M | re.S))
 READERS: dict[str, Callable[[Path], Any]] = {
     "rig.json": lambda folder: load_rig(folder / "rig.json"),
+    "wired.json": lambda folder: load_rig(folder / "wired.json"),
     "session.json": load_session,
     "landmarks.json": lambda folder: read_points_px(folder / "landmarks.json"),
     "L.json": lambda folder: read_points_mm(folder / "L.json"),

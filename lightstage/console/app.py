@@ -280,10 +280,10 @@ class Pages:
     def _device_values(self) -> dict[str, Any]:
         running = self._desk.running()
         values = showing.device_values(self._desk.runner.state(LOOK))
-        values |= {"running": running, "stage": self._desk.stage, "captured": None}
+        values |= {"running": running, "stage": self._desk.stage, "captured": None, "budget": None}
         if running and (self._desk.folder / running / "journal.jsonl").exists():
             followed = self._desk.followed(running)
-            values["captured"] = followed.view
+            values["captured"], values["budget"] = followed.view, followed.budget()
         return values
 
     async def sessions(self, request: Request) -> Response:

@@ -6,6 +6,7 @@ Nothing is kept that is not in the journal, so a server that starts again shows 
 from __future__ import annotations
 
 import collections
+import datetime
 import threading
 import time
 import weakref
@@ -13,6 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from lightstage.console.warmth import Budget, Warmth
 from lightstage.errors import FormatError
 from lightstage.formats.paths import path_inside
 from lightstage.operator.lines import JournalTail
@@ -73,6 +75,7 @@ class Followed:
         weakref.finalize(self, self._tail.close)  # when nobody looks at it any more
         self._lock = threading.Lock()
         self._photographs: dict[tuple[str, str], Photograph] = {}
+        self._warmth = Warmth()
         self._events: collections.deque[Event] = collections.deque(maxlen=kept)
         self._socket = ""
         self._told_s = -float("inf")
@@ -109,6 +112,7 @@ class Followed:
     def _take_up(self, line: Mapping[str, Any]) -> None:
         said = self.view.told(line)
         event = text_of(line, "event")
+        self._warmth.told(line, self.view.pattern is not None)
         if event in ("begin", "resume"):
             self._socket, self._still, self._live = "", False, False
         self._socket = text_of(line, "socket") or self._socket
@@ -149,6 +153,11 @@ class Followed:
             return  # a journal that was changed: its photograph is not shown
         take = int(number_of(line, "take") or 1)
         self._photographs[pattern, camera] = Photograph(path, take, text_of(line, "sha256"))
+
+    def budget(self) -> Budget | None:
+        """What its lights have spent of their warmth and time until now."""
+        with self._lock:
+            return self._warmth.budget(datetime.datetime.now(datetime.UTC))
 
     @property
     def live(self) -> bool:

@@ -81,7 +81,7 @@ class AdalightLeds(UnansweredLeds):
         light_count: int,
         options: AdalightOptions,
     ) -> None:
-        super().__init__(where, light_count, "Adalight", options)
+        super().__init__(where, light_count, "Adalight (does not answer)", options)
         self._connect = connect
         self._timeout_s = options.timeout_s
         self._tint = Tint(options.colour, options.order, options.gamma)

@@ -37,7 +37,7 @@ class Line(Protocol):
         """Give the line back."""
 
 
-AnyLine = TypeVar("AnyLine", bound=Line)
+AnyLine = TypeVar("AnyLine")
 
 
 def _why(error: OSError) -> str:
@@ -80,25 +80,36 @@ class SocketLine:
         host: name or address.
         port: of the device.
         timeout_s: for connecting and for each write.
+        lock: of the address, where whoever connects again holds it (`lock_address`).
 
     Raises:
         DeviceError: another program of this machine is connected.
         OSError: nobody there.
     """
 
-    def __init__(self, host: str, port: int, timeout_s: float) -> None:
-        self._lock = lock_address(f"tcp {host}:{port}")
+    def __init__(
+        self, host: str, port: int, timeout_s: float, lock: IO[bytes] | None = None
+    ) -> None:
+        self._own_lock = lock_address(f"tcp {host}:{port}") if lock is None else None
+        self._lock = lock or self._own_lock
         try:
             self._socket = socket.create_connection((host, port), timeout_s)
         except BaseException:
-            self._lock.close()
+            self._give_lock_back()
             raise
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     @property
     def handles(self) -> tuple[int, ...]:
         """The connection, and the lock."""
+        assert self._lock is not None
         return self._socket.fileno(), self._lock.fileno()
+
+    @property
+    def peer(self) -> tuple[str, int]:
+        """Address and port at the other end."""
+        host, port = self._socket.getpeername()[:2]
+        return host, port
 
     def write(self, data: bytes) -> None:
         """Send all of it."""
@@ -116,7 +127,24 @@ class SocketLine:
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
-        self._lock.close()
+        self._give_lock_back()
+
+    def end(self, wait_s: float) -> None:
+        """Close it when the other end has read everything and closed it too, or after so long."""
+        until = time.monotonic() + wait_s
+        try:
+            self._socket.shutdown(socket.SHUT_WR)
+            while (left_s := until - time.monotonic()) > 0:
+                self._socket.settimeout(left_s)
+                if not self._socket.recv(65536):
+                    break
+        except OSError:
+            pass  # it is gone, or is not read
+        self.close()
+
+    def _give_lock_back(self) -> None:
+        if self._own_lock is not None:
+            self._own_lock.close()
 
 
 def lock_address(name: str) -> IO[bytes]:

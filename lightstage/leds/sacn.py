@@ -39,7 +39,8 @@ class SacnLeds(UnansweredLeds):
 
     def __init__(self, host: str, port: int, light_count: int, options: SacnOptions) -> None:
         where = f"E1.31 to {host}:{port}"
-        super().__init__(where, light_count, where, options, e131.KEEP_ALIVE_S)
+        firmware = f"{where} (does not answer)"
+        super().__init__(where, light_count, firmware, options, e131.KEEP_ALIVE_S)
         self._options = options
         self._full = 255 if options.bits == 8 else 65535
         per_universe = e131.SLOTS // (options.channels * options.bits // 8)

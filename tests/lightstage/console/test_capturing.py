@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -99,6 +100,12 @@ def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
         wait_until(lambda: events_of(root, "asked"), "a question")
         visitor.shows("/session/P1+neutral/part", "take it again", "WAITING FOR YOU")
         assert stage.device.dark
+        devices = visitor.get("/devices/part").text
+        assert re.search(
+            r"at [0-9]+ % of full power's warmth at most \(90 % are allowed\).* "
+            r"[0-9]+ s at full level \(600 s are allowed\)",
+            devices,
+        ), devices
         time.sleep(0.5)
         assert not events_of(root, "answered")
         assert "there is no photograph" in visitor.post("/session/P1+neutral/do", do="accept").text
@@ -234,3 +241,8 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.press("q")
         browser.wait('document.body.innerText.includes("STOPPED")')
         assert stage.device.dark
+        for key, path in (("1", "/plan"), ("3", "/devices"), ("4", "/sessions")):
+            browser.press(key)
+            browser.wait(f"location.pathname === '{path}' && document.readyState === 'complete'")
+            assert browser.js("document.documentElement.scrollWidth") <= 800, path
+        assert browser.errors == []
