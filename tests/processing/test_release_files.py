@@ -15,8 +15,8 @@ import zarr
 
 from lightstage.errors import ConfigError
 from lightstage.formats.files import sha256_file
-from processing.dataset import PublishConfig, Store, publish
-from tests.processing.releases import SEED, SIZE, SMALL, Make, read, small_store
+from processing.dataset import PublishConfig, Store
+from tests.processing.releases import SEED, SIZE, SMALL, Make, publish, read, small_store
 
 
 @pytest.fixture
@@ -32,7 +32,14 @@ def test_the_whole_set_opens_as_one_zarr_group(tmp_path: Path, store: Store) -> 
     for name, channels in facts["channels"].items():
         assert group[name].shape == (facts["counts"]["patches"], SIZE, SIZE, channels)
     assert sorted(p.name for p in out.iterdir()) == sorted(
-        ["checksums.json", "dataset.json", "zarr.json", *facts["channels"]]
+        [
+            "DATASHEET.md",
+            "checksums.json",
+            "croissant.json",
+            "dataset.json",
+            "zarr.json",
+            *facts["channels"],
+        ]
     )
 
 
