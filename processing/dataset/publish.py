@@ -41,6 +41,7 @@ from processing.dataset.release_files import (
     ReleaseWriter,
     TarRelease,
     ZarrRelease,
+    give_one_time,
     write_checksums,
 )
 from processing.dataset.scan import DatasetError
@@ -193,6 +194,7 @@ def publish(
         day = datetime.now(UTC).date().isoformat()
         write_croissant(beside, about, facts, config.form, day)
         write_checksums(beside)
+        give_one_time(beside)
         record_release(store, out, beside)
     return out
 

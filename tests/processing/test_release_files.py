@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import struct
 import tarfile
 from pathlib import Path
 from typing import Literal
@@ -16,6 +17,8 @@ import zarr
 from lightstage.errors import ConfigError
 from lightstage.formats.files import sha256_file
 from processing.dataset import PublishConfig, Store
+from processing.dataset.release_files import CHANNELS as PUBLISHED
+from processing.dataset.release_files import FILE_TIME_S
 from tests.processing.releases import SEED, SIZE, SMALL, Make, publish, read, small_store
 
 
@@ -96,6 +99,27 @@ def test_every_file_of_a_release_has_a_checksum(
     sums = json.loads((out / "checksums.json").read_text())["files"]
     there = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} - {"checksums.json"}
     assert sums == {name: sha256_file(out / name) for name in there}
+
+
+@pytest.mark.parametrize("form", ["zarr", "webdataset"])
+def test_files_of_a_release_tell_no_time_and_parts_of_a_map_have_one_size(
+    tmp_path: Path, store: Store, form: Literal["zarr", "webdataset"]
+) -> None:
+    out = publish(store, tmp_path / "out", SEED, dataclasses.replace(SMALL, form=form))
+    assert {path.stat().st_mtime for path in (out, *out.rglob("*"))} == {FILE_TIME_S}
+    if form == "zarr":
+        for name in PUBLISHED:
+            array = zarr.open_array(out / name, mode="r")
+            whole = array.shape[0] // array.shards[0]
+            sizes = [(out / name / f"c/{i}/0/0/0").stat().st_size for i in range(whole)]
+            assert whole > 5
+            assert len(set(sizes)) == 1
+            # An index of offsets and sizes ends each file.
+            parts = struct.unpack(
+                f"<{2 * array.shards[0]}Q",
+                (out / name / "c/0/0/0/0").read_bytes()[-16 * array.shards[0] - 4 : -4],
+            )
+            assert len(set(parts[1::2])) == 1
 
 
 def test_a_form_that_there_is_none_of_is_refused() -> None:
