@@ -7,8 +7,9 @@ import io
 import json
 import struct
 import tarfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -19,7 +20,16 @@ from lightstage.formats.files import sha256_file
 from processing.dataset import PublishConfig, Store
 from processing.dataset.release_files import CHANNELS as PUBLISHED
 from processing.dataset.release_files import FILE_TIME_S
-from tests.processing.releases import SEED, SIZE, SMALL, Make, publish, read, small_store
+from tests.processing.releases import (
+    ABOUT_FILE,
+    SEED,
+    SIZE,
+    SMALL,
+    Make,
+    publish,
+    read,
+    small_store,
+)
 
 
 @pytest.fixture
@@ -120,6 +130,46 @@ def test_files_of_a_release_tell_no_time_and_parts_of_a_map_have_one_size(
                 (out / name / "c/0/0/0/0").read_bytes()[-16 * array.shards[0] - 4 : -4],
             )
             assert len(set(parts[1::2])) == 1
+
+
+def test_a_set_that_is_there_is_replaced_as_a_whole_and_only_when_told(
+    tmp_path: Path, store: Store, run_command: Callable[..., Any]
+) -> None:
+    out = tmp_path / "out"
+    words = ("dataset", "publish", store.path, "--about", ABOUT_FILE, "--out", out, "--patch", 16)
+    assert run_command("processing", *words).code == 0
+    first = contents(out)
+    again = run_command("processing", *words)
+    assert again.code == 2
+    assert "pass --overwrite" in again.err
+    assert contents(out) == first
+    tars = run_command("processing", *words, "--format", "webdataset", "--overwrite")
+    assert tars.code == 0, tars.err
+    assert {path.suffix for path in out.iterdir()} == {".tar", ".json", ".md"}
+    assert sorted(tmp_path.glob(".*")) == []
+    # The lab knows of both.
+    assert len((store.path / "releases.jsonl").read_text().splitlines()) == 2
+
+
+def test_of_two_that_publish_to_one_place_at_once_one_is_there_whole(
+    tmp_path: Path, store: Store
+) -> None:
+    out, between = tmp_path / "out", []
+
+    def other(done: int, total: int) -> None:
+        if done == total and not between:
+            between.append(contents(publish(store, out, SEED + 1, SMALL)))
+
+    publish(store, out, SEED, SMALL, other)
+    sums = json.loads((out / "checksums.json").read_text())["files"]
+    assert sums == {name: sha256_file(out / name) for name in sums}
+    assert contents(out) != between[0]
+    assert sorted(tmp_path.glob(".*")) == []
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def test_a_form_that_there_is_none_of_is_refused() -> None:
