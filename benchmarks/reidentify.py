@@ -277,7 +277,7 @@ def in_order(patches: Patches) -> Score:
 def in_one_file(release: Release) -> Score:
     """Patches that share a file."""
     person = release.patches.person
-    right = tried = 0
+    right, tried = 0.0, 0
     for numbers in files(release).values():
         own = person[numbers]
         tried += len(own) * (len(own) - 1)
