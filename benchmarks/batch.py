@@ -497,7 +497,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all where none is named")
     for field in dataclasses.fields(Sizes):
-        parser.add_argument(f"--{field.name}", type=type(field.default), default=field.default)
+        parser.add_argument("--" + field.name, type=type(field.default), default=field.default)
     asked = parser.parse_args()
     sizes = Sizes(**{field.name: getattr(asked, field.name) for field in dataclasses.fields(Sizes)})
     whole = sizes == Sizes()
