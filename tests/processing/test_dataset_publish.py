@@ -18,6 +18,7 @@ from lightstage.formats.processed import ProcessedFolder
 from processing.__main__ import app
 from processing.dataset import PublishConfig, Store, build_store, open_store
 from processing.dataset.places import CLEAR, clear_skin, places_of
+from processing.dataset.protection import CANNOT_PROTECT
 from processing.dataset.publish import published_places, read_patch
 from tests.processing.releases import (
     ABOUT_FILE,
@@ -350,6 +351,15 @@ def test_a_gap_of_nothing_is_warned_of_with_the_figures_of_the_docs(
         assert count in said[0]
         assert f"{share:.0f} %" in said[0]
         assert f"{float(same.removesuffix(' %')):.0f} %" in said[0]
+
+
+def test_the_figures_of_forty_people_are_those_of_the_docs() -> None:
+    table = (Path(__file__).parents[2] / "docs" / "dataset.md").read_text().splitlines()
+    row = next(row for row in table if row.startswith("| the most alike, by tone |"))
+    right, chance = row.split("|")[3].split("% (")
+    assert f"for {float(right):.0f} % ({float(chance.strip(' %)')):.0f} % by chance)" in (
+        CANNOT_PROTECT
+    )
 
 
 def test_maps_smaller_than_a_patch_are_refused(tmp_path: Path, store: Store) -> None:
