@@ -95,7 +95,7 @@ def _table(
     found = Counter(known.get(who, UNKNOWN) for who in everybody)
     at_least = told({name: found[name] for name in (*groups, UNKNOWN)})
     parts = "; ".join(f"{name}: {count} or more" for name, count in at_least.items())
-    said = parts or f"not told, since too few would be in a group of fewer than {FEWEST}"
+    said = parts or f"not told, since a group would have fewer than {FEWEST}"
     return Table(
         what, at_least, f"{counted(len(everybody), 'person', 'people')} by {what}: {said}."
     )
