@@ -365,6 +365,12 @@ def publish(
         "--without-consent",
         help="Publish people without a consent record, too; the published set says so.",
     ),
+    about: Path | None = typer.Option(
+        None,
+        "--about",
+        help="TOML file with name, license, terms, creators, contact and url of the release; "
+        "nothing is published without it.",
+    ),
     consents: Path | None = ConsentsOption,
     seed: int | None = typer.Option(
         None,
@@ -376,7 +382,14 @@ def publish(
 ) -> None:
     """The anonymous form: small patches apart from each other, turned, shuffled, some left out."""
     from lightstage.formats.files import read_json, require_new
-    from processing.dataset import DATASET, PUBLISHED, PublishConfig, narrow_gap, open_store
+    from processing.dataset import (
+        DATASET,
+        PUBLISHED,
+        PublishConfig,
+        narrow_gap,
+        open_store,
+        read_about,
+    )
     from processing.dataset import publish as publish_store
 
     require_new(out, overwrite, DATASET, PUBLISHED)
@@ -395,10 +408,11 @@ def publish(
             expected="one of the two",
             hint="What the registry refuses is not published.",
         )
+    opened = open_store(store, "These patches are published already.")
+    require_consents(consents, "publication", opened.consents)
+    said_of_it = read_about(about)
     with progress_bar("dataset publish") as progress:
-        opened = open_store(store, "These patches are published already.")
-        require_consents(consents, "publication", opened.consents)
-        publish_store(opened, out, seed, config, progress)
+        publish_store(opened, out, seed, config, progress, about=said_of_it)
     narrow = narrow_gap(config.gap)
     if narrow:
         print(f"warning: {narrow}", file=sys.stderr)
@@ -408,7 +422,17 @@ def publish(
     said += f" of {counted(counts['subjects'], 'subject')}"
     if unasked:
         said += f", {unasked} of them without a consent record"
-    facts = {"out": str(out), **counts, "patch": written["patch"], "gap": written["gap"]}
+    if said_of_it.unanswered:
+        open_ones = counted(len(said_of_it.unanswered), "question")
+        said += f"; {open_ones} of its DATASHEET.md not answered: "
+        said += ", ".join(said_of_it.unanswered)
+    facts = {
+        "out": str(out),
+        **counts,
+        "unanswered": said_of_it.unanswered,
+        "patch": written["patch"],
+        "gap": written["gap"],
+    }
     facts |= {"subjects_without_consent": unasked, "warnings": [narrow] if narrow else []}
     finish(f"{out}: {said}", facts, as_json)
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from demo.run import run
-from demo.steps import DemoConfig, Layout
+from demo.steps import ABOUT, DemoConfig, Layout
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import read_json
 from lightstage.formats.processed import ProcessedFolder
@@ -168,6 +168,7 @@ def the_readmes_commands_run_as_written(at: Layout, folder: Path) -> None:
         "T.exr": at.baked,
         "M.obj": at.mesh,
         "E.json": at.light_sets()[0],
+        "ABOUT.toml": ABOUT,
     }
     for name, path in named.items():
         (folder / name).symlink_to(path)

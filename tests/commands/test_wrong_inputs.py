@@ -45,7 +45,7 @@ RIGHT: dict[str, dict[str, str]] = {
     },
     "processing evaluate": {"out": "processed", "truth": "processed"},
     "processing dataset build": {"processed": "processed", "--out": NEW},
-    "processing dataset publish": {"store": "store", "--out": NEW},
+    "processing dataset publish": {"store": "store", "--about": "about", "--out": NEW},
     "processing dataset add": {"processed": "processed", "--store": "store"},
     "processing dataset remove": {"scans": "0123456789abcdef", "--store": "store"},
     "processing dataset list": {"store": "store"},

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -173,6 +174,28 @@ def test_a_full_disk_and_full_memory_are_told_apart_from_bad_input(
         answer = work.step(order(sessions[0], tmp_path / "out"), True)
         assert answer.status == status
     assert "ZeroDivisionError" in answer.trace
+
+
+def test_a_disk_that_fills_up_in_the_middle_stops_cleanly_and_goes_on_after(
+    sessions: list[Path], tmp_path: Path, small_disk: Path
+) -> None:
+    out = small_disk / "out"
+    asked = order(sessions[0], out)
+    assert work.step(asked, True).status == "disk full"
+    subprocess.run(["mount", "-o", "remount,size=8m", small_disk], check=True)
+    assert work.step(asked, True).ran == "decode"
+    filler = small_disk / "filler"
+    filler.write_bytes(bytes(shutil.disk_usage(small_disk).free - 32_768))
+    full = work.step(asked, False)
+    assert (full.status, full.ran) == ("disk full", None)
+    assert str(small_disk) in full.reason
+    assert list(out.rglob(".*")) == []
+    # What is done stays done, and nothing counts as done that is not.
+    assert work.look(asked).left == ("separate",)
+    filler.unlink()
+    assert work.step(asked, False).left == ()
+    run(sessions[0], tmp_path / "run", TEMPLATE, PipelineConfig(), until="separate")
+    assert differences(out, tmp_path / "run") == []
 
 
 def test_memory_decides_how_many_workers_there_are() -> None:

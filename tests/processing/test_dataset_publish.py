@@ -16,10 +16,22 @@ from typer.testing import CliRunner
 from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.processed import ProcessedFolder
 from processing.__main__ import app
-from processing.dataset import PublishConfig, Store, build_store, open_store, publish
+from processing.dataset import PublishConfig, Store, build_store, open_store
 from processing.dataset.places import CLEAR, clear_skin, places_of
+from processing.dataset.protection import CANNOT_PROTECT
 from processing.dataset.publish import published_places, read_patch
-from tests.processing.releases import GAP, PEOPLE, SEED, SIZE, SMALL, Make, read, small_store
+from tests.processing.releases import (
+    ABOUT_FILE,
+    GAP,
+    PEOPLE,
+    SEED,
+    SIZE,
+    SMALL,
+    Make,
+    publish,
+    read,
+    small_store,
+)
 
 Found = tuple[int, int, int]
 
@@ -273,7 +285,7 @@ def test_nothing_in_the_folder_names_a_person_a_place_or_the_seed(
         name = str(path.relative_to(out))
         data = path.read_bytes()
         assert not any(word in name for word in words)
-        if path.suffix == ".json":
+        if path.suffix in (".json", ".md"):
             assert not [word for word in words if word.encode() in data]
         assert not any(secret in data for secret in (*binary, *(p.encode() for p in PEOPLE)))
 
@@ -322,6 +334,7 @@ def test_a_gap_of_nothing_is_warned_of_with_the_figures_of_the_docs(
 ) -> None:
     out = tmp_path / "published"
     asked = ["dataset", "publish", str(store.path), "--out", str(out), "--patch", "16", *words]
+    asked += ["--about", str(ABOUT_FILE)]
     done = CliRunner().invoke(app, [*asked, "--json"])
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
@@ -338,6 +351,15 @@ def test_a_gap_of_nothing_is_warned_of_with_the_figures_of_the_docs(
         assert count in said[0]
         assert f"{share:.0f} %" in said[0]
         assert f"{float(same.removesuffix(' %')):.0f} %" in said[0]
+
+
+def test_the_figures_of_forty_people_are_those_of_the_docs() -> None:
+    table = (Path(__file__).parents[2] / "docs" / "dataset.md").read_text().splitlines()
+    row = next(row for row in table if row.startswith("| the most alike, by tone |"))
+    right, chance = row.split("|")[3].split("% (")
+    assert f"for {float(right):.0f} % ({float(chance.strip(' %)')):.0f} % by chance)" in (
+        CANNOT_PROTECT
+    )
 
 
 def test_maps_smaller_than_a_patch_are_refused(tmp_path: Path, store: Store) -> None:
@@ -434,6 +456,7 @@ def test_neither_dataset_takes_the_place_of_the_other(
     assert len(read(published, "shape")) == before
     assert publish(store, published, SEED, SMALL) == published
     overwriting = ["dataset", "publish", str(store.path), "--out", str(other), "--overwrite"]
+    overwriting += ["--about", str(ABOUT_FILE)]
     done = CliRunner().invoke(app, overwriting)
     assert isinstance(done.exception, LightstageError)
     assert "of kind 'store', not 'published'" in str(done.exception)
