@@ -59,7 +59,7 @@ COMMANDS = {
         "Light single lamps: which one is on which wire.",
     ),
     "import": (
-        "lightstage.motion.command",
+        "lightstage.poses_from_photos.command",
         "Make a session of photographs taken elsewhere.",
     ),
     "landmarks": (

@@ -29,8 +29,9 @@ from lightstage.formats.consents import require_consents
 from lightstage.formats.template import default_template_path
 from processing import dataset_commands
 from processing.batch import command as batch_command
-from processing.calibration import cameras_command, wiring_command
 from processing.calibration import command as calibration_command
+from processing.calibration.cameras import command as cameras_command
+from processing.calibration.lights import wiring_command
 from processing.errors import ProcessingError
 from processing.template import command as template_command
 

@@ -273,7 +273,7 @@ def targets(
     from sim.camera.flaws import load_flaws
     from sim.camera.optics import distorted
     from sim.session import require_new, truth_path
-    from sim.targets.photographs import TargetsConfig, write_targets
+    from sim.targets.target_session import TargetsConfig, write_targets
 
     begun = time.monotonic()
     require_new(out)

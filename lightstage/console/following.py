@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from lightstage.console.warmth import Budget, Warmth
 from lightstage.errors import FormatError
 from lightstage.formats.paths import path_inside
-from lightstage.operator.lines import JournalTail
+from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.runtime import socket_answers
 from lightstage.operator.view import View
 from lightstage.operator.words import SIGNS, number_of, text_of

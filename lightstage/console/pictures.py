@@ -148,7 +148,7 @@ def focus(path: Path, other: Path | None = None) -> Focus:
     Raises:
         FormatError: as `thumbnail`.
     """
-    from lightstage.checks.photo import measure_photo
+    from lightstage.checks.photo_measures import measure_photo
     from lightstage.checks.sharpness import fineness, sharpness
 
     photo = measure_photo(path)

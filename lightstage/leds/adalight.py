@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from lightstage.leds.address import AdalightOptions
+from lightstage.leds.connection import Line, opened
 from lightstage.leds.controller import Hello, LightLostError, level_steps
 from lightstage.leds.guard import LastWill
-from lightstage.leds.line import Line, opened
 from lightstage.leds.unanswered import UnansweredLeds
 
 BOOT_WORD = b"Ada\n"

@@ -11,10 +11,10 @@ import numpy as np
 from lightstage.errors import DeviceError
 from lightstage.leds import lsserver
 from lightstage.leds.address import Address, IclOptions
+from lightstage.leds.connection import lock_address, opened
 from lightstage.leds.controller import Hello, LightLostError, level_steps
 from lightstage.leds.guard import LastWill
 from lightstage.leds.icl_lights import IclLights
-from lightstage.leds.line import lock_address, opened
 from lightstage.leds.lsserver import Event, LsserverError, Reply
 from lightstage.leds.unanswered import UnansweredLeds
 from lightstage.leds.websocket import WebSocketLine, greeting, masked

@@ -16,8 +16,8 @@ from lightstage.leds.address import (
     SerialOptions,
     parse_url,
 )
+from lightstage.leds.connection import Line, SocketLine
 from lightstage.leds.controller import LedController
-from lightstage.leds.line import Line, SocketLine
 from lightstage.leds.sacn import SacnLeds
 from lightstage.leds.serial_port import SerialPort
 from lightstage.leds.wire_leds import WireLeds

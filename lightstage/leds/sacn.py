@@ -11,9 +11,9 @@ from lightstage.counting import counted
 from lightstage.errors import ConfigError, DeviceError
 from lightstage.leds import e131
 from lightstage.leds.address import MULTICAST, SacnOptions
+from lightstage.leds.connection import lock_address
 from lightstage.leds.controller import Hello, LightLostError, level_steps
 from lightstage.leds.guard import LastWill
-from lightstage.leds.line import lock_address
 from lightstage.leds.unanswered import UnansweredLeds
 
 NAME = "lightstage"

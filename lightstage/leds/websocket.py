@@ -13,7 +13,7 @@ from websockets.protocol import State
 from websockets.uri import parse_uri
 
 from lightstage.errors import DeviceError
-from lightstage.leds.line import SocketLine
+from lightstage.leds.connection import SocketLine
 
 MOST_BYTES = 1 << 20
 """No message of a stage is longer: of a longer one the connection is ended."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.session import Frame, Session
-from processing.decode.photographs import Calibrated, Photograph, open_photograph
+from processing.decode.session_photographs import Calibrated, Photograph, open_photograph
 from processing.frames.drafts import Draft, Marks, frames_path, read_marks, read_told
 from processing.frames.read import power_of_two, read_frames
 from processing.frames.small import SmallPictures

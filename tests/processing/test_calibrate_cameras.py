@@ -15,10 +15,10 @@ from lightstage.formats.board import BoardConfig
 from lightstage.formats.files import read_json
 from lightstage.rig import Rig, default_rig, load_rig
 from processing.__main__ import app
-from processing.calibration.boards import find_board
-from processing.calibration.cameras import CamerasConfig, MeasuredCameras, measure_cameras
-from processing.calibration.cameras_fit import adjust, residuals
-from processing.calibration.cameras_output import CamerasFile, camera_settings, make_cameras
+from processing.calibration.cameras.boards import find_board
+from processing.calibration.cameras.fit import adjust, residuals
+from processing.calibration.cameras.measured import CamerasConfig, MeasuredCameras, measure_cameras
+from processing.calibration.cameras.output import CamerasFile, camera_settings, make_cameras
 from processing.calibration.folder import Source
 from processing.errors import PoseError, ProcessingError
 from sim.camera.flaws import CaptureFlaws

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 from lightstage.rig import Rig, default_rig, load_rig, save_rig
 from processing.__main__ import app
-from processing.calibration.highlights import Highlights
-from processing.calibration.mirror_ball import Seen
-from processing.calibration.wiring import CLEAR, Wiring, find_wiring, sure_lamps
+from processing.calibration.lights.highlights import Highlights
+from processing.calibration.lights.mirror_ball import Seen
+from processing.calibration.lights.wiring import CLEAR, Wiring, find_wiring, sure_lamps
 from sim.devices.target_stage import TargetStage
 from sim.devices.wiring import shuffled_wires
 from sim.targets.ball import Ball, highlights_mm
