@@ -53,6 +53,11 @@ def test_a_take_is_captured_whole_and_the_next_one_follows(staged, plan) -> None
         assert page.count("/small") == 9
         picture = visitor.get("/session/P1+neutral/x+/cam1/1/small")
         assert picture.body.startswith(b"\xff\xd8")
+        added = visitor.get("/session/P1+neutral/x+/cam1/1/sum")
+        assert re.search(r"x\+ and x- together differ from full by|too little is lit", added.text)
+        assert "sum.jpg" in added.text
+        picture = visitor.get("/session/P1+neutral/x+/cam1/1/sum.jpg")
+        assert picture.body.startswith(b"\xff\xd8")
         assert visitor.post("/session/P1+neutral/check").headers["HX-Redirect"] == "/sessions"
         wait_until(lambda: (root / "checked.json").exists(), "the check's note")
         assert "✓ passed" in visitor.get("/sessions").text
