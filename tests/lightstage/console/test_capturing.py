@@ -233,6 +233,9 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.wait("document.getElementById('look').open")
         browser.wait("document.querySelector('#look img').naturalWidth > 0")
         browser.wait("/Focus figure|too little/.test(document.getElementById('focus').innerText)")
+        browser.wait("/together|too little/.test(document.getElementById('sum').innerText)")
+        browser.wait("document.querySelector('#sum img').naturalWidth > 0")
+        assert browser.js("document.documentElement.scrollWidth") <= 800
         assert browser.errors == []
         root = site.desk.folder / "P1+neutral"
         assert check_session(root).frames == 9
