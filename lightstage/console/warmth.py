@@ -64,7 +64,7 @@ class Warmth:
         now_s = _seconds(text_of(line, "time_utc"))
         if now_s is None:
             return
-        levels = _levels(line.get("levels")) if event == "lit" else None
+        levels = levels_of(line) if event == "lit" else None
         if levels is not None and self._spent is None:
             self._spent = Spent(len(levels), self._limits.heat_time_constant_s)
         if self._spent is None:
@@ -106,7 +106,9 @@ def _seconds(text: str) -> float | None:
         return None
 
 
-def _levels(value: Any) -> np.ndarray | None:
+def levels_of(line: Mapping[str, Any]) -> np.ndarray | None:
+    """(n,) levels in 0..1 that a line tells; None where it tells none."""
+    value = line.get("levels")
     if not isinstance(value, list) or not value:
         return None
     levels = [number_of({"level": each}, "level") for each in value]

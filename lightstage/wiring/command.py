@@ -9,10 +9,11 @@ import typer
 
 from lightstage.capture.config import read_config
 from lightstage.commands import JsonFlag, finish, output_file
+from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.rig import Rig, load_rig, save_rig
 from lightstage.wiring.identify import identify
-from lightstage.wiring.walk import corrected, corrections
+from lightstage.wiring.walk import corrections
 
 LEVEL = 0.5
 """Of the lamp that shines: plain to see, and a lamp bears it as long as anybody looks."""
@@ -67,7 +68,7 @@ def identify_command(
     for change in changes:
         _say(change)
     finish(
-        f"{out}: {corrected(the_rig, found)}"
+        f"{out}: {counted(len(changes), 'address', 'addresses')} corrected"
         if changes
         else f"{rig}: no address corrected, nothing written",
         {"rig": str(out) if changes else None, "corrected": changes},

@@ -7,7 +7,6 @@ import re
 
 import numpy as np
 
-from lightstage.counting import counted
 from lightstage.rig import Rig
 
 HELP = (
@@ -140,9 +139,3 @@ def corrections(before: Rig, after: Rig) -> list[str]:
         for light, was, now in pairs
         if was.channel != now.channel
     ]
-
-
-def corrected(before: Rig, after: Rig) -> str:
-    """How many addresses changed, in words."""
-    count = len(corrections(before, after))
-    return f"{counted(count, 'address', 'addresses')} corrected"

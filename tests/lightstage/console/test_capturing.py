@@ -53,6 +53,11 @@ def test_a_take_is_captured_whole_and_the_next_one_follows(staged, plan) -> None
         assert page.count("/small") == 9
         picture = visitor.get("/session/P1+neutral/x+/cam1/1/small")
         assert picture.body.startswith(b"\xff\xd8")
+        added = visitor.get("/session/P1+neutral/x+/cam1/1/sum")
+        assert re.search(r"x\+ and x- together differ from full by|too little is lit", added.text)
+        assert "sum.jpg" in added.text
+        picture = visitor.get("/session/P1+neutral/x+/cam1/1/sum.jpg")
+        assert picture.body.startswith(b"\xff\xd8")
         assert visitor.post("/session/P1+neutral/check").headers["HX-Redirect"] == "/sessions"
         wait_until(lambda: (root / "checked.json").exists(), "the check's note")
         assert "✓ passed" in visitor.get("/sessions").text
@@ -228,6 +233,9 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.wait("document.getElementById('look').open")
         browser.wait("document.querySelector('#look img').naturalWidth > 0")
         browser.wait("/Focus figure|too little/.test(document.getElementById('focus').innerText)")
+        browser.wait("/together|too little/.test(document.getElementById('sum').innerText)")
+        browser.wait("document.querySelector('#sum img').naturalWidth > 0")
+        assert browser.js("document.documentElement.scrollWidth") <= 800
         assert browser.errors == []
         root = site.desk.folder / "P1+neutral"
         assert check_session(root).frames == 9

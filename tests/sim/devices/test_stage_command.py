@@ -47,6 +47,7 @@ def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig
 def test_a_simulated_target_becomes_calibration_shots_that_hold(tmp_path, tiny_rig):
     rig = save_rig(tiny_rig, tmp_path / "rig.json")
     options = ["dark", "--out", str(tmp_path / "LAB"), "--rig", str(rig), "--scale", "1"]
+    options += ["--rewired", "3"]
     done = subprocess.run(
         [sys.executable, "-m", "sim", "calibrate", *options], capture_output=True, text=True
     )
