@@ -30,7 +30,7 @@ from lightstage.formats.template import default_template_path
 from processing import dataset_commands
 from processing.batch import command as batch_command
 from processing.calibration import command as calibration_command
-from processing.calibration.cameras.measured import command as cameras_command
+from processing.calibration.cameras import command as cameras_command
 from processing.calibration.lights import wiring_command
 from processing.errors import ProcessingError
 from processing.template import command as template_command

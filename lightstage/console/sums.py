@@ -54,8 +54,8 @@ def sum_picture(first: Path, second: Path, whole: Path, longest_px: int) -> tupl
     Raises:
         FormatError: one of them is no photograph, or has another size.
     """
-    from lightstage.checks.subject_motion import sum_shift
     from lightstage.checks.photo_measures import measure_photo
+    from lightstage.checks.subject_motion import sum_shift
     from lightstage.checks.sums import fit_sum
 
     a, b, w = (
