@@ -43,9 +43,9 @@ def run_program(program: str, *words: Any, interrupt_s: float = LONGEST_S) -> En
     out, err = _text(), _text()
     with pytest.MonkeyPatch.context() as patch, _interrupted_after(interrupt_s):
         patch.setattr(sys, "argv", argv)
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            with pytest.raises(SystemExit) as ended:
-                run_app(importlib.import_module(f"{program}.__main__").app)
+        redirected = contextlib.redirect_stdout(out), contextlib.redirect_stderr(err)
+        with redirected[0], redirected[1], pytest.raises(SystemExit) as ended:
+            run_app(importlib.import_module(f"{program}.__main__").app)
     code = ended.value.code
     return Ended(code if isinstance(code, int) else 0, _said(out), _said(err))
 
