@@ -16,6 +16,7 @@ from lightstage.formats.files import write_json
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.interrupts import handlers_kept, interrupted, raise_on_signals
 from tests.programs import Ended, run_program
+from tests.slow import slow_files
 
 # How long an example takes says more about the machine's other work than about the code.
 hypothesis.settings.register_profile("project", deadline=None)
@@ -35,12 +36,16 @@ LAST = ("tests/test_end_to_end.py", "tests/sim/", "tests/lightstage/test_")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest test goes before the simulator's, and what is quick goes last.
+    """Slow files are marked; the longest test goes before the simulator's, what is quick last.
 
     Most of what the longest one runs is compiled by then, and the other worker is left enough to do
     beside it. Workers take what is left from each other by halves: where that happens most often,
     at the end, no test is long and none shares what takes long to make with those beside it.
     """
+    slow = slow_files()
+    for item in items:
+        if item.nodeid.partition("::")[0] in slow:
+            item.add_marker(pytest.mark.slow)
     places = {start: place for place, start in enumerate(LAST, 1)}
     items.sort(key=lambda i: next((places[s] for s in LAST if i.nodeid.startswith(s)), 0))
 

@@ -240,7 +240,6 @@ class Killer(threading.Thread):
             time.sleep(0.0005)
 
 
-@pytest.mark.slow
 def test_killed_workers_cost_nothing_and_a_hopeless_session_stops_no_other(
     sessions: list[Path], tmp_path: Path, command: Callable[..., Any]
 ) -> None:
