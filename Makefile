@@ -9,8 +9,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-cache-dir
 # Benchmarks that ask for folders or pictures are called by hand.
 BY_HAND := atlas_rerender atlas_session geometry_pictures registration_pictures
 BENCHMARKS = $(filter-out $(BY_HAND), $(notdir $(basename $(shell grep -l __main__ benchmarks/*.py))))
-# Processes that share the tests. Many tests wait for devices, so that more than there are cores may
-# pay; each takes up to 2 GB.
+# Processes that share the tests.
 WORKERS ?= 2
 # Waiting threads sleep instead of spinning: two test workers share the cores.
 export OMP_WAIT_POLICY := PASSIVE
