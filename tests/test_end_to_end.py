@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from demo.run import run
 from demo.steps import ABOUT, DemoConfig, Layout
@@ -38,7 +37,6 @@ def tiny_rig(path: Path) -> Path:
     return save_rig(dataclasses.replace(rig, lights=rig.lights[::4], cameras=cameras), path)
 
 
-@pytest.mark.slow
 def test_the_demo_runs_end_to_end_on_a_tiny_rig(tmp_path: Path) -> None:
     at = Layout(tmp_path / "demo")
     config = DemoConfig(

@@ -1,8 +1,6 @@
 """The rig: every fault named, projection against known geometry, the default rig as described."""
 
 import json
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -12,6 +10,7 @@ from hypothesis import strategies as st
 
 from lightstage.errors import FormatError, RigError
 from lightstage.rig import default_rig, load_rig, look_at, rig_to_json, save_rig
+from tests.programs import run_program
 
 
 def write(tmp_path, value):
@@ -189,11 +188,10 @@ def test_a_bad_rig_makes_a_command_exit_2_and_leave_nothing(tmp_path, value, nam
     damage, _ = FAULTS[name]
     damage(value)
     path = write(tmp_path, value)
-    command = [sys.executable, "-m", "lightstage", "import", str(tmp_path), "--rig", str(path)]
-    done = subprocess.run([*command, "--out", str(tmp_path / "S")], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert str(path) in done.stderr
-    assert "Traceback" not in done.stderr
+    done = run_program("lightstage", "import", tmp_path, "--rig", path, "--out", tmp_path / "S")
+    assert done.code == 2
+    assert str(path) in done.err
+    assert "Traceback" not in done.err
     assert [p.name for p in tmp_path.iterdir()] == ["rig.json"]
 
 

@@ -238,8 +238,10 @@ def test_a_number_of_workers_that_is_none_is_refused(
 def test_a_scheduler_that_is_not_there_is_told(
     sessions: list[Path], tmp_path: Path, command: Callable[..., Any]
 ) -> None:
+    (tmp_path / "soon.toml").write_text("[batch]\nanswer_s = 0.3\n")
     for address in ("tcp://127.0.0.1:1", "nonsense", "tcp://no.such.host.invalid:8786"):
-        done = command(sessions[0], "--out", tmp_path / "out", "--scheduler", address)
+        words = [sessions[0], "--out", tmp_path / "out", "--config", tmp_path / "soon.toml"]
+        done = command(*words, "--scheduler", address)
         assert done.code == 2
         assert f"--scheduler: found nothing that answers at {address}" in done.err
 
@@ -261,7 +263,6 @@ class Killer(threading.Thread):
             time.sleep(0.0005)
 
 
-@pytest.mark.slow
 def test_killed_workers_cost_nothing_and_a_hopeless_session_stops_no_other(
     sessions: list[Path], tmp_path: Path, command: Callable[..., Any]
 ) -> None:

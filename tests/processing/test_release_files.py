@@ -32,9 +32,9 @@ from tests.processing.releases import (
 )
 
 
-@pytest.fixture
-def store(tmp_path: Path, make_processed: Make) -> Store:
-    return small_store(tmp_path, make_processed)
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory, make_processed: Make) -> Store:
+    return small_store(tmp_path_factory.mktemp("small"), make_processed)
 
 
 def test_the_whole_set_opens_as_one_zarr_group(tmp_path: Path, store: Store) -> None:

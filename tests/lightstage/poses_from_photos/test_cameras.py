@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +28,7 @@ from lightstage.poses_from_photos.points import read_clicks
 from lightstage.poses_from_photos.world import turn_between, turned_by_landmarks
 from lightstage.rig import default_rig
 from tests.lightstage.poses_from_photos import ball
+from tests.programs import run_program
 
 LIGHTS = default_rig().lights
 BASE_MM = 100.0
@@ -85,12 +84,12 @@ def test_the_command_makes_a_session_that_says_it_is_approximate(tmp_path: Path)
     file.write_text(json.dumps({"schema": "lightstage.points/1", "points_px": ends}))
     marks = {c.id: np.full((68, 2), np.nan) for c in cams}
     write_points_px(marks, tmp_path / "landmarks.json")
-    command = [sys.executable, "-m", "lightstage", "import", str(tmp_path / "in"), "--json"]
-    command += ["--out", str(tmp_path / "S"), "--length", "left:right=80", "--points", str(file)]
-    command += ["--length", str(base()), "--landmarks", str(tmp_path / "landmarks.json")]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    facts = json.loads(done.stdout.splitlines()[-1])
+    words = ["import", tmp_path / "in", "--json", "--out", tmp_path / "S"]
+    words += ["--length", "left:right=80", "--points", file]
+    words += ["--length", base(), "--landmarks", tmp_path / "landmarks.json"]
+    done = run_program("lightstage", *words)
+    assert done.code == 0, done.err
+    facts = json.loads(done.out.splitlines()[-1])
     assert facts["frames"] == 10
     assert abs(facts["cameras"]["scale"]["lengths"]["left:right=80"]) < 0.03
     session = load_session(tmp_path / "S")
@@ -221,9 +220,8 @@ def test_a_focal_length_is_begun_with_what_exif_says() -> None:
 
 def test_the_command_refuses_a_rig_together_with_a_length(tmp_path: Path) -> None:
     rig = Path(shutil.copy(Path(default_template_path()).parent / "rig.json", tmp_path / "r.json"))
-    command = [sys.executable, "-m", "lightstage", "import", str(tmp_path), "--rig", str(rig)]
-    command += ["--out", str(tmp_path / "S"), "--length", "cam0:cam1=5"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert "--length: found together with --rig" in done.stderr
-    assert "Traceback" not in done.stderr
+    words = ["import", tmp_path, "--rig", rig, "--out", tmp_path / "S", "--length", "cam0:cam1=5"]
+    done = run_program("lightstage", *words)
+    assert done.code == 2
+    assert "--length: found together with --rig" in done.err
+    assert "Traceback" not in done.err
