@@ -9,13 +9,15 @@ INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-cache-dir
 # Benchmarks that ask for folders or pictures are called by hand.
 BY_HAND := atlas_rerender atlas_session geometry_pictures registration_pictures
 BENCHMARKS = $(filter-out $(BY_HAND) stale, $(notdir $(basename $(shell grep -l '__name__ == "__main__"' benchmarks/*.py))))
+# Processes that share the tests.
+WORKERS ?= 2
 # Waiting threads sleep instead of spinning: two test workers share the cores.
 export OMP_WAIT_POLICY := PASSIVE
 # Every step and many tests start a process: they need not compile this code again.
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: demo test check bench bench-stale setup lock clean help
+.PHONY: demo test test-fast check bench bench-stale setup lock clean help
 
 demo: $(READY) ## the main job on the simulated stage; ends with build/demo/report.html
 	$(BIN)/python -m demo.run --out build/demo
@@ -23,7 +25,11 @@ demo: $(READY) ## the main job on the simulated stage; ends with build/demo/repo
 # One thread a worker: two of each were a tenth slower.
 test: export OMP_NUM_THREADS := 1
 test: $(READY) ## all tests
-	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 8
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations 8
+
+test-fast: export OMP_NUM_THREADS := 1
+test-fast: $(READY) ## the tests of all files but the slow ones (tests/slow.txt): three minutes
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
 check: $(READY) ## lint, types, import arrows, the firmware's warnings
 	$(BIN)/ruff check .

@@ -1,9 +1,12 @@
-"""Many sessions: batch on two workers against `run` in a row, with workers killed; a store.
+"""Many sessions: batch on two workers against `run` in a row, workers killed; a store, its readers.
 
-    python -m benchmarks.batch [run] [batch] [kills] [store]
+    python -m benchmarks.batch [run] [batch] [kills] [store] [readers]
 
-Parts keep their figures, so that they can be called one after the other; the tables are recorded as
-soon as all parts are there. The sessions are one simulated session under as many ids.
+All of it takes about half an hour on two cores that do nothing else. Parts keep their figures, so
+that they can be called one after the other, `run` before `kills`. As soon as all are there, the
+tables are recorded, or printed alone where other sizes than the default were asked for: `--sessions
+4 --kills 3 --scans 100 --seconds 1` takes a few minutes. The sessions are one simulated session
+under as many ids.
 """
 
 from __future__ import annotations
@@ -11,7 +14,10 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import heapq
+import io
+import itertools
 import json
+import multiprocessing
 import os
 import random
 import resource
@@ -19,33 +25,69 @@ import shutil
 import signal
 import subprocess
 import sys
+import tarfile
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks.dataset import write_scan
 from benchmarks.folders import differences, holder
-from benchmarks.record import record
+from benchmarks.record import record, table
 from benchmarks.reflectance_people import folder as kept_folder
+from lightstage.counting import counted
 from lightstage.formats.files import read_json, write_json
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path
 from lightstage.rig import default_rig, save_rig
 from processing.batch import work
 from processing.batch.needs import SECONDS
-from processing.dataset import add_scan, build_store, open_store, verify_store
+from processing.dataset import (
+    PublishConfig,
+    add_scan,
+    build_store,
+    open_store,
+    publish,
+    read_about,
+    verify_store,
+)
+from processing.dataset.release_files import CHANNELS
 from processing.pipeline import PipelineConfig
 from processing.records import RUN_LOCK, code_version, hash_folder
 
-SESSIONS = 4
 UNTIL = "separate"
 CAMERAS = ("cam0", "cam1", "cam2")
 ROWS_PX = 240
-KILLS = 3
 SCANS = 1400
-PARTS = ("run", "batch", "kills", "store")
+"""Sessions of the year."""
+PARTS = ("run", "batch", "kills", "store", "readers")
+READERS = (1, 2, 4)
+READ_ROWS, READ_COLUMNS = 1536, 1024
+"""Of the scans whose patches are read: a patch has 128 texels."""
+ABOUT = Path(__file__).parents[1] / "demo" / "about.toml"
+Form = Literal["store", "tars", "EXR files"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Sizes:
+    """How large the benchmark is.
+
+    Attributes:
+        sessions: of the batch.
+        kills: workers that are killed.
+        scans: of the store.
+        seconds: that readers read.
+    """
+
+    sessions: int = 20
+    kills: int = 10
+    scans: int = SCANS
+    seconds: float = 10.0
+
+
 MACHINES = (1, 8, 64)
 WORKERS = 2
 """Of a machine of 24 GiB and two cores, at 24 megapixels."""
@@ -71,7 +113,7 @@ def program(package: str, *words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(asked, capture_output=True, text=True, check=False)
 
 
-def make_sessions(at: Path) -> list[Path]:
+def make_sessions(at: Path, count: int) -> list[Path]:
     """One simulated session of three small views, under several ids."""
     first = at / "sessions" / "s0"
     if not first.exists():
@@ -83,7 +125,7 @@ def make_sessions(at: Path) -> list[Path]:
         made = program("sim", *words, "--rig", path, "--out", first)
         assert made.returncode == 0, made.stderr
     sessions = [first]
-    for index in range(1, SESSIONS):
+    for index in range(1, count):
         copy = first.with_name(f"s{index}")
         if not copy.exists():
             shutil.copytree(first, copy)
@@ -97,17 +139,21 @@ def id_of(session: Path) -> str:
     return str(read_json(session / "session.json")["id"])
 
 
-def part_run(at: Path) -> dict[str, Any]:
+def part_run(at: Path, sizes: Sizes) -> dict[str, Any]:
     """As many calls of `run` in a row."""
     out = at / "run"
     shutil.rmtree(out, ignore_errors=True)
-    sessions = make_sessions(at)
+    sessions = make_sessions(at, sizes.sessions)
     began, spent = time.perf_counter(), processor_s()
     for session in sessions:
         words = ("run", session, "--out", out / id_of(session), "--until", UNTIL)
         done = program("processing", *words)
         assert done.returncode == 0, done.stderr
-    return {"run_s": time.perf_counter() - began, "run_cpu_s": processor_s() - spent}
+    return {
+        "sessions": sizes.sessions,
+        "run_s": time.perf_counter() - began,
+        "run_cpu_s": processor_s() - spent,
+    }
 
 
 def processor_s() -> float:
@@ -116,8 +162,18 @@ def processor_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def batch(at: Path, out: Path) -> tuple[float, dict[str, Any]]:
-    words = ("batch", *make_sessions(at), "--out", out, "--until", UNTIL, "--workers", 2, "--json")
+def batch(at: Path, out: Path, sizes: Sizes) -> tuple[float, dict[str, Any]]:
+    words = (
+        "batch",
+        *make_sessions(at, sizes.sessions),
+        "--out",
+        out,
+        "--until",
+        UNTIL,
+        "--workers",
+        2,
+        "--json",
+    )
     began = time.perf_counter()
     done = program("processing", *words)
     seconds = time.perf_counter() - began
@@ -125,18 +181,18 @@ def batch(at: Path, out: Path) -> tuple[float, dict[str, Any]]:
     return seconds, dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def part_batch(at: Path) -> dict[str, Any]:
+def part_batch(at: Path, sizes: Sizes) -> dict[str, Any]:
     """The batch, the batch again with nothing to do, and a session that is up to date."""
     out = at / "batch"
     shutil.rmtree(out, ignore_errors=True)
     spent = processor_s()
-    first, facts = batch(at, out)
+    first, facts = batch(at, out, sizes)
     spent = processor_s() - spent
-    again, nothing = batch(at, out)
+    again, nothing = batch(at, out, sizes)
     template = default_template_path()
     looks = []
     for _ in range(5):
-        for session in make_sessions(at):
+        for session in make_sessions(at, sizes.sessions):
             order = work.Order(
                 "b",
                 str(session),
@@ -161,18 +217,18 @@ def part_batch(at: Path) -> dict[str, Any]:
     }
 
 
-def part_kills(at: Path) -> dict[str, Any]:
+def part_kills(at: Path, sizes: Sizes) -> dict[str, Any]:
     """The batch while whoever works on a session drawn at random is killed again and again."""
     out = at / "kills"
     shutil.rmtree(out, ignore_errors=True)
-    locks = [out / id_of(session) / RUN_LOCK for session in make_sessions(at)]
+    locks = [out / id_of(session) / RUN_LOCK for session in make_sessions(at, sizes.sessions)]
     ended = threading.Event()
     killed: list[int] = []
 
     def kill() -> None:
         rng = random.Random(0)
         struck: set[Path] = set()
-        while len(killed) < KILLS and not ended.wait(rng.uniform(1, 6)):
+        while len(killed) < sizes.kills and not ended.wait(rng.uniform(1, 6)):
             # A session twice at most: its third try must be let through.
             held = [(lock, pid) for lock in locks if (pid := holder(lock)) and lock not in struck]
             if held:
@@ -183,11 +239,11 @@ def part_kills(at: Path) -> dict[str, Any]:
 
     thread = threading.Thread(target=kill, daemon=True)
     thread.start()
-    seconds, facts = batch(at, out)
+    seconds, facts = batch(at, out, sizes)
     ended.set()
     different = [
         f"{name}/{each}"
-        for name in map(id_of, make_sessions(at))
+        for name in map(id_of, make_sessions(at, sizes.sessions))
         for each in differences(out / name, at / "run" / name)
     ]
     print("\n".join(different))
@@ -199,7 +255,7 @@ def part_kills(at: Path) -> dict[str, Any]:
     }
 
 
-def part_store(at: Path) -> dict[str, Any]:
+def part_store(at: Path, sizes: Sizes) -> dict[str, Any]:
     """A store of 1,400 small scans: opened, added to, verified."""
     shutil.rmtree(at / "store", ignore_errors=True)
     shutil.rmtree(at / "people", ignore_errors=True)
@@ -211,7 +267,7 @@ def part_store(at: Path) -> dict[str, Any]:
         folder.write_atlas(name, rng.random((48, 32)) + 0.5)
     write_json(folder.head_pose, {"head_from_world": np.eye(3, 4).tolist()})
     people = []
-    for index in range(SCANS + 1):
+    for index in range(sizes.scans + 1):
         person = at / "people" / f"{index:04d}"
         person.mkdir()
         (person / "atlas").symlink_to(folder.root / "atlas")
@@ -240,6 +296,94 @@ def part_store(at: Path) -> dict[str, Any]:
         "scans": len(opened.scans),
         "list_mb": (store / "dataset.json").stat().st_size / 1e6,
     }
+
+
+def part_readers(at: Path, sizes: Sizes) -> dict[str, Any]:
+    """Patches a second from the store, from tars and from whole EXR files, by so many readers."""
+    place = at / "readers"
+    shutil.rmtree(place, ignore_errors=True)
+    folders = []
+    for index in range(2):
+        folder = ProcessedFolder(place / "people" / f"{index}")
+        write_scan(folder, np.random.default_rng(index), READ_ROWS, READ_COLUMNS)
+        report = {"subject": f"P{index}", "expression": "neutral", "consent": "C-1"}
+        write_json(folder.root / "report.json", report)
+        folders.append(folder.root)
+    store = open_store(build_store(folders, place / "store"))
+    config = PublishConfig(form="webdataset", most_face=1.0)
+    publish(store, place / "tars", 0, config, about=read_about(ABOUT))
+    rates: dict[str, dict[str, float]] = {}
+    context = multiprocessing.get_context("spawn")
+    for form in ("store", "tars", "EXR files"):
+        for count in READERS:
+            ready = context.Barrier(count)
+            counts = context.Queue()
+            asked = [(form, place, sizes.seconds, seed, ready, counts) for seed in range(count)]
+            readers = [context.Process(target=read_on, args=each) for each in asked]
+            for reader in readers:
+                reader.start()
+            rates.setdefault(form, {})[str(count)] = sum(counts.get() for _ in readers)
+            for reader in readers:
+                reader.join()
+    return {"patches_a_second": rates}
+
+
+def read_on(form: Form, place: Path, seconds: float, seed: int, ready: Any, counts: Any) -> None:
+    """One reader: patches a second from when all readers are ready."""
+    source = {"store": store_patches, "tars": tar_patches, "EXR files": exr_patches}[form]
+    patches = source(place, np.random.default_rng(seed))
+    next(patches)
+    ready.wait()
+    began, count = time.perf_counter(), 0
+    while time.perf_counter() - began < seconds:
+        found = next(patches)
+        assert len(found) == len(CHANNELS)
+        count += 1
+    counts.put(count / (time.perf_counter() - began))
+
+
+Patch = dict[str, np.ndarray]
+SIDE = READ_ROWS // 12
+
+
+def somewhere(rng: np.random.Generator) -> tuple[slice, slice]:
+    row, column = (int(rng.integers(size - SIDE)) for size in (READ_ROWS, READ_COLUMNS))
+    return slice(row, row + SIDE), slice(column, column + SIDE)
+
+
+def store_patches(place: Path, rng: np.random.Generator) -> Iterator[Patch]:
+    """Random patches, as training reads them."""
+    store = open_store(place / "store")
+    names = [name if name != "shape" else "position" for name in CHANNELS]
+    while True:
+        scan, where = int(rng.integers(len(store.scans))), somewhere(rng)
+        yield {name: store.read(scan, name, *where) for name in names}
+
+
+def tar_patches(place: Path, rng: np.random.Generator) -> Iterator[Patch]:
+    """All patches in the order of the tars, again and again, as webdataset reads them."""
+    paths = sorted((place / "tars").glob("*.tar"))
+    for path in itertools.cycle(rng.permutation(np.array(paths, object)).tolist()):
+        with tarfile.open(path) as tar:
+            patch: Patch = {}
+            for member in tar:
+                file = tar.extractfile(member)
+                assert file is not None
+                name = member.name.split(".")[1]
+                patch[name] = np.load(io.BytesIO(file.read())).astype(np.float32)
+                if len(patch) == len(CHANNELS):
+                    yield patch
+                    patch = {}
+
+
+def exr_patches(place: Path, rng: np.random.Generator) -> Iterator[Patch]:
+    """Random patches, each cut from whole files that are read for it."""
+    folders = sorted((place / "people").iterdir())
+    names = [name if name != "shape" else "position" for name in CHANNELS]
+    while True:
+        folder = ProcessedFolder(folders[int(rng.integers(len(folders)))])
+        where = somewhere(rng)
+        yield {name: folder.read_atlas(name)[where] for name in names}
 
 
 def simulate(machines: int, disk_gb_s: float, sessions: int = SCANS) -> float:
@@ -274,15 +418,20 @@ def simulate(machines: int, disk_gb_s: float, sessions: int = SCANS) -> float:
     return now / 3600
 
 
-def tables(f: dict[str, Any]) -> None:
-    """Record what was measured."""
+def printed(title: str, header: Sequence[str], rows: Sequence[Sequence[object]], note: str) -> None:
+    """A table that is not recorded, since its sizes are not the default ones."""
+    print(f"## {title}\n\n{note}\n\n{table(header, rows)}\n")
+
+
+def tables(f: dict[str, Any], show: Callable[..., None]) -> None:
+    """Show what was measured."""
     share = f["batch_s"] / f["run_s"]
-    record(
+    show(
         "Batch: many sessions on two workers",
         ("what", "measured", "target"),
         [
             (
-                f"{SESSIONS} calls of `run` in a row",
+                f"{f['sessions']} calls of `run` in a row",
                 f"{f['run_s']:.0f} s, {f['run_cpu_s']:.0f} s of processor",
                 "",
             ),
@@ -303,12 +452,12 @@ def tables(f: dict[str, Any]) -> None:
             ),
             ("a session that is up to date", f"{f['look_s']:.3f} s", ".2 s"),
         ],
-        f"{SESSIONS} sessions of three views of 160 x {ROWS_PX}, `--until {UNTIL}`; one simulated "
-        "session under as many ids. Load average at the end "
-        f"{os.getloadavg()[0]:.1f}: other programs ran on the same two cores.",
+        f"{f['sessions']} sessions of three views of 160 x {ROWS_PX}, `--until {UNTIL}`; one "
+        "simulated session under as many ids. Load average at the end "
+        f"{os.getloadavg()[0]:.1f}.",
     )
-    record(
-        "Store: 1,400 small scans",
+    show(
+        f"Store: {f['scans']:,} small scans",
         ("what", "measured", "target"),
         [
             (f"build, {f['scans']} scans of 48 x 32", f"{f['build_s']:.0f} s", ""),
@@ -324,7 +473,7 @@ def tables(f: dict[str, Any]) -> None:
         for disk in DISKS_GB_S
         for hours in [simulate(machines, disk)]
     ]
-    record(
+    show(
         "Batch: 1,400 sessions of 24 megapixels, simulated",
         ("machines of 2 cores and 24 GiB", "disk that they share, GB/s", "hours", "days"),
         rows,
@@ -332,22 +481,43 @@ def tables(f: dict[str, Any]) -> None:
         f"below, its share of {sum(DISK_GB.values()):.0f} GB a session goes through one disk that "
         "all share.",
     )
+    show(
+        "Patches a second",
+        ("from", *(counted(count, "reader") for count in READERS)),
+        [
+            (form, *(f"{rate:.1f}" for rate in own.values()))
+            for form, own in f["patches_a_second"].items()
+        ],
+        f"Patches of {SIDE} texels of two scans of {READ_ROWS} x {READ_COLUMNS}, five maps each, "
+        "from the system's cache of files. Store: random places. Tars: in their order, by the "
+        "standard library. EXR files: a random place, cut from five whole files.",
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all where none is named")
-    asked = parser.parse_args().parts or PARTS
-    at = kept_folder() / "batch"
+    for field in dataclasses.fields(Sizes):
+        parser.add_argument("--" + field.name, type=type(field.default), default=field.default)
+    asked = parser.parse_args()
+    sizes = Sizes(**{field.name: getattr(asked, field.name) for field in dataclasses.fields(Sizes)})
+    whole = sizes == Sizes()
+    at = kept_folder() / ("batch" if whole else "batch-small")
     at.mkdir(parents=True, exist_ok=True)
     figures = at / "figures.json"
     known: dict[str, Any] = read_json(figures) if figures.exists() else {}
-    for name in asked:
-        known[name] = globals()[f"part_{name}"](at)
+    if known.get("code") != code_version():
+        # What older code wrote differs from what this writes, whoever is killed.
+        known = {"code": code_version()}
+    for name in asked.parts or PARTS:
+        known[name] = globals()[f"part_{name}"](at, sizes)
         print(name, known[name], flush=True)
         write_json(figures, known)
-    if set(known) == set(PARTS):
-        tables({key: value for part in known.values() for key, value in part.items()})
+    if known.keys() >= set(PARTS):
+        tables(
+            {key: value for part in PARTS for key, value in known[part].items()},
+            record if whole else printed,
+        )
 
 
 if __name__ == "__main__":

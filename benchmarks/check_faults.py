@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lightstage.checks import ChecksConfig, Photo, ShotChecks
-from lightstage.checks.photo import BAYER, measure_counts
+from lightstage.checks.photo_measures import BAYER, measure_counts
 from lightstage.findings import Finding
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Rig

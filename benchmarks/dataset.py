@@ -18,22 +18,24 @@ ROWS, COLUMNS, PATCH = 6144, 4096, 512
 NAMES = [name for name in CHANNELS if name != "confidence"]
 
 
-def write_scan(folder: ProcessedFolder, rng: np.random.Generator) -> None:
+def write_scan(
+    folder: ProcessedFolder, rng: np.random.Generator, rows: int = ROWS, columns: int = COLUMNS
+) -> None:
     """Maps with pores and noise, as hard to compress as measured ones."""
     v, u = np.meshgrid(
-        np.linspace(0, 1, ROWS, dtype=np.float32),
-        np.linspace(0, 1, COLUMNS, dtype=np.float32),
+        np.linspace(0, 1, rows, dtype=np.float32),
+        np.linspace(0, 1, columns, dtype=np.float32),
         indexing="ij",
     )
     for name, channels in CHANNELS.items():
         layers = []
         for channel in range(channels):
             smooth = np.sin(6 * u + channel) * np.cos(4 * v + channel)
-            noise = rng.standard_normal((ROWS, COLUMNS), dtype=np.float32)
+            noise = rng.standard_normal((rows, columns), dtype=np.float32)
             layers.append(0.5 + 0.3 * smooth + 0.01 * noise)
         image = np.stack(layers, axis=2)
         folder.write_atlas(name, np.ones_like(image) if name == "confidence" else image)
-    folder.write_atlas("skin", np.ones((ROWS, COLUMNS), np.float32))
+    folder.write_atlas("skin", np.ones((rows, columns), np.float32))
     write_json(folder.head_pose, {"head_from_world": np.eye(3, 4).tolist()})
     write_json(folder.root / "report.json", {"subject": "bench", "expression": "neutral"})
 

@@ -134,6 +134,45 @@ def _distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(np.maximum(squares, 0) / a.shape[1]))
 
 
+@dataclasses.dataclass(frozen=True)
+class Joined:
+    """How often the attacker was right about an edge's neighbour.
+
+    Attributes:
+        tried: edges that have one.
+        right: the true neighbour was put first.
+        early: it was among the first ten.
+        person: the first was at least of the same person.
+        chance: of a right answer, by drawing one of all others.
+    """
+
+    tried: int
+    right: int
+    early: int
+    person: int
+    chance: float
+
+
+def join(halves: tuple[Patches, Patches]) -> Joined:
+    """Each half of the people is attacked after the attacker learnt from the other."""
+    right = early = person = tried = 0
+    chance = 0.0
+    for known, attacked in (halves, halves[::-1]):
+        matcher = Matcher(known, np.random.default_rng(0))
+        edges = Edges(attacked)
+        scores = [matcher.scores(edges.compare(side)[0]).max(axis=0) for side in (0, 1)]
+        for index, other, side in neighbours(attacked):
+            row = scores[side][index].copy()
+            row[index] = -np.inf
+            order = np.argsort(-row)
+            right += int(order[0] == other)
+            early += int(other in order[:10])
+            person += int(attacked.person[order[0]] == attacked.person[index])
+            chance += 1 / (len(row) - 1)
+            tried += 1
+    return Joined(tried, right, early, person, chance / max(1, tried))
+
+
 def neighbours(patches: Patches) -> list[tuple[int, int, int]]:
     """(patch, its neighbour, 0 for right, 1 for below) of all pairs in neighbouring cells."""
     layout = patches.layout

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.dataset_attack import Edges, Matcher, Patches, neighbours
+from benchmarks.dataset_attack import Patches, join
 from benchmarks.record import record
 from processing.dataset import PublishConfig, Store, build_store, open_store
 from processing.dataset.places import Layout
@@ -90,27 +90,14 @@ def neighbour_row(store: Store, gap: float, wander: float, turned: bool) -> list
     """One row of the first table."""
     config = PublishConfig(gap=gap, wander=wander, turned=turned)
     layout = config.layout(store)
-    halves = [set(range(PEOPLE // 2)), set(range(PEOPLE // 2, PEOPLE))]
-    patches = [gather(store, layout, half) for half in halves]
-    right = early = person = tried = 0
-    chance = 0.0
-    for known, attacked in (patches, patches[::-1]):
-        matcher = Matcher(known, np.random.default_rng(0))
-        edges = Edges(attacked)
-        scores = [matcher.scores(edges.compare(side)[0]).max(axis=0) for side in (0, 1)]
-        for index, other, side in neighbours(attacked):
-            row = scores[side][index].copy()
-            row[index] = -np.inf
-            order = np.argsort(-row)
-            right += int(order[0] == other)
-            early += int(other in order[:10])
-            person += int(attacked.person[order[0]] == attacked.person[index])
-            chance += 1 / (len(row) - 1)
-            tried += 1
+    first, second = set(range(PEOPLE // 2)), set(range(PEOPLE // 2, PEOPLE))
+    patches = (gather(store, layout, first), gather(store, layout, second))
+    found = join(patches)
     count = sum(len(half.places) for half in patches)
-    shares = [right / tried, early / tried, chance / tried, person / tried]
-    first, ten, by_chance, same = (f"{100 * share:.1f} %" for share in shares)
-    said = f"{right} of {tried}, {first}"
+    tried = found.tried
+    shares = [found.right / tried, found.early / tried, found.chance, found.person / tried]
+    exact, ten, by_chance, same = (f"{100 * share:.1f} %" for share in shares)
+    said = f"{found.right} of {tried}, {exact}"
     return [
         f"{gap:g}",
         f"{wander:g}",

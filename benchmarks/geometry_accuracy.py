@@ -33,7 +33,7 @@ from lightstage.formats.files import read_json, write_json
 from lightstage.formats.mesh import Mesh
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.slants import toward_cameras
-from processing.reconstruction.twice import Depths
+from processing.reconstruction.two_passes import Depths
 from processing.reconstruction.views import Level, View, pyramid
 
 SETS = {

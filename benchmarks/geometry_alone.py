@@ -17,7 +17,7 @@ from benchmarks.record import record
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.fusion import alone_share
 from processing.reconstruction.stereo import match_views
-from processing.reconstruction.twice import twice
+from processing.reconstruction.two_passes import twice
 
 CONFIG = ReconstructConfig()
 SETTINGS = {

@@ -25,7 +25,7 @@ from processing.lighting.lights import PatternLights
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.stage import read_views
 from processing.reconstruction.stereo import match_views
-from processing.reconstruction.twice import Depths, meshed, twice
+from processing.reconstruction.two_passes import Depths, meshed, twice
 from processing.reconstruction.views import View
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate

@@ -1,9 +1,9 @@
 """Cameras found from photographs of a person alone: pose, scale, and the mesh they give.
 
 Run `python -m benchmarks.geometry_motion`. Each person's nine photographs under `full`, with pixel
-noise, are given to `lightstage.motion` without any rig; the scale comes from one length: the
-distance of two cameras as it is, or that of two landmarks that were clicked a pixel off. Errors are
-those left after the turn and shift that photographs cannot tell; a wrong scale counts. --mesh
+noise, are given to `lightstage.poses_from_photos` without any rig; the scale comes from one length:
+the distance of two cameras as it is, or that of two landmarks that were clicked a pixel off. Errors
+are those left after the turn and shift that photographs cannot tell; a wrong scale counts. --mesh
 reconstructs a person with these cameras, beside those measured from boards.
 """
 
@@ -27,9 +27,9 @@ from benchmarks.reflectance_people import NOISE, SCALE
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.landmarks import read_points_mm
 from lightstage.formats.session import load_session
-from lightstage.motion.cameras import FoundCameras, find_cameras
-from lightstage.motion.lengths import Length
-from lightstage.motion.points import read_clicks
+from lightstage.poses_from_photos.cameras import FoundCameras, find_cameras
+from lightstage.poses_from_photos.lengths import Length
+from lightstage.poses_from_photos.points import read_clicks
 from lightstage.rig import Rig
 from processing.reconstruction.config import ReconstructConfig
 from sim.session import truth_path

@@ -31,7 +31,7 @@ from processing.lighting.lights import PatternLights
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.small_views import matched_times, small_view
 from processing.reconstruction.stereo import make_stereo, match_views, pick_sources
-from processing.reconstruction.twice import twice
+from processing.reconstruction.two_passes import twice
 from processing.reconstruction.views import (
     Level,
     View,

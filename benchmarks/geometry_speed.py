@@ -21,7 +21,7 @@ from benchmarks.geometry_scores import score
 from benchmarks.record import record
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.stereo import match_views
-from processing.reconstruction.twice import twice
+from processing.reconstruction.two_passes import twice
 
 CONFIG = ReconstructConfig()
 TWO_PAIRS = ("full", "x+", "x-", "y+", "y-")

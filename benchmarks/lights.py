@@ -19,9 +19,9 @@ from lightstage.formats.lights import MeasuredLights
 from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.rig import Camera, Rig, default_rig
 from processing.calibration.ball import BallShots, Picture
-from processing.calibration.grey_ball import Readings
-from processing.calibration.lights_fit import fit_lights
-from processing.calibration.ratios import (
+from processing.calibration.lights.fit import fit_lights
+from processing.calibration.lights.grey_ball import Readings
+from processing.calibration.lights.ratios import (
     corrected,
     errors_deg,
     fit_ratios,

@@ -25,7 +25,7 @@ from lightstage.formats.processed import ProcessedFolder
 from processing.colour import ColourCorrection
 from processing.frames.window import Window, whole
 from processing.raw.develop import Settings, develop
-from processing.raw.file import open_raw
+from processing.raw.raw_file import open_raw
 from processing.raw.region import find_window, preview
 from sim.camera.dng import Exif, dng_bytes
 from sim.camera.sensor import Sensor, SensorConfig, make_sensor

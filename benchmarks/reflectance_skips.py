@@ -26,7 +26,6 @@ from lightstage.formats.session import load_session
 from processing.decode.stage import DecodeConfig, decode
 from processing.frames.read import Frames, read_foreground, read_frames
 from processing.lighting.lights import pattern_lights
-from processing.pixels import PixelMaps
 from processing.refinement.config import RefineConfig
 from processing.refinement.every_pixel import solve_view
 from processing.refinement.gloss_search import find_gloss
@@ -34,6 +33,7 @@ from processing.refinement.scene import prepare_scene, read_view
 from processing.separation import colour
 from processing.separation.config import SeparateConfig
 from processing.separation.view import separate_view
+from processing.view_maps import PixelMaps
 
 R = TypeVar("R")
 

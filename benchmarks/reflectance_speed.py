@@ -36,11 +36,11 @@ from processing.decode.stage import DecodeConfig, decode
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import pattern_lights
 from processing.parallel import over_views, workers
-from processing.pixels import PixelMaps, write_maps
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
 from processing.separation.config import SeparateConfig
 from processing.separation.view import separate_view
+from processing.view_maps import PixelMaps, write_maps
 
 R = TypeVar("R")
 VIEWS = 9

@@ -9,6 +9,9 @@ from pathlib import Path
 
 from lightstage.formats.template import default_template_path
 
+ABOUT = Path(__file__).with_name("about.toml")
+"""What the demo says of the patches that it publishes."""
+
 
 @dataclasses.dataclass(frozen=True)
 class DemoConfig:
@@ -187,7 +190,8 @@ def steps(config: DemoConfig, at: Layout) -> Iterator[Step]:
     yield step(
         "dataset publish",
         "patches that may leave the lab",
-        "processing dataset publish {at.store} --out {at.published}",
+        "processing dataset publish {at.store} --about {about} --out {at.published}",
+        about=ABOUT,
     )
     yield step(
         "train",

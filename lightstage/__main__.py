@@ -54,8 +54,12 @@ COMMANDS = {
         "lightstage.rig_command",
         "What describes the stage: where its lights and cameras stand.",
     ),
+    "lights": (
+        "lightstage.wiring.command",
+        "Light single lamps: which one is on which wire.",
+    ),
     "import": (
-        "lightstage.motion.command",
+        "lightstage.poses_from_photos.command",
         "Make a session of photographs taken elsewhere.",
     ),
     "landmarks": (

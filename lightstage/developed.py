@@ -21,7 +21,7 @@ from lightstage.errors import FormatError
 from lightstage.exif import read_exif
 from lightstage.formats.icc import Profile, read_profile, srgb
 from lightstage.formats.orientation import OF_TIFF
-from lightstage.photograph import identify_file
+from lightstage.photo_file import identify_file
 from lightstage.tiff import Reader
 
 TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")

@@ -14,7 +14,7 @@ from lightstage.developed import Developed, developed_kind, read_developed
 from lightstage.errors import FormatError, unreadable_file
 from lightstage.formats.exr import read_exr
 from lightstage.formats.orientation import of_libraw
-from lightstage.photograph import identify_file
+from lightstage.photo_file import identify_file
 
 LEAST_PX = 8
 LEAST_BITS_PER_PX = 0.02

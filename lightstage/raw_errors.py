@@ -8,7 +8,7 @@ import rawpy
 
 from lightstage.counting import counted
 from lightstage.errors import FormatError, unreadable_file
-from lightstage.photograph import identify_file
+from lightstage.photo_file import identify_file
 
 SHORT = 1 << 16
 """A camera's own RAW of fewer bytes is a part of one: LibRaw calls its format unknown."""

@@ -11,12 +11,13 @@ import functools
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lightstage.counting import counted
 from lightstage.errors import LightstageError, RigError, one_error
 from lightstage.formats.fields import Fields
 from lightstage.formats.files import read_json, write_json
@@ -34,10 +35,29 @@ UNMEASURED = "unmeasured_cameras"
 UNCHECKED = "unchecked_cameras"
 """Of the same: ids of cameras that saw too few boards for their place to be checked."""
 MOST_ID = (1 << 31) - 1
+MOST_CHANNEL = 65534
+"""The wires count lights with 16 bits."""
+CONTROLLER = "main"
+"""What a light's controller is called where the rig does not say."""
 LEAST_MM = 20.0
 """No head fits into a stage of a smaller radius: its positions are in another unit."""
 MOST_PX = 1 << 16
 """No sensor has more pixels a side."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LightAddress:
+    """To which wire a light is connected.
+
+    Attributes:
+        channel: place on the controller's line, counted from 0.
+        controller: name of the device that drives it.
+        more: fields that others added in rig.json; they are kept.
+    """
+
+    channel: int
+    controller: str = CONTROLLER
+    more: Mapping[str, Any] = dataclasses.field(default_factory=dict, compare=False)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +72,7 @@ class Light:
         rgb_gain: measured radiant intensity relative to nominal, per channel.
         colour: name of the emitter's colour, such as ``warm`` or ``red``, where several stand in
             one place; None where all are alike.
+        address: wire that drives it; None where its place in the rig's list is its channel.
         more: fields that others added in rig.json; they are kept.
     """
 
@@ -61,6 +82,7 @@ class Light:
     bank: str | None = None
     rgb_gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
     colour: str | None = None
+    address: LightAddress | None = None
     more: Mapping[str, Any] = dataclasses.field(default_factory=dict, compare=False)
 
 
@@ -198,6 +220,16 @@ class Rig:
         """(n, 3) light gains."""
         return np.array([light.rgb_gain for light in self.lights], float).reshape(-1, 3)
 
+    @functools.cached_property
+    def addresses(self) -> tuple[LightAddress, ...]:
+        """Each light's address: what the rig says, else its place in the list."""
+        return tuple(light.address or LightAddress(i) for i, light in enumerate(self.lights))
+
+    @property
+    def addressed(self) -> bool:
+        """Whether the rig itself says how its lights are wired."""
+        return any(light.address is not None for light in self.lights)
+
     def camera(self, camera_id: str) -> Camera:
         """The camera of this id; RigError when there is none."""
         for camera in self.cameras:
@@ -205,6 +237,18 @@ class Rig:
                 return camera
         known = ", ".join(camera.id for camera in self.cameras)
         raise RigError("rig", field="cameras", found=f"no {camera_id}", expected=f"one of {known}")
+
+    def rewired(self, channels: Sequence[int]) -> Rig:
+        """The same rig with an address of each light; controllers stay.
+
+        Args:
+            channels: one of each light, in the rig's order.
+        """
+        lights = tuple(
+            dataclasses.replace(light, address=dataclasses.replace(address, channel=int(channel)))
+            for light, address, channel in zip(self.lights, self.addresses, channels, strict=True)
+        )
+        return dataclasses.replace(self, lights=lights)
 
     def scaled(self, factor: float) -> Rig:
         """The same rig with `factor` times as many pixels a side in every camera."""
@@ -245,6 +289,8 @@ def save_rig(rig: Rig, path: Path) -> Path:
     items: list[Light | Camera] = [*rig.lights, *rig.cameras]
     for entry, item in zip(entries, items, strict=True):
         entry.update(item.more)
+        if isinstance(item, Light) and item.address is not None:
+            entry["address"].update(item.address.more)
     return write_json(path, {**value, **rig.more})
 
 
@@ -259,8 +305,10 @@ def rig_to_json(rig: Rig) -> dict[str, Any]:
             {
                 name: getattr(light, name)
                 for name in LIGHT_FIELDS
-                if name not in ("bank", "colour") or getattr(light, name) is not None
+                if name != "address"
+                and (name not in ("bank", "colour") or getattr(light, name) is not None)
             }
+            | _address_to_json(light)
             for light in rig.lights
         ],
         "cameras": [
@@ -271,6 +319,13 @@ def rig_to_json(rig: Rig) -> dict[str, Any]:
     }
 
 
+def _address_to_json(light: Light) -> dict[str, Any]:
+    """A light's address as a field of its entry; nothing where the rig gives none."""
+    if light.address is None:
+        return {}
+    return {"address": {"controller": light.address.controller, "channel": light.address.channel}}
+
+
 def rig_sha256(rig: Rig) -> str:
     """SHA-256 of a rig's content, however its file is laid out."""
     text = json.dumps(rig_to_json(rig), sort_keys=True, separators=(",", ":"))
@@ -278,6 +333,7 @@ def rig_sha256(rig: Rig) -> str:
 
 
 LIGHT_FIELDS = tuple(field.name for field in dataclasses.fields(Light) if field.name != "more")
+ADDRESS_FIELDS = ("controller", "channel")
 CAMERA_FIELDS = tuple(field.name for field in dataclasses.fields(Camera) if field.name != "more")
 
 
@@ -349,6 +405,21 @@ def _light(entry: Any, where: str | Path, place: str) -> Light:
         bank=fields.text("bank") if fields.has("bank") else None,
         rgb_gain=(r, g, b),
         colour=fields.text("colour") if fields.has("colour") else None,
+        address=_address(entry["address"], where, f"{place}.address")
+        if fields.has("address")
+        else None,
+        more=fields.rest(),
+    )
+
+
+def _address(value: Any, where: str | Path, place: str) -> LightAddress:
+    fields = Fields(value, where, place, RigError, ADDRESS_FIELDS)
+    controller = fields.text("controller") if fields.has("controller") else CONTROLLER
+    if not controller.strip():
+        raise RigError(where, field=f"{place}.controller", found="no name", expected="a name")
+    return LightAddress(
+        channel=fields.whole("channel", 0, MOST_CHANNEL),
+        controller=controller,
         more=fields.rest(),
     )
 
@@ -418,6 +489,7 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
             )
         if min(light.rgb_gain) < 0:
             fault(f"{field}.rgb_gain", str(light.rgb_gain), "three numbers of at least 0")
+    problems += _wiring_faults(rig, where)
     names: set[str] = set()
     for camera in rig.cameras:
         field = f"camera {camera.id}"
@@ -430,4 +502,35 @@ def _faults(rig: Rig, where: str | Path) -> list[LightstageError]:
         orthogonal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
         if not orthogonal or np.linalg.det(rotation) < 0:
             fault(f"{field}.cam_from_world", "no rotation", "a right-handed orthonormal 3 x 3")
+    return problems
+
+
+def _wiring_faults(rig: Rig, where: str | Path) -> list[LightstageError]:
+    """Lights that no wire, or another light's wire, would light."""
+    without = [light for light in rig.lights if light.address is None]
+    if not rig.addressed:
+        return []
+    if without:
+        return [
+            RigError(
+                where,
+                field=f"light {without[0].id} ({without[0].name}).address",
+                found=f"none; {len(without)} of {counted(len(rig.lights), 'light')} have none",
+                expected="an address of each light, or of no light",
+                hint="Without any, a light's channel is its place in the list, counted from 0.",
+            )
+        ]
+    owner: dict[tuple[str, int], Light] = {}
+    problems: list[LightstageError] = []
+    for light, address in zip(rig.lights, rig.addresses, strict=True):
+        other = owner.setdefault((address.controller, address.channel), light)
+        if other is not light:
+            problems.append(
+                RigError(
+                    where,
+                    field=f"light {light.id} ({light.name}).address",
+                    found=f"channel {address.channel}, which light {other.id} ({other.name}) has",
+                    expected="a channel of its own",
+                )
+            )
     return problems

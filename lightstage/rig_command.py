@@ -41,19 +41,23 @@ def check_command(
     """Read a rig, refuse what cannot be used, say what is odd, and draw it."""
     the_rig = load_rig(rig)
     found = rig_oddities(the_rig)
+    channels = [address.channel for address in the_rig.addresses]
     if out is not None:
         write_png(out, draw_rig(the_rig))
     for finding in found:
         print(f"warning: {finding}", file=sys.stderr)
+    wired = f" on channels {min(channels)} to {max(channels)}" if the_rig.addressed else ""
     drawn = "" if out is None else f", drawn in {out}"
     odd = counted(len(found), "odd thing") if found else "nothing odd"
     finish(
-        f"{rig}: {counted(len(the_rig.lights), 'light')}, "
+        f"{rig}: {counted(len(the_rig.lights), 'light')}{wired}, "
         f"{counted(len(the_rig.cameras), 'camera')}, {odd}{drawn}",
         {
             "rig": str(rig),
             "lights": len(the_rig.lights),
             "cameras": len(the_rig.cameras),
+            "addressed": the_rig.addressed,
+            "channels": [min(channels), max(channels)],
             "odd": [dataclasses.asdict(finding) for finding in found],
             "picture": None if out is None else str(out),
         },

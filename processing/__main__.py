@@ -29,8 +29,9 @@ from lightstage.formats.consents import require_consents
 from lightstage.formats.template import default_template_path
 from processing import dataset_commands
 from processing.batch import command as batch_command
-from processing.calibration import cameras_command
 from processing.calibration import command as calibration_command
+from processing.calibration.cameras import command as cameras_command
+from processing.calibration.lights import wiring_command
 from processing.errors import ProcessingError
 from processing.template import command as template_command
 
@@ -41,6 +42,7 @@ app.add_typer(template_command.app, name="template")
 dataset_commands.register(dataset_app)
 calibration_command.register(app)
 cameras_command.register(app)
+wiring_command.register(app)
 batch_command.register(app)
 
 SessionPath = typer.Argument(..., help="Session folder.", show_default=False)
@@ -79,9 +81,15 @@ def run(
         help="Mesh of what else casts shadows or hides skin: clothes, hair, glasses.",
     ),
     force: bool = Force,
+    why: bool = typer.Option(
+        False, "--why", help="Print which stages would run and why; run none."
+    ),
     as_json: bool = JsonFlag,
 ) -> None:
     """Everything from photographs to the atlas; what is up to date is skipped."""
+    if why:
+        _why(session, out, template, config, atlas_rows, as_json, until, force, (mesh, occluders))
+        return
     _process(
         session,
         out,
@@ -172,6 +180,28 @@ def _process(
     warned = f", {counted(len(report['warnings']), 'warning')}" if report["warnings"] else ""
     facts = {"out": str(out), "ran": ran, "stages": report["stages"]}
     finish(f"{out}: {said}{warned}", {**facts, "warnings": report["warnings"]}, as_json)
+
+
+def _why(
+    session: Path,
+    out: Path,
+    template: Path,
+    config: Path | None,
+    atlas_rows: int | None,
+    as_json: bool,
+    until: str,
+    force: bool,
+    meshes: tuple[Path | None, Path | None],
+) -> None:
+    """Print which stages would run, and why."""
+    from processing import pipeline
+
+    settings = pipeline.read_config(config, atlas_rows, *meshes)
+    if force:
+        settings = settings.as_forced()
+    reasons = pipeline.why(pipeline.read_job(session, out, template, settings, until), until)
+    lines = [f"{stage}: {reason or 'up to date'}" for stage, reason in reasons.items()]
+    finish("\n".join(lines), {"out": str(out), "stages": reasons}, as_json)
 
 
 @app.command("register-mesh")
@@ -336,6 +366,12 @@ def publish(
         "--without-consent",
         help="Publish people without a consent record, too; the published set says so.",
     ),
+    about: Path | None = typer.Option(
+        None,
+        "--about",
+        help="TOML file with name, license, terms, creators, contact and url of the release; "
+        "nothing is published without it.",
+    ),
     consents: Path | None = ConsentsOption,
     seed: int | None = typer.Option(
         None,
@@ -347,7 +383,14 @@ def publish(
 ) -> None:
     """The anonymous form: small patches apart from each other, turned, shuffled, some left out."""
     from lightstage.formats.files import read_json, require_new
-    from processing.dataset import DATASET, PUBLISHED, PublishConfig, narrow_gap, open_store
+    from processing.dataset import (
+        DATASET,
+        PUBLISHED,
+        PublishConfig,
+        narrow_gap,
+        open_store,
+        read_about,
+    )
     from processing.dataset import publish as publish_store
 
     require_new(out, overwrite, DATASET, PUBLISHED)
@@ -366,10 +409,11 @@ def publish(
             expected="one of the two",
             hint="What the registry refuses is not published.",
         )
+    opened = open_store(store, "These patches are published already.")
+    require_consents(consents, "publication", opened.consents)
+    said_of_it = read_about(about)
     with progress_bar("dataset publish") as progress:
-        opened = open_store(store, "These patches are published already.")
-        require_consents(consents, "publication", opened.consents)
-        publish_store(opened, out, seed, config, progress)
+        publish_store(opened, out, seed, config, progress, about=said_of_it)
     narrow = narrow_gap(config.gap)
     if narrow:
         print(f"warning: {narrow}", file=sys.stderr)
@@ -379,7 +423,17 @@ def publish(
     said += f" of {counted(counts['subjects'], 'subject')}"
     if unasked:
         said += f", {unasked} of them without a consent record"
-    facts = {"out": str(out), **counts, "patch": written["patch"], "gap": written["gap"]}
+    if said_of_it.unanswered:
+        open_ones = counted(len(said_of_it.unanswered), "question")
+        said += f"; {open_ones} of its DATASHEET.md not answered: "
+        said += ", ".join(said_of_it.unanswered)
+    facts = {
+        "out": str(out),
+        **counts,
+        "unanswered": said_of_it.unanswered,
+        "patch": written["patch"],
+        "gap": written["gap"],
+    }
     facts |= {"subjects_without_consent": unasked, "warnings": [narrow] if narrow else []}
     finish(f"{out}: {said}", facts, as_json)
 

@@ -12,8 +12,7 @@ from typing import Any
 from lightstage.commands import ProgressCallback, quiet
 from lightstage.errors import FormatError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
-from lightstage.formats.files import sha256_file, write_json
-from lightstage.formats.landmarks import LANDMARKS
+from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
 from lightstage.formats.session import Session, changed_frames, load_session
 from lightstage.formats.template import Template, load_template
@@ -30,10 +29,8 @@ from processing.records import (
     RUN_LOCK,
     MadeFrom,
     Record,
-    code_version,
     files_in,
     hash_folder,
-    hash_of,
     measured,
     read_records,
     remove_leftovers,
@@ -48,8 +45,9 @@ from processing.registration.stage import RegisterConfig, register, require_land
 from processing.separation.choice import no_normals, tell_normals
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
+from processing.stage_inputs import STAGE_MODULES, StageInputs, stage_inputs, why_stale
 
-STAGES = ("decode", "separate", "reconstruct", "refine", "register", "atlas")
+STAGES = tuple(STAGE_MODULES)
 WITH_TEMPLATE = ("register", "atlas")
 WITH_NORMALS = ("separate", "refine", "atlas")
 """Stages that photographs from fewer than three directions of light cannot feed."""
@@ -187,9 +185,9 @@ def run(
     _plan(job, last, only)
     with locked(out / RUN_LOCK, busy(out)):
         remove_leftovers(out)
-        records, keys, planned = _plan(job, last, only)
+        records, inputs, planned = _plan(job, last, only)
         for stage in planned:
-            records = _run_stage(job, stage, keys[stage], records, bar)
+            records = _run_stage(job, stage, inputs[stage], records, bar)
         report = write_report_json(job, records)
         if planned:
             write_processed_report(out, report)
@@ -278,10 +276,10 @@ def run_next(job: Job, last: str = STAGES[-1], bar: Bar = no_bar) -> tuple[str |
     require_given(job.config.reconstruct)
     with locked(job.out / RUN_LOCK, busy(job.out)):
         remove_leftovers(job.out)
-        records, keys, planned = _plan(job, last, None)
+        records, inputs, planned = _plan(job, last, None)
         ran = planned[0] if planned else None
         if ran is not None:
-            records = _run_stage(job, ran, keys[ran], records, bar)
+            records = _run_stage(job, ran, inputs[ran], records, bar)
             planned = _plan(job, last, None)[2]
         if not planned:
             write_processed_report(job.out, write_report_json(job, records))
@@ -314,66 +312,49 @@ def busy(out: Path) -> BusyError:
 
 def _plan(
     job: Job, last: str, only: str | None
-) -> tuple[dict[str, Record], dict[str, str], list[str]]:
-    """The folder's records, the key of each stage, and the stages to run."""
+) -> tuple[dict[str, Record], dict[str, StageInputs], list[str]]:
+    """The folder's records, what each stage depends on, and the stages to run."""
     require_same_session(job.out, job.made_from)
     records = read_records(job.out)
-    keys = stage_keys(job, records if only else {})
-    planned = _only(job, only, records, keys) if only else _stale(job, records, keys, last)
-    return records, keys, planned
+    kept = records if only else {}
+    inputs = stage_inputs(job.session, job.config, job.template_hash, kept)
+    if only:
+        return records, inputs, _only(job, only, records, inputs)
+    stale = [stage for stage, why in _reasons(job, records, inputs, last).items() if why]
+    return records, inputs, _with_coarse_maps(stale, records)
 
 
-def stage_keys(job: Job, kept: dict[str, Record]) -> dict[str, str]:
-    """The key that each stage's record must have to be up to date.
+def why(job: Job, last: str = STAGES[-1]) -> dict[str, str | None]:
+    """In words why each stage up to `last` must run; None where it is up to date.
 
-    A stage's key holds its configuration, the code, and the key of the stage before it, which
-    stands for all that was written before. Stages in `kept` count with the key they ran with.
+    Raises:
+        LightstageError: a folder made from another session, or records that cannot be read.
     """
-    session = job.session
-    files = [session.root / "session.json", session.root / "rig.json"]
-    named = session.file.calibration.model_dump().values()
-    for path in [session.root / name for name in named if isinstance(name, str)]:
-        # Gains of single pixels lie beside the flats that name them.
-        files += [path, *sorted(path.parent.glob(f"{path.stem}-*.npz"))]
-    landmarks = session.root / LANDMARKS
-    before = hash_of(code_version(), [sha256_file(path) for path in files])
-    keys = {}
-    for stage in STAGES:
-        extra: list[str | None] = [sha256_file(path) for path in _meshes(job.config, stage)]
-        if stage in WITH_TEMPLATE:
-            marks = sha256_file(landmarks) if landmarks.is_file() else None
-            extra += [job.template_hash, marks]
-        keys[stage] = hash_of(before, stage, as_dict(getattr(job.config, stage)), extra)
-        before = kept[stage].key if stage in kept else keys[stage]
-    return keys
+    records, inputs, planned = _plan(job, last, None)
+    reasons = _reasons(job, records, inputs, last)
+    if "separate" in planned and reasons["separate"] is None:
+        reasons["separate"] = "refine has overwritten its maps, which a stage after it reads"
+    return reasons
 
 
-def _meshes(config: PipelineConfig, stage: str) -> list[Path]:
-    """Meshes that a stage's configuration names, and that are there."""
-    named = {
-        "decode": [config.decode.mesh],
-        "reconstruct": [config.reconstruct.mesh, config.reconstruct.occluders],
-    }
-    return [Path(name) for name in named.get(stage, []) if Path(name).is_file()]
+def _reasons(
+    job: Job, records: dict[str, Record], inputs: dict[str, StageInputs], last: str
+) -> dict[str, str | None]:
+    """Why each stage up to `last` must run, None where its record still holds."""
+    reasons: dict[str, str | None] = {}
+    for stage in job.stages[: job.stages.index(last) + 1]:
+        first = next((name for name, reason in reasons.items() if reason), None)
+        reasons[stage] = why_stale(records.get(stage), inputs[stage], first, job.out)
+    return reasons
 
 
-def _stale(job: Job, records: dict[str, Record], keys: dict[str, str], last: str) -> list[str]:
-    """Stages up to `last` that must run."""
-    wanted = job.stages[: job.stages.index(last) + 1]
-    stale: list[str] = []
-    for stage in wanted:
-        record = records.get(stage)
-        whole = record is not None and all((job.out / name).exists() for name in record.outputs)
-        if stale or record is None or record.key != keys[stage] or not whole:
-            stale.append(stage)
-    return _with_coarse_maps(stale, records)
-
-
-def _only(job: Job, stage: str, records: dict[str, Record], keys: dict[str, str]) -> list[str]:
+def _only(
+    job: Job, stage: str, records: dict[str, Record], inputs: dict[str, StageInputs]
+) -> list[str]:
     """One stage; `separate` decodes first where that is stale, since it has no command."""
     before = job.stages[: job.stages.index(stage)]
     if stage == "separate":
-        fresh = "decode" in records and records["decode"].key == keys["decode"]
+        fresh = "decode" in records and records["decode"].key == inputs["decode"].key
         return ["separate"] if fresh else ["decode", "separate"]
     missing = [name for name in before if name not in records]
     if missing:
@@ -395,7 +376,7 @@ def _with_coarse_maps(planned: list[str], records: dict[str, Record]) -> list[st
 
 
 def _run_stage(
-    job: Job, stage: str, key: str, records: dict[str, Record], bar: Bar
+    job: Job, stage: str, inputs: StageInputs, records: dict[str, Record], bar: Bar
 ) -> dict[str, Record]:
     """Run one stage and record it; it and all after it count as not done while it runs."""
     kept = {name: records[name] for name in STAGES[: STAGES.index(stage)] if name in records}
@@ -408,7 +389,7 @@ def _run_stage(
     give_back()
     after = files_in(job.out)
     outputs = sorted(name for name in after if after[name] != before.get(name))
-    kept[stage] = Record(key, outputs, facts)
+    kept[stage] = Record(inputs.key, outputs, facts, inputs.parts)
     write_records(job.out, job.made_from, kept)
     return kept
 

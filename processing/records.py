@@ -38,11 +38,14 @@ class Record:
         key: hash of its inputs, configuration and code; another key means it is stale.
         outputs: files it wrote, relative to the processed folder.
         facts: JSON-ready, with seconds and peak_rss_mb.
+        parts: what the key was made of, each a hash (`stage_inputs`); empty where an older version
+            wrote it.
     """
 
     key: str
     outputs: list[str]
     facts: dict[str, Any]
+    parts: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)

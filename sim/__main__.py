@@ -22,6 +22,7 @@ from lightstage.commands import (
     run_app,
 )
 from lightstage.counting import counted
+from sim.devices.icl_command import icl
 from sim.devices.stage_command import add_stage_commands
 from sim.errors import SimError
 from sim.scans.commands import add_import_commands
@@ -35,6 +36,7 @@ MOST_STOPS = 64
 app = make_app("A light stage without the hardware: people, light, sessions, targets, data sets.")
 add_import_commands(app)
 add_stage_commands(app)
+app.command("icl")(icl)
 
 
 @app.command()
@@ -271,7 +273,7 @@ def targets(
     from sim.camera.flaws import load_flaws
     from sim.camera.optics import distorted
     from sim.session import require_new, truth_path
-    from sim.targets.photographs import TargetsConfig, write_targets
+    from sim.targets.target_session import TargetsConfig, write_targets
 
     begun = time.monotonic()
     require_new(out)

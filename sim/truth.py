@@ -20,6 +20,7 @@ from sim.light.scene import Scene, Surface
 from sim.light.texture import raster_uv, texture_of
 from sim.light.world import World
 from sim.people.subject import Subject
+from sim.people.traits import Traits
 from sim.reference.world import ReferenceWorld
 
 OCCLUSION_DIRECTIONS = 256
@@ -71,13 +72,19 @@ def write_truth(world: World, out: Path, progress: ProgressCallback = quiet) -> 
     return out
 
 
-def write_atlas(subject: Subject, occlusion: np.ndarray, folder: ProcessedFolder) -> None:
+def write_atlas(
+    subject: Subject,
+    occlusion: np.ndarray,
+    folder: ProcessedFolder,
+    traits: Traits | None = None,
+) -> None:
     """Write a subject's atlas, mesh, head pose and report: the part that needs no cameras.
 
     Args:
         subject: the person.
         occlusion: (n,) ambient occlusion of the mesh's vertices.
         folder: where to.
+        traits: whose sex and age the report says; None where nobody knows them.
     """
     mesh = subject.mesh
     rows, columns = subject.diffuse_albedo.shape[:2]
@@ -107,6 +114,8 @@ def write_atlas(subject: Subject, occlusion: np.ndarray, folder: ProcessedFolder
             "expression": subject.expression,
             "source": subject.source,
             "synthetic": subject.synthetic,
+            "sex": traits.sex if traits else None,
+            "age_years": traits.age_years if traits else None,
         },
     )
 

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
-import importlib
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import hypothesis
 import numpy as np
 import pytest
 
-from lightstage.commands import run_app
 from lightstage.formats.files import write_json
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.interrupts import handlers_kept, interrupted, raise_on_signals
+from tests.programs import Ended, run_program
+from tests.slow import slow_files
 
 # How long an example takes says more about the machine's other work than about the code.
 hypothesis.settings.register_profile("project", deadline=None)
 hypothesis.settings.load_profile("project")
-
-
-LONGEST_S = 120.0
-"""A command that takes longer, compiling included, hangs: it is interrupted, so that its test fails
-and tells which."""
 
 
 def pytest_configure() -> None:
@@ -44,12 +36,16 @@ LAST = ("tests/test_end_to_end.py", "tests/sim/", "tests/lightstage/test_")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest test goes before the simulator's, and what is quick goes last.
+    """Slow files are marked; the longest test goes before the simulator's, what is quick last.
 
     Most of what the longest one runs is compiled by then, and the other worker is left enough to do
     beside it. Workers take what is left from each other by halves: where that happens most often,
     at the end, no test is long and none shares what takes long to make with those beside it.
     """
+    slow = slow_files()
+    for item in items:
+        if item.nodeid.partition("::")[0] in slow:
+            item.add_marker(pytest.mark.slow)
     places = {start: place for place, start in enumerate(LAST, 1)}
     items.sort(key=lambda i: next((places[s] for s in LAST if i.nodeid.startswith(s)), 0))
 
@@ -86,15 +82,6 @@ def small_disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-@dataclasses.dataclass(frozen=True)
-class Ended:
-    """How a command ended."""
-
-    code: int
-    out: str
-    err: str
-
-
 @pytest.fixture(autouse=True)
 def signals_forgotten() -> Iterator[None]:
     """A signal that one test sent does not stop the commands of the tests that come after it.
@@ -108,40 +95,9 @@ def signals_forgotten() -> Iterator[None]:
 
 
 @pytest.fixture
-def run_command(monkeypatch, capsys):
-    """A function that runs a program in this process: `run_command("sim", "render", ...)`.
-
-    With `interrupt_s` it gets Ctrl-C after so many seconds.
-    """
-    signals: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = [signal.getsignal(number) for number in signals]
-
-    def ctrl_c(*_: object) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-
-    before.append(signal.signal(signal.SIGALRM, ctrl_c))
-    signals += (signal.SIGALRM,)
-
-    def run(program: str, *words: Any, interrupt_s: float = LONGEST_S) -> Ended:
-        monkeypatch.setattr(sys, "argv", [f"lightstage-{program}", *map(str, words)])
-        capsys.readouterr()
-        # A command that was interrupted ignores what comes after, and its process ends; this one
-        # goes on with the next command.
-        for number, handler in zip(signals[:3], before, strict=False):
-            signal.signal(number, handler)
-        signal.setitimer(signal.ITIMER_REAL, interrupt_s)
-        try:
-            with pytest.raises(SystemExit) as ended:
-                run_app(importlib.import_module(f"{program}.__main__").app)
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-        said = capsys.readouterr()
-        code = ended.value.code
-        return Ended(code if isinstance(code, int) else 0, said.out, said.err)
-
-    yield run
-    for number, handler in zip(signals, before, strict=True):
-        signal.signal(number, handler)
+def run_command() -> Callable[..., Ended]:
+    """tests.programs.run_program."""
+    return run_program
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from lightstage.formats.files import write_json
-from processing.dataset import CHANNELS, build_store, open_store, publish
+from processing.dataset import CHANNELS, build_store, open_store, publish, read_about
 from processing.dataset.release_files import CHANNELS as PUBLISHED_CHANNELS
 from tests.documents import (
     PACKAGES,
@@ -23,6 +23,7 @@ from tests.documents import (
     run_as_written,
     table_code,
 )
+from tests.processing.releases import ABOUT_FILE
 
 README = (ROOT / "README.md").read_text()
 DATASET = (ROOT / "docs" / "dataset.md").read_text()
@@ -78,6 +79,8 @@ def test_the_commands_and_examples_of_the_datasets_page_run_as_written(
     make_processed(tmp_path / "NEW", 192, 128, subject="person-0009", seed=9)
     write_json(tmp_path / "P" / "people.json", {"schema": "lightstage.people/1", "people": []})
     (tmp_path / "P" / "people.lock").write_text("")
+    about, *_ = blocks(DATASET, "toml")
+    (tmp_path / "ABOUT.toml").write_text(about)
     ran = []
     for command in commands(DATASET):
         if command.startswith("lightstage-processing dataset"):
@@ -123,7 +126,7 @@ def test_the_datasets_page_explains_every_field_that_is_written_and_no_other(
         for index, name in enumerate(PEOPLE)
     ]
     store = build_store(roots, tmp_path / "S")
-    published = publish(open_store(store), tmp_path / "P")
+    published = publish(open_store(store), tmp_path / "P", about=read_about(ABOUT_FILE))
     written = {"store": store, "published": published}
     found = {
         (field, kind)

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from demo.run import run
-from demo.steps import DemoConfig, Layout
+from demo.steps import ABOUT, DemoConfig, Layout
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import read_json
 from lightstage.formats.processed import ProcessedFolder
@@ -38,7 +37,6 @@ def tiny_rig(path: Path) -> Path:
     return save_rig(dataclasses.replace(rig, lights=rig.lights[::4], cameras=cameras), path)
 
 
-@pytest.mark.slow
 def test_the_demo_runs_end_to_end_on_a_tiny_rig(tmp_path: Path) -> None:
     at = Layout(tmp_path / "demo")
     config = DemoConfig(
@@ -168,6 +166,7 @@ def the_readmes_commands_run_as_written(at: Layout, folder: Path) -> None:
         "T.exr": at.baked,
         "M.obj": at.mesh,
         "E.json": at.light_sets()[0],
+        "ABOUT.toml": ABOUT,
     }
     for name, path in named.items():
         (folder / name).symlink_to(path)

@@ -20,9 +20,9 @@ from lightstage.formats.lights import read_measured_lights
 from lightstage.formats.processed import MAPS
 from lightstage.formats.session import load_session
 from lightstage.formats.template import load_template
-from lightstage.motion.lenses import read_lenses
+from lightstage.poses_from_photos.lenses import read_lenses
 from lightstage.rig import load_rig
-from processing.calibration.flat_file import read_flats
+from processing.calibration.colour.flat_file import read_flats
 from processing.colour import read_colour
 from processing.dataset import open_store
 from processing.dataset.scan import read_head_pose
@@ -33,6 +33,7 @@ PAGE = (ROOT / "docs" / "formats.md").read_text()
 EXAMPLES = dict(re.findall(r"^Example: `([^`]+)`\n\n```\w+\n(.*?)^```$", PAGE, re.M | re.S))
 READERS: dict[str, Callable[[Path], Any]] = {
     "rig.json": lambda folder: load_rig(folder / "rig.json"),
+    "wired.json": lambda folder: load_rig(folder / "wired.json"),
     "session.json": load_session,
     "landmarks.json": lambda folder: read_points_px(folder / "landmarks.json"),
     "L.json": lambda folder: read_points_mm(folder / "L.json"),

@@ -27,8 +27,8 @@ from lightstage.formats.landmarks import read_points_mm, read_points_px
 from lightstage.formats.lights import read_measured_lights
 from lightstage.formats.session import load_session
 from lightstage.formats.template import default_template_path, load_template
-from lightstage.motion.points import read_clicks
 from lightstage.patterns import read_patterns
+from lightstage.poses_from_photos.points import read_clicks
 from lightstage.rig import Camera, Light, Rig, load_rig, look_at, rig_to_json
 from lightstage.session import SessionState, read_calibration, read_colour, read_journal
 from lightstage.session.manifest import check_manifest
@@ -204,7 +204,7 @@ def a_store(path):
 
 
 def flats_of_processing(path):
-    from processing.calibration.flat_file import read_flats
+    from processing.calibration.colour.flat_file import read_flats
 
     return read_flats(path, ["cam0", "cam1"])
 

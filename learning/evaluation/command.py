@@ -13,7 +13,6 @@ import numpy as np
 from learning.errors import MapsError
 from learning.evaluation.measures import (
     albedo_measures,
-    ita_deg,
     normal_measures,
     specular_measures,
 )
@@ -31,6 +30,7 @@ from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder, read_map
 from processing.colour import srgb_from_linear
 from processing.evaluation.maps import psnr_db
+from processing.tones import ita_deg
 
 SCHEMA = "lightstage.evaluation/1"
 NEEDED = ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 
 from learning.vectors import unit
-from processing.calibration.difference import lab_from_linear
 from processing.colour import srgb_from_linear
 from processing.evaluation.maps import angle_deg, psnr_db
 
@@ -14,10 +13,6 @@ SSIM_SIGMA, SSIM_REACH = 1.5, 5
 """Gaussian window of structural similarity and its half width, texels [Wang2004]."""
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
 LEAST = 1e-12
-ITA_BOUNDS_DEG = (55.0, 41.0, 28.0, 10.0, -30.0)
-"""Least individual typology angle of the groups from very light to brown [Chardon1991]; below is
-dark."""
-ITA_NAMES = ("very light", "light", "intermediate", "tan", "brown", "dark")
 
 
 def scaled(found: np.ndarray, true: np.ndarray, by_channel: bool) -> np.ndarray:
@@ -114,25 +109,3 @@ def ssim(found: np.ndarray, true: np.ndarray, where: np.ndarray) -> float:
     value = (2 * mean_a * mean_b + SSIM_C1) * (2 * both + SSIM_C2)
     value /= (mean_a**2 + mean_b**2 + SSIM_C1) * (var_a + var_b + SSIM_C2)
     return float(value[inside].mean())
-
-
-def ita_deg(albedo: np.ndarray) -> float:
-    """Individual typology angle of a skin's mean colour, degrees [Chardon1991].
-
-    Args:
-        albedo: (n, 3) linear sRGB.
-
-    Returns:
-        arctan((L* - 50) / b*), light skin above, dark skin below.
-    """
-    lab = lab_from_linear(np.maximum(albedo.reshape(-1, 3).mean(axis=0), 0))
-    # Skin is yellower than grey: where one is not, the angle ends upright.
-    return float(np.degrees(np.arctan2(lab[0] - 50, max(float(lab[2]), LEAST))))
-
-
-def tone_of(angle_deg: float) -> str:
-    """The group of an individual typology angle."""
-    for least, name in zip(ITA_BOUNDS_DEG, ITA_NAMES, strict=False):
-        if angle_deg > least:
-            return name
-    return ITA_NAMES[-1]

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from learning.evaluation.measures import ITA_NAMES, tone_of
+from processing.tones import ITA_NAMES, tone_of
 
 DRAWS = 2000
 INTERVAL = (2.5, 97.5)

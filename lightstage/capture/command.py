@@ -89,7 +89,9 @@ def capture_command(
     sequence: str | None = typer.Option(
         None, help="Named sequence, or pattern names with commas (binary)."
     ),
-    leds: str = typer.Option(..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.."),
+    leds: str = typer.Option(
+        ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
+    ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the session in --out."),
     subject: str | None = typer.Option(None, help="Pseudonym, such as P07 (subject-1)."),

@@ -21,7 +21,7 @@ from lightstage.capture.stage import told_moved
 from lightstage.errors import LightstageError
 from lightstage.findings import Finding
 from lightstage.leds.controller import Hello
-from lightstage.leds.opening import open_leds
+from lightstage.leds.opening import open_rig_leds
 from lightstage.operator.plain import plain
 from lightstage.preflight import Plan, device_findings, settings_findings
 from lightstage.preflight.clock import computer_clock_findings
@@ -110,7 +110,7 @@ def look_at_devices(
     findings += found
     hello, acknowledged, pulse_hz = None, False, None
     try:
-        with open_leds(leds, len(rig.lights)) as device:
+        with open_rig_leds(leds, rig) as device:
             hello, acknowledged = device.hello, device.acknowledged
             pulse_hz = device.pulse_hz
             findings += device_findings(rig, told, file, device, config.preflight)

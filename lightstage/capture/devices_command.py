@@ -31,7 +31,9 @@ def register(app: typer.Typer) -> None:
 
 def devices_command(
     rig: Path = typer.Option(..., help="rig.json: where lights and cameras stand."),
-    leds: str = typer.Option(..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.."),
+    leds: str = typer.Option(
+        ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
+    ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     folder: Path = typer.Option(
         Path(),

@@ -34,7 +34,9 @@ def retake_command(
     session: Path = typer.Argument(help="Session folder."),
     pattern: str = typer.Argument(help="Whose photographs; several with commas."),
     camera: list[str] = typer.Argument(None, help="Cameras that take them; all where absent."),
-    leds: str = typer.Option(..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.."),
+    leds: str = typer.Option(
+        ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
+    ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     clear: bool = typer.Option(False, "--clear", help="Clear owner and place on the cameras."),
     delete: bool = typer.Option(

@@ -8,8 +8,8 @@ import time
 from collections.abc import Collection, Mapping, Sequence
 
 from lightstage.cameras.camera import CameraDevice
+from lightstage.capture.camera_shot import Checks, Photographer
 from lightstage.capture.config import CaptureConfig
-from lightstage.capture.photograph import Checks, Photographer
 from lightstage.capture.shot import ShotTaken, missed, stopped, take_shot
 from lightstage.capture.suspects import Suspects
 from lightstage.capture.wishes import Wishes

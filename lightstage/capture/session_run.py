@@ -12,8 +12,8 @@ import numpy as np
 
 from lightstage import __version__
 from lightstage.cameras.camera import Summary
+from lightstage.capture.camera_shot import Checks, Photographer
 from lightstage.capture.config import CaptureConfig
-from lightstage.capture.photograph import Checks, Photographer
 from lightstage.capture.run import CaptureReport, Run
 from lightstage.capture.shot import stopped
 from lightstage.capture.stage import Stage

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 from lightstage.cameras.camera import CameraDevice
+from lightstage.capture.camera_shot import OldPictureError, Photographer, Taken
 from lightstage.capture.config import CaptureConfig
 from lightstage.capture.late_cameras import LateCameras
 from lightstage.capture.pattern_light import LateCameraError, PatternLight
-from lightstage.capture.photograph import OldPictureError, Photographer, Taken
 from lightstage.capture.wishes import Wishes
 from lightstage.errors import (
     CaptureError,

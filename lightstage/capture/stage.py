@@ -20,7 +20,7 @@ from lightstage.errors import one_error
 from lightstage.findings import Finding
 from lightstage.interrupts import raise_once
 from lightstage.leds.address import parse_url
-from lightstage.leds.opening import open_leds
+from lightstage.leds.opening import open_rig_leds
 from lightstage.preflight import PreflightConfig, device_findings, refusals
 from lightstage.rig import Rig
 from lightstage.safety import SafeLights
@@ -65,7 +65,7 @@ def open_stage(rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig) ->
     """
     worst_s = config.worst_shot_s(parse_url(leds).worst_s)
     raise_once()
-    with open_leds(leds, len(rig.lights)) as device:
+    with open_rig_leds(leds, rig) as device:
         cameras = find_cameras(rig, file, config.deadlines, detect_ports)
         try:
             with SafeLights(device, config.safety, rig, worst_s) as lights:

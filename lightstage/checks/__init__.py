@@ -1,7 +1,7 @@
 """What a photograph must show before the operator moves on."""
 
 from lightstage.checks.config import ChecksConfig
-from lightstage.checks.photo import Photo, measure_photo
+from lightstage.checks.photo_measures import Photo, measure_photo
 from lightstage.checks.session import CheckReport, check_session
 from lightstage.checks.shot import ShotChecks
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from lightstage.checks.photo import Photo
+from lightstage.checks.photo_measures import Photo
 from lightstage.checks.sums import MIN_CELLS, lit_cells
 from lightstage.rig import Camera, Rig
 

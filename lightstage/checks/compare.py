@@ -9,7 +9,7 @@ import numpy as np
 
 from lightstage.checks.ball import BallModel, brightness, seen_shares, unlikeness
 from lightstage.checks.config import ChecksConfig
-from lightstage.checks.photo import Photo
+from lightstage.checks.photo_measures import Photo
 from lightstage.checks.sharpness import sharpness
 from lightstage.checks.single import where
 from lightstage.checks.sums import MIN_CELLS, lit_cells

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from lightstage.checks.config import ChecksConfig
-from lightstage.checks.motion import MIN_EXPLAINED, Shift
+from lightstage.checks.subject_motion import MIN_EXPLAINED, Shift
 from lightstage.checks.sums import Sum, SumFit
 from lightstage.findings import Finding, two_digits
 

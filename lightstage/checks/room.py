@@ -9,7 +9,7 @@ import numpy as np
 
 from lightstage.checks.ball import BallModel
 from lightstage.checks.config import ChecksConfig
-from lightstage.checks.photo import Photo
+from lightstage.checks.photo_measures import Photo
 from lightstage.checks.stray import Stray, find_stray
 from lightstage.checks.sums import Sum
 from lightstage.findings import Finding, two_digits

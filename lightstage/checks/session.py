@@ -10,7 +10,7 @@ from typing import Any
 
 from lightstage.checks.config import ChecksConfig
 from lightstage.checks.origin import strangers, too_old
-from lightstage.checks.photo import Photo, measure_image, measure_photo
+from lightstage.checks.photo_measures import Photo, measure_image, measure_photo
 from lightstage.checks.shot import ShotChecks
 from lightstage.checks.sums import find_sums
 from lightstage.commands import ProgressCallback, quiet
@@ -26,7 +26,7 @@ from lightstage.formats.session import (
     missing_frames,
 )
 from lightstage.formats.sums import UNCHECKED, Balance, axes_alike, has_gradient, sum_fault
-from lightstage.photograph import identify
+from lightstage.photo_file import identify
 from lightstage.resume_line import known_options, resume_line, watch_line
 from lightstage.sequence import Shot
 from lightstage.session import accepted_findings, disagreements, read_journal

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from lightstage.checks.noise import DIFFERENCE_GAIN
-from lightstage.checks.photo import LIT_SHARE, Photo, pool_size
+from lightstage.checks.photo_measures import LIT_SHARE, Photo, pool_size
 
 MIN_CELLS = 6
 MIN_PIXELS = 2_000

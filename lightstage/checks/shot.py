@@ -20,13 +20,13 @@ from lightstage.checks.compare import (
     unlike_findings,
 )
 from lightstage.checks.config import ChecksConfig
-from lightstage.checks.few import FewLamps
+from lightstage.checks.few_lamps import FewLamps
 from lightstage.checks.light import Evidence, judge_sum
-from lightstage.checks.motion import Shift, sum_shift
-from lightstage.checks.photo import Photo, measure_photo
+from lightstage.checks.photo_measures import Photo, measure_photo
 from lightstage.checks.room import Left, room_findings
 from lightstage.checks.sharpness import own_sharpness
 from lightstage.checks.single import photo_findings, unreadable, where
+from lightstage.checks.subject_motion import Shift, sum_shift
 from lightstage.checks.sums import Sum, SumFit, find_sums, fit_sum, kind_of
 from lightstage.errors import FormatError
 from lightstage.findings import Finding

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lightstage.checks.config import ChecksConfig
-from lightstage.checks.photo import Photo
+from lightstage.checks.photo_measures import Photo
 from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.findings import Finding, Severity, two_digits

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from lightstage.checks.ball import BallModel
-from lightstage.checks.photo import Photo
+from lightstage.checks.photo_measures import Photo
 from lightstage.checks.sums import MIN_CELLS
 
 MIN_EXPLAINED = 0.3

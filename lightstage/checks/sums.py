@@ -12,8 +12,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from lightstage.checks.motion import Shift, moved
-from lightstage.checks.photo import LIT_SHARE, Photo, pool_size, pooled
+from lightstage.checks.photo_measures import LIT_SHARE, Photo, pool_size, pooled
+from lightstage.checks.subject_motion import Shift, moved
 from lightstage.formats.sums import LEVEL_STEP, SLACK
 
 FLOOR_SHARE = 0.01

@@ -8,7 +8,7 @@ import concurrent.futures
 import importlib
 import multiprocessing
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 from lightstage.console.config import ConsoleConfig
 from lightstage.console.following import Photograph
 from lightstage.console.pictures import Facts, Focus, behind, focus, large, thumbnail
+from lightstage.console.sums import SumFacts, sum_picture
 from lightstage.errors import FormatError, LightstageError
 
 LARGE_KEPT = 4
@@ -35,6 +36,7 @@ class Album:
         self._small = _Kept(config.thumbnails)
         self._large = _Kept(LARGE_KEPT)
         self._focus = _Kept(config.thumbnails)
+        self._sums = _Kept(LARGE_KEPT)
 
     async def thumbnail(self, photograph: Photograph) -> bytes:
         """A small JPEG; FormatError where there is none to be made."""
@@ -62,6 +64,16 @@ class Album:
             key, lambda: self._make(photograph.path, focus, photograph.path, beside)
         )
         return measured
+
+    async def sums(self, photographs: Sequence[Photograph]) -> tuple[bytes, SumFacts]:
+        """How two photographs sum to a third, as a JPEG and figures; FormatError as `thumbnail`."""
+        paths = [each.path for each in photographs]
+        key = tuple((each.path, each.sha256) for each in photographs)
+        pixels = self._config.sum_px
+        made: tuple[bytes, SumFacts] = await self._sums.get(
+            key, lambda: self._make(paths[-1], sum_picture, *paths, pixels)
+        )
+        return made
 
     def start(self) -> None:
         """Have the processes ready before the first photograph comes."""

@@ -20,6 +20,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
+from lightstage.checks.sums import Sum
 from lightstage.console import showing
 from lightstage.console.access import CSRF_FIELD, CSRF_HEADER, Guard, Visitors, same_token
 from lightstage.console.album import why_not
@@ -40,6 +41,8 @@ NO_PICTURE = (
     '<rect width="120" height="80" fill="#333"/><path d="M0 0L120 80M120 0L0 80" stroke="#999"/>'
     '<text x="60" y="45" fill="#fff" font-size="15" text-anchor="middle">no picture</text></svg>'
 )
+
+NO_SUM = ["Sum of light: this camera has no photographs yet of patterns that sum with this one."]
 
 
 def guarded(desk: Desk, token: str, hosts: Sequence[str], clients: Sequence[str] = ()) -> ASGIApp:
@@ -68,6 +71,8 @@ def application(desk: Desk) -> Starlette:
             Route(photo + "/large", page.large),
             Route(photo + "/look", page.look),
             Route(photo + "/focus", page.focus),
+            Route(photo + "/sum", page.sum),
+            Route(photo + "/sum.jpg", page.sum_jpg),
             Route("/report/{name}/{number:int}", page.report),
             Route("/plan/{act}", page.change_plan, methods=["POST"]),
             Route("/start", page.start, methods=["POST"]),
@@ -254,6 +259,35 @@ class Pages:
             words = [f"Focus: not known. {why_not(error)}"]
         return self._part(request, "focus.html", {"words": words})
 
+    async def sum(self, request: Request) -> Response:
+        """How it adds up with others of its camera."""
+        found = await self._sum(request)
+        values: dict[str, Any] = {**request.path_params, "pictured": False, "words": NO_SUM}
+        if found is not None:
+            try:
+                _, facts = await self._desk.album.sums(found[1])
+                values |= {"pictured": True, "words": showing.sum_words(facts, found[0])}
+            except FormatError as error:
+                values["words"] = [f"Sum of light: not known. {why_not(error)}"]
+        return self._part(request, "sum.html", values)
+
+    async def sum_jpg(self, request: Request) -> Response:
+        """The picture of that."""
+        found = await self._sum(request)
+        try:
+            if found is not None:
+                data, _ = await self._desk.album.sums(found[1])
+                return Response(data, media_type="image/jpeg")
+        except FormatError:
+            pass
+        return Response(NO_PICTURE, media_type="image/svg+xml")
+
+    async def _sum(self, request: Request) -> tuple[Sum, tuple[Photograph, ...]] | None:
+        await self._photograph(request)
+        names = request.path_params
+        followed = await _away(self._desk.followed, names["name"])
+        return await _away(followed.sum_of, names["pattern"], names["camera"])
+
     async def _photograph(
         self, request: Request
     ) -> tuple[Photograph, list[tuple[str, Photograph]]]:
@@ -280,10 +314,10 @@ class Pages:
     def _device_values(self) -> dict[str, Any]:
         running = self._desk.running()
         values = showing.device_values(self._desk.runner.state(LOOK))
-        values |= {"running": running, "stage": self._desk.stage, "captured": None}
+        values |= {"running": running, "stage": self._desk.stage, "captured": None, "budget": None}
         if running and (self._desk.folder / running / "journal.jsonl").exists():
             followed = self._desk.followed(running)
-            values["captured"] = followed.view
+            values["captured"], values["budget"] = followed.view, followed.budget()
         return values
 
     async def sessions(self, request: Request) -> Response:

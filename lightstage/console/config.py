@@ -17,6 +17,7 @@ class ConsoleConfig:
         visitors: sessions of browsers that are remembered; the oldest go first.
         thumbnail_px: longer side of the small pictures.
         large_px: longer side of the pictures that a click shows.
+        sum_px: longer side of the pictures of light that should add up.
         thumbnails: small pictures that are kept in memory.
         makers: processes that make pictures, behind the capture in the queue for the processor.
         picture_s: longest time for one picture.
@@ -31,6 +32,7 @@ class ConsoleConfig:
     visitors: int = 64
     thumbnail_px: int = 160
     large_px: int = 1600
+    sum_px: int = 480
     thumbnails: int = 2000
     makers: int = 2
     picture_s: float = 60.0

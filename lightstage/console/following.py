@@ -6,6 +6,7 @@ Nothing is kept that is not in the journal, so a server that starts again shows 
 from __future__ import annotations
 
 import collections
+import datetime
 import threading
 import time
 import weakref
@@ -13,9 +14,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from lightstage.checks.sums import Sum, find_sums
+from lightstage.console.warmth import Budget, Warmth, levels_of
 from lightstage.errors import FormatError
 from lightstage.formats.paths import path_inside
-from lightstage.operator.lines import JournalTail
+from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.runtime import socket_answers
 from lightstage.operator.view import View
 from lightstage.operator.words import SIGNS, number_of, text_of
@@ -73,6 +78,8 @@ class Followed:
         weakref.finalize(self, self._tail.close)  # when nobody looks at it any more
         self._lock = threading.Lock()
         self._photographs: dict[tuple[str, str], Photograph] = {}
+        self._warmth = Warmth()
+        self._levels: dict[str, np.ndarray] = {}
         self._events: collections.deque[Event] = collections.deque(maxlen=kept)
         self._socket = ""
         self._told_s = -float("inf")
@@ -109,6 +116,7 @@ class Followed:
     def _take_up(self, line: Mapping[str, Any]) -> None:
         said = self.view.told(line)
         event = text_of(line, "event")
+        self._warmth.told(line, self.view.pattern is not None)
         if event in ("begin", "resume"):
             self._socket, self._still, self._live = "", False, False
         self._socket = text_of(line, "socket") or self._socket
@@ -116,6 +124,9 @@ class Followed:
             self._live = False
         if event == "frame":
             self._photograph(line)
+        levels = levels_of(line) if event == "lit" else None
+        if levels is not None:
+            self._levels[text_of(line, "pattern")] = levels
         told = {
             "id": self.view.last_id,
             "event": event,
@@ -150,6 +161,11 @@ class Followed:
         take = int(number_of(line, "take") or 1)
         self._photographs[pattern, camera] = Photograph(path, take, text_of(line, "sha256"))
 
+    def budget(self) -> Budget | None:
+        """What its lights have spent of their warmth and time until now."""
+        with self._lock:
+            return self._warmth.budget(datetime.datetime.now(datetime.UTC))
+
     @property
     def live(self) -> bool:
         """Whether its capture runs and can be asked."""
@@ -162,6 +178,22 @@ class Followed:
     def photographs_of(self, camera: str) -> list[tuple[str, Photograph]]:
         """A camera's photographs with their patterns, the first first."""
         return [(p, each) for (p, c), each in list(self._photographs.items()) if c == camera]
+
+    def sum_of(self, pattern: str, camera: str) -> tuple[Sum, tuple[Photograph, ...]] | None:
+        """Two patterns and the third that they sum to, one of them this, all photographed.
+
+        Returns:
+            None where there are none by this camera yet; else the photographs in the sum's order.
+        """
+        there = dict(self.photographs_of(camera))
+        with self._lock:
+            levels = {name: each for name, each in self._levels.items() if name in there}
+        if len({len(each) for each in levels.values()}) > 1:
+            return None  # a journal that was changed
+        found = [each for each in find_sums(levels) if pattern in each.patterns]
+        if not found:
+            return None
+        return found[0], tuple(there[name] for name in found[0].patterns)
 
     def after(self, number: int) -> list[Event]:
         """Lines after one of this id, as far as they are remembered."""

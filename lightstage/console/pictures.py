@@ -69,7 +69,7 @@ class Focus:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Counts:
+class Counts:
     """A photograph's counts as shares of white: (h, w, 3) of quads or pixels, upright."""
 
     rgb: np.ndarray
@@ -108,8 +108,8 @@ def thumbnail(path: Path, longest_px: int) -> bytes:
     """
     preview = _preview(path, longest_px)
     if preview is not None:
-        return _jpeg(preview, path)
-    return _jpeg(_shown(_read(path, longest_px, SAMPLES)), path)
+        return jpeg(preview, path)
+    return jpeg(_shown(read_counts(path, longest_px, SAMPLES)), path)
 
 
 def large(path: Path, longest_px: int) -> tuple[bytes, Facts]:
@@ -122,9 +122,9 @@ def large(path: Path, longest_px: int) -> tuple[bytes, Facts]:
     Raises:
         FormatError: as `thumbnail`.
     """
-    counts = _read(path, longest_px, 2)
+    counts = read_counts(path, longest_px, 2)
     picture = _painted(_shown(counts), np.any(counts.full, axis=2))
-    data = _jpeg(picture, path)
+    data = jpeg(picture, path)
     rgb = counts.rgb
     edges = np.linspace(0.0, 1.0, BINS + 1)
     histogram = tuple(
@@ -148,7 +148,7 @@ def focus(path: Path, other: Path | None = None) -> Focus:
     Raises:
         FormatError: as `thumbnail`.
     """
-    from lightstage.checks.photo import measure_photo
+    from lightstage.checks.photo_measures import measure_photo
     from lightstage.checks.sharpness import fineness, sharpness
 
     photo = measure_photo(path)
@@ -189,7 +189,8 @@ def _preview(path: Path, longest_px: int) -> np.ndarray | None:
     return np.ascontiguousarray(of_libraw(flip).upright(small))
 
 
-def _read(path: Path, longest_px: int, samples: int) -> _Counts:
+def read_counts(path: Path, longest_px: int, samples: int) -> Counts:
+    """A photograph's counts in cells, so that the longer side has at most `longest_px` of them."""
     try:
         with path.open("rb") as file:
             begins = file.read(4)
@@ -198,16 +199,16 @@ def _read(path: Path, longest_px: int, samples: int) -> _Counts:
     return _linear(path, longest_px) if begins == MAGIC else _raw(path, longest_px, samples)
 
 
-def _linear(path: Path, longest_px: int) -> _Counts:
+def _linear(path: Path, longest_px: int) -> Counts:
     image = np.asarray(read_exr(path), np.float32)
     image = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
     height, width = image.shape[:2]
     step = max(1, math.ceil(max(height, width) / longest_px))
     rgb = np.nan_to_num(image[::step, ::step, :3])
-    return _Counts(rgb, np.zeros(rgb.shape, bool), (width, height), np.ones(3))
+    return Counts(rgb, np.zeros(rgb.shape, bool), (width, height), np.ones(3))
 
 
-def _raw(path: Path, longest_px: int, samples: int) -> _Counts:
+def _raw(path: Path, longest_px: int, samples: int) -> Counts:
     import rawpy
 
     from lightstage.raw_errors import unreadable_raw
@@ -229,7 +230,7 @@ def _raw(path: Path, longest_px: int, samples: int) -> _Counts:
     rows, columns = turn.shape((sizes.height, sizes.width))
     good = np.isfinite(balance).all() and (balance > 0).all()
     balance = balance / balance[1] if good else np.ones(3)
-    return _Counts(turn.upright(rgb), turn.upright(full), (columns, rows), balance)
+    return Counts(turn.upright(rgb), turn.upright(full), (columns, rows), balance)
 
 
 def _cells(
@@ -272,7 +273,7 @@ def _cells(
     return total, full
 
 
-def _shown(counts: _Counts) -> np.ndarray:
+def _shown(counts: Counts) -> np.ndarray:
     """(h, w, 3) BGR uint8, sRGB [IEC61966], of one gain for all photographs."""
     linear = np.clip(counts.rgb * (GAIN * counts.balance).astype(np.float32), 0.0, 1.0)
     curve = 1.055 * np.power(np.maximum(linear, 0.0031308), 1 / 2.4) - 0.055
@@ -290,7 +291,8 @@ def _painted(picture: np.ndarray, full: np.ndarray) -> np.ndarray:
     return painted
 
 
-def _jpeg(picture: np.ndarray, where: Path) -> bytes:
+def jpeg(picture: np.ndarray, where: Path) -> bytes:
+    """A picture (h, w, 3) BGR uint8 as JPEG."""
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     if not done:
         raise FormatError(where, found=f"shape {picture.shape}", expected="a picture")

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from lightstage.checks.config import ChecksConfig
+from lightstage.checks.sums import Sum
 from lightstage.console.following import Followed
 from lightstage.console.pictures import BINS, Facts, Focus
 from lightstage.console.runner import JobState
+from lightstage.console.sums import SumFacts
 from lightstage.counting import counted
 from lightstage.day import Planned
 from lightstage.errors import FormatError
@@ -204,6 +207,34 @@ def focus_words(focus: Focus, other: str) -> list[str]:
             if focus.against >= SHARP
             else f"LESS SHARP than {beside}: look at its focus, and whether somebody moved."
         )
+    return sentences
+
+
+def sum_words(facts: SumFacts, which: Sum) -> list[str]:
+    """How well light adds up, in sentences."""
+    limits = ChecksConfig()
+    first, second, whole = which.patterns
+    if facts.off is None or facts.misfit is None:
+        sentences = [f"{first} and {second} against {whole}: too little is lit to tell."]
+    else:
+        bad = facts.misfit > limits.max_misfit_share
+        sentences = [
+            f"{'! ' if bad else ''}{first} and {second} together differ from {whole} by "
+            f"{two_digits(100 * facts.off)} % on average, by {two_digits(100 * facts.misfit)} % "
+            "after the best factor of each "
+            f"(the checks bear {two_digits(100 * limits.max_misfit_share)} % of that)."
+        ]
+    if facts.moved_px is None:
+        sentences.append("Whether the subject moved between them cannot be told here.")
+    else:
+        sentences.append(
+            f"Between them the subject lies up to {two_digits(facts.moved_px)} pixels apart "
+            f"(known to {two_digits(facts.error_px)})."
+        )
+    sentences.append(
+        "Orange: brighter together; blue stripes: darker; full colour at 10 %. Thin edges in pairs "
+        "are motion; a whole face in one colour is another light, or the room's."
+    )
     return sentences
 
 

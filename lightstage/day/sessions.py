@@ -13,7 +13,7 @@ from lightstage.formats.checked import CHECKED, CHECKED_SCHEMA
 from lightstage.formats.files import read_json, sha256_file
 from lightstage.formats.values import LINE, open_regular, parse_json
 from lightstage.operator.client import answers
-from lightstage.operator.lines import JournalTail
+from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.view import View
 from lightstage.operator.words import text_of
 from lightstage.session.opening import JOURNAL

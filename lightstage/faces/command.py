@@ -14,8 +14,8 @@ from lightstage.commands import JsonFlag, finish, output_file, progress_bar
 from lightstage.counting import counted
 from lightstage.errors import ConfigError, FaceError
 from lightstage.faces.detect import Face, detect_faces
-from lightstage.faces.photo import read_photo
 from lightstage.faces.schemes import FACE_MESH, SCHEMES, seen_points
+from lightstage.faces.upright_srgb import read_photo
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.png import write_png

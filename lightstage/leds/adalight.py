@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from lightstage.leds.address import AdalightOptions
+from lightstage.leds.connection import Line, opened
 from lightstage.leds.controller import Hello, LightLostError, level_steps
 from lightstage.leds.guard import LastWill
-from lightstage.leds.line import Line, opened
 from lightstage.leds.unanswered import UnansweredLeds
 
 BOOT_WORD = b"Ada\n"
@@ -81,7 +81,7 @@ class AdalightLeds(UnansweredLeds):
         light_count: int,
         options: AdalightOptions,
     ) -> None:
-        super().__init__(where, light_count, "Adalight", options)
+        super().__init__(where, light_count, "Adalight (does not answer)", options)
         self._connect = connect
         self._timeout_s = options.timeout_s
         self._tint = Tint(options.colour, options.order, options.gamma)

@@ -86,16 +86,39 @@ class SacnOptions(Options):
     interface: str = ""
 
 
+@dataclasses.dataclass(frozen=True)
+class IclOptions(Options):
+    """lsserver of ICL's stage, over a WebSocket (docs/icl.md).
+
+    Attributes:
+        lights: which emitters a channel is: `white`, `rgb`, `both`, `polarised`, `emitters`.
+        rgb: RRGGBB of a fixture's red, green and blue emitter at full level.
+        white: the same of its warm, neutral and cool emitter.
+        settle_s: after the server took the state until the light counts as settled: it sends every
+            33 ms, and its fixtures do not answer.
+    """
+
+    timeout_s: float = 5.0
+    attempts: int = 2
+    lights: str = "white"
+    rgb: str = "ffffff"
+    white: str = "ffffff"
+    settle_s: float = 0.1
+
+
+ICL_LIGHTS = ("white", "rgb", "both", "polarised", "emitters")
 OPTIONS: dict[str, type[Options]] = {
     "serial": SerialOptions,
     "pty": Options,
     "socket": Options,
     "adalight": AdalightOptions,
     "sacn": SacnOptions,
+    "ws": IclOptions,
 }
 EXPECTED = (
     "serial:///dev/ttyX?baud=.., pty:///dev/pts/N, socket://HOST:PORT, "
-    "adalight:///dev/ttyX?baud=.., sacn://HOST or sacn://multicast?universe=.."
+    "adalight:///dev/ttyX?baud=.., sacn://HOST or sacn://multicast?universe=.., "
+    "ws://HOST:8080/ws of ICL's stage"
 )
 RANGES: dict[str, tuple[float, float]] = {
     "timeout_s": (1e-3, 3600),
@@ -116,22 +139,25 @@ class Address:
     """A URL that was read.
 
     Attributes:
-        scheme: serial, pty, socket, adalight or sacn.
+        scheme: serial, pty, socket, adalight, sacn or ws.
         place: device file, or host.
         port: of the host; 0 for device files.
         options: what stood behind the question mark.
+        path: on the host, of ws alone.
     """
 
     scheme: str
     place: str
     port: int
     options: Options
+    path: str = ""
 
     @property
     def worst_s(self) -> float:
         """After so long a request has failed, or its light has settled."""
         options = self.options
-        settle_s = options.settle_s if isinstance(options, AdalightOptions | SacnOptions) else 0.0
+        unanswered = AdalightOptions | SacnOptions | IclOptions
+        settle_s = options.settle_s if isinstance(options, unanswered) else 0.0
         return options.timeout_s * options.attempts + settle_s
 
     def __str__(self) -> str:
@@ -150,10 +176,14 @@ def parse_url(url: str) -> Address:
     except ValueError as error:
         raise ConfigError("--leds", found=f"{url!r} ({error})", expected=EXPECTED) from None
     cls = OPTIONS.get(parts.scheme)
-    network = parts.scheme in ("socket", "sacn")
+    network = parts.scheme in ("socket", "sacn", "ws")
     path = urllib.parse.unquote(parts.path)
     empty = not host if network else not path.strip("/")
     misplaced = path.strip("/") if network else parts.netloc
+    path_on_host = ""
+    if parts.scheme == "ws":
+        path_on_host, misplaced = parts.path, ""
+        empty = not host or not re.fullmatch("/[!-~]+", path_on_host)
     if parts.scheme == "sacn":
         port = SACN_PORT if port is None else port
     unported = network and not port
@@ -164,7 +194,7 @@ def parse_url(url: str) -> Address:
         raise ConfigError(
             "--leds", field="interface", found=f"a host, {host}", expected="multicast"
         )
-    return Address(parts.scheme, host if network else path, port or 0, options)
+    return Address(parts.scheme, host if network else path, port or 0, options, path_on_host)
 
 
 def _options(cls: type[Options], query: str) -> Options:
@@ -209,7 +239,7 @@ def _unfit(options: Options) -> list[LightstageError]:
     """What is wrong with values that are not mere numbers."""
     found: list[tuple[str, str, str]] = []
     if isinstance(options, AdalightOptions):
-        if not re.fullmatch("[0-9a-fA-F]{6}", options.colour) or not int(options.colour, 16):
+        if not _lit(options.colour):
             found.append(("colour", options.colour, "RRGGBB, hexadecimal, not black"))
         if sorted(options.order) != ["b", "g", "r"]:
             found.append(("order", options.order, "rgb in any order"))
@@ -218,7 +248,18 @@ def _unfit(options: Options) -> list[LightstageError]:
             found.append(("bits", str(options.bits), "8 or 16"))
         if options.interface and not re.fullmatch(r"\d+(\.\d+){3}", options.interface):
             found.append(("interface", options.interface, "an IPv4 address of this machine"))
+    if isinstance(options, IclOptions):
+        if options.lights not in ICL_LIGHTS:
+            found.append(("lights", options.lights, f"one of {', '.join(ICL_LIGHTS)}"))
+        for key, colour in (("rgb", options.rgb), ("white", options.white)):
+            if not _lit(colour):
+                found.append((key, colour, "RRGGBB, hexadecimal, not black"))
     return [
         ConfigError("--leds", field=key, found=repr(value), expected=expected)
         for key, value, expected in found
     ]
+
+
+def _lit(colour: str) -> bool:
+    """Whether a text is RRGGBB and not black."""
+    return bool(re.fullmatch("[0-9a-fA-F]{6}", colour)) and int(colour, 16) > 0

@@ -21,16 +21,22 @@ class LastWill:
     """What makes a device dark.
 
     Attributes:
-        handles: file descriptors to be kept open; the first one carries the messages.
+        handles: file descriptors to be kept open; the first one carries the messages, unless they
+            go by a connection of their own.
         messages: in order, to be sent again and again; for a network with host and port.
         answer: what comes back when it is dark; empty from a device that does not answer.
         rounds: how often all messages are sent where no answer can come.
+        connect: host and port to which a connection of their own is opened for the messages, where
+            one that ended in the middle of a message can carry no other.
+        greeting: what begins such a connection; the messages follow when it was answered.
     """
 
     handles: tuple[int, ...]
     messages: tuple[tuple[bytes, tuple[str, int] | None], ...]
     answer: bytes = b""
     rounds: int = 3
+    connect: tuple[str, int] | None = None
+    greeting: bytes = b""
 
 
 @runtime_checkable
@@ -67,6 +73,8 @@ class Guardian:
             "messages": [(data.hex(), where) for data, where in will.messages],
             "answer": will.answer.hex(),
             "rounds": will.rounds,
+            "connect": will.connect,
+            "greeting": will.greeting.hex(),
             "silence_s": silence_s,
             "patience_s": PATIENCE_S,
         }

@@ -21,6 +21,8 @@ from typing import Any
 
 ANSWER_WAIT_S = 0.25
 PAUSE_S = 0.03
+HEAD_END = b"\r\n\r\n"
+"""Ends what HTTP says before a connection is a WebSocket."""
 
 
 def main() -> int:
@@ -46,7 +48,65 @@ def main() -> int:
             break
     if b"!" in said:
         return 0
-    return 0 if make_dark(will) else 1
+    dark = make_dark_anew(will) if will.get("connect") else make_dark(will)
+    return 0 if dark else 1
+
+
+def make_dark_anew(will: dict[str, Any]) -> bool:
+    """Send the last will by connections of its own, until it is answered.
+
+    What the capture sent by its own connection may still be read after that: only a will that is
+    answered after the device has closed the capture's connection is the last word.
+    """
+    messages = b"".join(bytes.fromhex(text) for text, _ in will["messages"])
+    greeting, answer = bytes.fromhex(will["greeting"]), bytes.fromhex(will["answer"])
+    until = time.monotonic() + will["patience_s"]
+    read_to_its_end = False
+    while time.monotonic() < until:
+        read_to_its_end = read_to_its_end or ended(will["handle"])
+        try:
+            left_s = max(1e-3, until - time.monotonic())
+            with socket.create_connection(tuple(will["connect"]), left_s) as line:
+                line.sendall(greeting)
+                heard = hear(line, b"", HEAD_END, until)
+                line.sendall(messages)
+                hear(line, heard, answer, until)
+        except OSError:
+            time.sleep(PAUSE_S)
+            continue
+        if read_to_its_end:
+            return True
+    return False
+
+
+def hear(line: socket.socket, heard: bytes, wanted: bytes, until: float) -> bytes:
+    """Read until something was heard; what came after it. OSError where that does not come."""
+    while wanted not in heard:
+        line.settimeout(max(1e-3, until - time.monotonic()))
+        got = line.recv(65536)
+        if not got:
+            raise ConnectionResetError
+        heard = (heard + got)[-65536:]
+    return heard.partition(wanted)[2]
+
+
+def ended(handle: int) -> bool:
+    """Say that the capture's connection ends; whether the device has ended it as well, in time."""
+    line = socket.socket(fileno=os.dup(handle))
+    until = time.monotonic() + ANSWER_WAIT_S
+    try:
+        line.shutdown(socket.SHUT_WR)
+        while (left_s := until - time.monotonic()) > 0:
+            line.settimeout(left_s)
+            if not line.recv(65536):
+                return True
+    except TimeoutError:
+        pass
+    except OSError:
+        return True  # it is gone already
+    finally:
+        line.close()
+    return False
 
 
 def make_dark(will: dict[str, Any]) -> bool:

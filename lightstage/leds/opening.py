@@ -6,20 +6,23 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from lightstage.counting import counted
-from lightstage.errors import ConfigError
+from lightstage.errors import ConfigError, RigError
 from lightstage.leds.adalight import AdalightLeds
 from lightstage.leds.address import (
     AdalightOptions,
     Address,
+    IclOptions,
     SacnOptions,
     SerialOptions,
     parse_url,
 )
+from lightstage.leds.connection import Line, SocketLine
 from lightstage.leds.controller import LedController
-from lightstage.leds.line import Line, SocketLine
 from lightstage.leds.sacn import SacnLeds
 from lightstage.leds.serial_port import SerialPort
 from lightstage.leds.wire_leds import WireLeds
+from lightstage.leds.wired import WiredLeds
+from lightstage.rig import Rig
 
 MAX_LIGHTS = 65535
 BITS_A_BYTE = 10
@@ -40,13 +43,40 @@ class OpenLeds(LedController, Protocol):
     ) -> None: ...
 
 
+def open_rig_leds(url: str | Address, rig: Rig) -> OpenLeds:
+    """Open the LED device of a URL for a rig's lights, each at its address.
+
+    Raises:
+        ConfigError, DeviceError: as `open_leds`.
+        RigError: lights on several controllers, of which one URL opens one.
+    """
+    device = open_leds(url, channel_count(rig))
+    if not rig.addressed:
+        return device
+    return WiredLeds(device, [address.channel for address in rig.addresses])
+
+
+def channel_count(rig: Rig) -> int:
+    """Channels that a device needs for a rig's lights; RigError where several devices would."""
+    names = list(dict.fromkeys(address.controller for address in rig.addresses))
+    if len(names) > 1:
+        raise RigError(
+            "rig",
+            field="lights[].address.controller",
+            found=f"{len(names)} controllers ({', '.join(names)})",
+            expected="one: --leds opens one device",
+            hint="Give all lights one controller, and channels that count on over its outputs.",
+        )
+    return max(address.channel for address in rig.addresses) + 1
+
+
 def open_leds(url: str | Address, light_count: int) -> OpenLeds:
     """Open the LED device of a URL (docs/led_wire.md); use as a context manager.
 
     Args:
         url: as `--leds` takes it, or what `parse_url` made of it.
-        light_count: lights of the rig. A device of our own protocol tells how many it has
-            (`hello.light_count`): a capture compares.
+        light_count: channels that the rig's lights need. A device of our own protocol tells how
+            many it has (`hello.light_count`): a capture compares.
 
     Raises:
         ConfigError: a malformed URL, or a line that cannot carry so many lights.
@@ -55,6 +85,10 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
     address = parse_url(url) if isinstance(url, str) else url
     options = address.options
     where = f"LED device at {address}"
+    if isinstance(options, IclOptions):
+        from lightstage.leds.icl import IclLeds  # takes a while to load; no other device needs it
+
+        return IclLeds(address, light_count)
     if isinstance(options, SacnOptions):
         return SacnLeds(address.place, address.port, light_count, options)
     if light_count > MAX_LIGHTS:

@@ -11,9 +11,9 @@ from lightstage.counting import counted
 from lightstage.errors import ConfigError, DeviceError
 from lightstage.leds import e131
 from lightstage.leds.address import MULTICAST, SacnOptions
+from lightstage.leds.connection import lock_address
 from lightstage.leds.controller import Hello, LightLostError, level_steps
 from lightstage.leds.guard import LastWill
-from lightstage.leds.line import lock_address
 from lightstage.leds.unanswered import UnansweredLeds
 
 NAME = "lightstage"
@@ -39,7 +39,8 @@ class SacnLeds(UnansweredLeds):
 
     def __init__(self, host: str, port: int, light_count: int, options: SacnOptions) -> None:
         where = f"E1.31 to {host}:{port}"
-        super().__init__(where, light_count, where, options, e131.KEEP_ALIVE_S)
+        firmware = f"{where} (does not answer)"
+        super().__init__(where, light_count, firmware, options, e131.KEEP_ALIVE_S)
         self._options = options
         self._full = 255 if options.bits == 8 else 65535
         per_universe = e131.SLOTS // (options.channels * options.bits // 8)

@@ -8,7 +8,7 @@ import time
 
 import serial
 
-from lightstage.leds.line import BUSY_POLL_S, BUSY_WAIT_S, in_use
+from lightstage.leds.connection import BUSY_POLL_S, BUSY_WAIT_S, in_use
 
 DEFAULT_BAUD = 115200
 """Without meaning on a pseudo-terminal."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from lightstage.closing import Closing
 from lightstage.errors import DeviceError
-from lightstage.leds.address import AdalightOptions, SacnOptions
+from lightstage.leds.address import AdalightOptions, IclOptions, SacnOptions
 from lightstage.leds.controller import Hello
 
 
@@ -20,7 +20,7 @@ class UnansweredLeds(Closing):
     Args:
         where: its name in messages.
         light_count: lights of the rig.
-        name: of the device, since it does not tell its own.
+        firmware: what is recorded of the device.
         options: of its address.
         keep_alive_s: how often the protocol repeats a state; None where it does not say.
     """
@@ -31,8 +31,8 @@ class UnansweredLeds(Closing):
         self,
         where: str,
         light_count: int,
-        name: str,
-        options: AdalightOptions | SacnOptions,
+        firmware: str,
+        options: AdalightOptions | SacnOptions | IclOptions,
         keep_alive_s: float | None = None,
     ) -> None:
         self._where = where
@@ -40,7 +40,6 @@ class UnansweredLeds(Closing):
         self._pulse_hz = options.pulse_hz
         self._turn = threading.RLock()
         self._steps = np.zeros(light_count, np.int64)
-        firmware = f"{name} (does not answer)"
         self._hello = Hello(0, light_count, firmware, keep_alive_s=keep_alive_s)
 
     @property

@@ -13,9 +13,9 @@ import numpy as np
 from lightstage.closing import Closing
 from lightstage.errors import DeviceError
 from lightstage.leds import wire
+from lightstage.leds.connection import BUSY_WAIT_S, Line, opened
 from lightstage.leds.controller import Hello, LightLostError
 from lightstage.leds.guard import LastWill
-from lightstage.leds.line import BUSY_WAIT_S, Line, opened
 from lightstage.leds.wire import Kind, Packet, PacketReader
 
 HELLO_TIMEOUT_S = 2.0

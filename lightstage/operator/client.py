@@ -12,7 +12,7 @@ from typing import Any
 
 from lightstage.errors import CaptureError, FormatError
 from lightstage.formats.values import LINE, parse_json
-from lightstage.operator.lines import JournalTail
+from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.runtime import socket_answers
 from lightstage.operator.words import text_of
 

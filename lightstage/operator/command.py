@@ -20,8 +20,8 @@ from lightstage.errors import CaptureError, ConfigError, FormatError
 from lightstage.formats.files import write_text
 from lightstage.operator.attendance import Request
 from lightstage.operator.client import LOOK_S, ask, follow
+from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.keys import has_keys, heard, key_by_key
-from lightstage.operator.lines import JournalTail
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.terminal import Shown
 from lightstage.operator.view import View

@@ -32,7 +32,7 @@ from typing import Any
 from lightstage.closing import Closing
 from lightstage.errors import FormatError
 from lightstage.formats.values import LINE, parse_json
-from lightstage.operator.lines import JournalTail
+from lightstage.operator.journal_stream import JournalTail
 from lightstage.operator.runtime import new_socket_path
 
 ANSWER_LIMIT_BYTES = 4096

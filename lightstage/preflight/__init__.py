@@ -5,7 +5,7 @@ from lightstage.preflight.config import Plan, PreflightConfig
 from lightstage.preflight.consent import consent_findings
 from lightstage.preflight.drift import drift, set_back
 from lightstage.preflight.measured_rig import measured_rig_findings
-from lightstage.preflight.photograph import photograph_findings
+from lightstage.preflight.photo_settings import photograph_findings
 from lightstage.preflight.privacy import clear_privacy
 from lightstage.preflight.pseudonyms import require_known
 from lightstage.preflight.settings import settings_findings

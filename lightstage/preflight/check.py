@@ -85,15 +85,18 @@ def require(findings: Sequence[Finding]) -> None:
 
 def _led_findings(rig: Rig, leds: LedController) -> list[Finding]:
     findings = []
-    count = leds.hello.light_count
-    if count != len(rig.lights):
+    count, needed = leds.hello.light_count, max(each.channel for each in rig.addresses) + 1
+    # A rig that gives addresses leaves channels free on purpose.
+    if count < needed or (count > needed and not rig.addressed):
         findings.append(
             Finding(
                 "refuse",
                 "light-count",
                 "LED device, light count",
                 str(count),
-                f"{len(rig.lights)} (rig.json)",
+                f"at least {needed} (addresses in rig.json)"
+                if rig.addressed
+                else f"{needed} (rig.json)",
                 "Is this the rig file of this stage?",
             )
         )

@@ -11,8 +11,8 @@ from lightstage.session.colour import (
 )
 from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
-from lightstage.session.kept import Kept
 from lightstage.session.opening import require_new, rig_hash
+from lightstage.session.photo_entry import Kept
 from lightstage.session.plan import SessionPlan
 from lightstage.session.present import require_on_disk, why_not_delete
 from lightstage.session.pseudonym import check_consent, check_pseudonym

@@ -12,7 +12,7 @@ from lightstage.formats.session import Calibration, Driven, Frame, SessionFile
 from lightstage.resume_line import known_options, resume_line
 from lightstage.session.accepted import accepted_findings
 from lightstage.session.events import Line
-from lightstage.session.kept import key_of
+from lightstage.session.photo_entry import key_of
 from lightstage.session.reading import read_journal
 from lightstage.session.state import SessionState
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from lightstage.errors import FormatError
 from lightstage.formats.values import LINE, parse_json
-from lightstage.session.kept import packed
 from lightstage.session.opening import JOURNAL
+from lightstage.session.photo_entry import packed
 
 MAX_BYTES = 1 << 28
 """Of one journal; a longer one is not read further."""

@@ -10,9 +10,9 @@ from lightstage.errors import FormatError
 from lightstage.formats.files import read_json
 from lightstage.formats.paths import path_inside
 from lightstage.session.disk import disk_errors
-from lightstage.session.keep import sha256_on_disk
-from lightstage.session.kept import Kept, Key
+from lightstage.session.durable_rename import sha256_on_disk
 from lightstage.session.opening import JOURNAL
+from lightstage.session.photo_entry import Kept, Key
 from lightstage.session.state import SessionState
 
 

@@ -13,12 +13,12 @@ from lightstage.errors import DeviceError, FormatError, LightstageError
 from lightstage.exif import read_exif
 from lightstage.findings import Finding
 from lightstage.formats.files import fsync_path
-from lightstage.photograph import identify_file
+from lightstage.photo_file import identify_file
 from lightstage.session.camera_clock import Verdict, judge_time
+from lightstage.session.crash_remains import Leftovers
 from lightstage.session.disk import disk_errors
-from lightstage.session.keep import Arrival, is_whole, settle, sha256_on_disk
-from lightstage.session.kept import Kept, Key, told
-from lightstage.session.leftovers import Leftovers
+from lightstage.session.durable_rename import Arrival, is_whole, settle, sha256_on_disk
+from lightstage.session.photo_entry import Kept, Key, told
 from lightstage.session.present import why_not_delete
 from lightstage.session.state import Exposed
 from lightstage.session.writer import SessionWriter

@@ -14,7 +14,7 @@ from typing import Any
 
 from lightstage.cameras.camera import CardFile
 from lightstage.session.events import Line
-from lightstage.session.kept import Kept, Key, Recovered, key_of, packed, stem_of, told
+from lightstage.session.photo_entry import Kept, Key, Recovered, key_of, packed, stem_of, told
 
 NOT_OURS = "not-ours"
 """What a note is about that names a file on a card as another session's."""

@@ -16,18 +16,18 @@ from lightstage.formats.access import close_folder
 from lightstage.formats.paths import path_inside
 from lightstage.formats.session import save_session, session_id
 from lightstage.rig import Rig, load_rig
-from lightstage.session.aside import FOLDER, put_aside, take_aside
 from lightstage.session.colour import carried_paths
 from lightstage.session.disk import disk_errors, make_folder
+from lightstage.session.durable_rename import Arrival, settle, sha256_on_disk
 from lightstage.session.events import Line
 from lightstage.session.finished import session_from_journal
 from lightstage.session.journal import Journal, utc_now
-from lightstage.session.keep import Arrival, settle, sha256_on_disk
-from lightstage.session.kept import Key, stem_of, told
+from lightstage.session.journal_writer import Record, as_json
 from lightstage.session.neighbours import Neighbours
 from lightstage.session.opening import JOURNAL, RIG, require_new, rig_hash, save_beside
+from lightstage.session.photo_entry import Key, stem_of, told
 from lightstage.session.plan import SessionPlan
-from lightstage.session.record import Record, as_json
+from lightstage.session.recovered_files import FOLDER, put_aside, take_aside
 from lightstage.session.state import NOT_OURS, SessionState
 from lightstage.steps import step
 

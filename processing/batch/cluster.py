@@ -24,7 +24,6 @@ from processing.batch.work import POOLS, TOPIC, about, stop
 from processing.errors import ProcessingError
 from processing.parallel import THREADS, cores
 
-CONNECT_S = 10.0
 STOP_S = 5.0
 """So long stages may take to their next sign of progress when a batch is stopped."""
 GONE = (OSError, TimeoutError, distributed.comm.CommClosedError, RuntimeError)
@@ -40,16 +39,19 @@ class Workers:
         events: what workers told of their progress, and the names of tasks that ended.
     """
 
-    def __init__(self, address: str, local: distributed.LocalCluster | None) -> None:
-        """Connect; ConfigError where no scheduler answers."""
+    def __init__(
+        self, address: str, local: distributed.LocalCluster | None, answer_s: float
+    ) -> None:
+        """Connect; ConfigError where no scheduler answers in so many seconds."""
         self.address = address
         self.events: queue.Queue[dict[str, Any]] = queue.Queue()
         self._local = local
+        self._answer_s = answer_s
         self.client = self._connect()
 
     def _connect(self) -> distributed.Client:
         try:
-            client = distributed.Client(self.address, timeout=CONNECT_S, set_as_default=False)
+            client = distributed.Client(self.address, timeout=self._answer_s, set_as_default=False)
         except (*GONE, ValueError) as error:
             raise ConfigError(
                 "--scheduler",
@@ -169,7 +171,7 @@ def open_workers(scheduler: str | None, count: int, config: BatchConfig) -> Iter
             )
             stack.callback(local.close, timeout=10)
             scheduler = str(local.scheduler_address)
-        workers = Workers(scheduler, local)
+        workers = Workers(scheduler, local, config.answer_s)
         stack.callback(workers.close)
         yield workers
 

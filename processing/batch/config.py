@@ -16,6 +16,7 @@ class BatchConfig:
         stalled_s: a stage that tells no progress for so long hangs, and its worker is killed.
             At 24 megapixels a stage tells some at least every five minutes.
         busy_s: so long a folder is waited for that another run or batch holds.
+        answer_s: so long a scheduler may take to answer when it is connected to.
         away_s: so long a scheduler, or its first worker, is waited for when it is gone.
         page_every_s: batch.html is written again so often, and at the end.
         memory_share: of the memory that is free when the batch begins, the share to be used.
@@ -26,6 +27,7 @@ class BatchConfig:
     tries: int = 3
     stalled_s: float = 1800.0
     busy_s: float = 3600.0
+    answer_s: float = 10.0
     away_s: float = 300.0
     page_every_s: float = 30.0
     memory_share: float = 0.8
@@ -37,6 +39,7 @@ class BatchConfig:
             "tries": (1.0, 100.0),
             "stalled_s": (1.0, 1e6),
             "busy_s": (0.0, 1e6),
+            "answer_s": (0.1, 1e6),
             "away_s": (1.0, 1e6),
             "page_every_s": (1.0, 1e6),
             "memory_share": (0.05, 1.0),

@@ -112,13 +112,15 @@ class Batch:
         self._slots: dict[str, int] = {}
         self._slots_at = float("-inf")
         self._away_since: float | None = None
-        self._unfit: set[str] = set()
+        self._unfit: dict[str, str] = {}
+        self._unfit_since: float | None = None
         self._seconds: dict[str, list[float]] = {}
 
     def run(self) -> None:
         """Work until every session is done or has failed, or nothing more can be done.
 
-        A full disk, and a scheduler that stays away, end it: no new stage is begun.
+        A full disk, a scheduler that stays away, and workers of which none fits end it: no new
+        stage is begun.
         """
         try:
             while self._open():
@@ -244,7 +246,7 @@ class Batch:
         elif answer.status == "again":
             self._again(item, answer.reason)
         elif answer.status == "unfit":
-            self._unfit.add(answer.worker)
+            self._unfit[answer.worker] = answer.reason
             self._again(item, answer.reason)
         elif answer.status == "disk full":
             self.full = answer.reason
@@ -278,6 +280,7 @@ class Batch:
                     return
             self._look_for_hung(now)
             self._look_for_lost()
+            self._look_for_fit(now)
         else:
             self._went_away(now)
 
@@ -302,6 +305,16 @@ class Batch:
             if running.future.status in ("lost", "cancelled"):
                 del self._running[name]
                 running.item.left = None
+
+    def _look_for_fit(self, now: float) -> None:
+        """End where no worker of this version has been there for as long as a scheduler may be."""
+        if self._running or not self._slots or self._slots.keys() - self._unfit.keys():
+            self._unfit_since = None
+            return
+        self._unfit_since = self._unfit_since or now
+        if now - self._unfit_since >= self.config.away_s:
+            reason = next(self._unfit[name] for name in self._slots)
+            self.gone = f"no worker that fits came within {self.config.away_s:g} s: {reason}"
 
     def _went_away(self, now: float) -> None:
         """The scheduler does not answer: wait for it, then look at all again."""

@@ -15,7 +15,7 @@ from lightstage.counting import counted
 from lightstage.errors import FormatError
 from lightstage.formats.exr import read_exr
 from lightstage.formats.session import Session
-from lightstage.lines import nearest_equations
+from lightstage.nearest_point import nearest_equations
 from lightstage.rig import Camera
 from processing.calibration.picture import read_mosaic
 from processing.colour import ColourCorrection

@@ -12,12 +12,12 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.formats.files import atomic_folder, write_json
 from lightstage.formats.lights import write_measured_lights
-from processing.calibration.chart_reference import chart_reflectance
-from processing.calibration.colour_fit import ColourFit
-from processing.calibration.flat_file import write_flats
+from processing.calibration.colour.chart_reference import chart_reflectance
+from processing.calibration.colour.fit import ColourFit
+from processing.calibration.colour.flat_file import write_flats
+from processing.calibration.colour.swatches import write_swatches
 from processing.calibration.folder import Source
 from processing.calibration.stage import CalibrateConfig, Calibration, calibrate
-from processing.calibration.swatches import write_swatches
 from processing.colour import SCHEMA as COLOUR_SCHEMA
 from processing.colour import ColourCorrection
 from processing.records import versions

@@ -13,22 +13,22 @@ from lightstage.formats.environment import LightSet, stage_lights
 from lightstage.formats.lights import MeasuredLights
 from lightstage.rig import Rig
 from processing.calibration.ball import ball_shots
-from processing.calibration.chart_reference import chart_reflectance
-from processing.calibration.colour_fit import ColourFit, ColourFitConfig
-from processing.calibration.colours import (
+from processing.calibration.colour.all_cameras import (
     ChartConfig,
     Seen,
     check_grey,
     fit_colours,
     see_charts,
 )
-from processing.calibration.flat_file import FlatField
-from processing.calibration.flats import FlatConfig, fit_flat, read_darks
+from processing.calibration.colour.chart_reference import chart_reflectance
+from processing.calibration.colour.fit import ColourFit, ColourFitConfig
+from processing.calibration.colour.flat_file import FlatField
+from processing.calibration.colour.flats import FlatConfig, fit_flat, read_darks
+from processing.calibration.colour.grey import GreyConfig
+from processing.calibration.colour.white import white_at
 from processing.calibration.folder import Pose, Source
-from processing.calibration.grey import GreyConfig
-from processing.calibration.lights_fit import LightsConfig, fit_lights
+from processing.calibration.lights.fit import LightsConfig, fit_lights
 from processing.calibration.picture import read_mosaic
-from processing.calibration.white import white_at
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
 

@@ -1,5 +1,6 @@
 """RealFaceDB: the lab's store of whole maps, and the patches that may leave the lab."""
 
+from processing.dataset.about import About, Answers, read_about
 from processing.dataset.changes import add_scan, build_store, remove_scans, verify_store
 from processing.dataset.protection import narrow_gap
 from processing.dataset.publish import PublishConfig, publish
@@ -16,6 +17,8 @@ __all__ = [
     "DATASET",
     "PUBLISHED",
     "STORE",
+    "About",
+    "Answers",
     "DatasetError",
     "PublishConfig",
     "Scan",
@@ -25,6 +28,7 @@ __all__ = [
     "narrow_gap",
     "open_store",
     "publish",
+    "read_about",
     "read_head_pose",
     "remove_scans",
     "verify_store",

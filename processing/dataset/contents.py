@@ -58,11 +58,14 @@ class Entry:
     @staticmethod
     def of_json(value: Any, where: Path, field: str) -> Entry:
         """The entry that was written; DatasetError where it is none."""
-        names = {f.name for f in dataclasses.fields(ScanEntry)}
+        known = dataclasses.fields(ScanEntry)
+        names = {f.name for f in known}
         try:
             rest = {key: each for key, each in value.items() if key not in names}
             folder, shards = rest["folder"], str(rest["shards_sha256"])
-            scan = ScanEntry(**{name: value[name] for name in names})
+            # What has a default came later, and older stores lack it.
+            has = {f.name for f in known if f.default is dataclasses.MISSING or f.name in value}
+            scan = ScanEntry(**{name: value[name] for name in has})
             Statistics(averaged()).add_sums(rest["sums"])
         except (KeyError, TypeError, ValueError, AttributeError, FormatError) as error:
             raise DatasetError(

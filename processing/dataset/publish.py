@@ -2,6 +2,8 @@
 
     PUBLISHED/
       dataset.json      lightstage.realfacedb/1: channels, counts, statistics over all patches
+      DATASHEET.md      what people should know of it
+      croissant.json    the same for machines
       checksums.json    SHA-256 of every file
       zarr.json         a zarr group (format 3)
       NAME/             one array a map, (patches, size, size, channels)
@@ -16,8 +18,9 @@ from __future__ import annotations
 
 import dataclasses
 import secrets
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,7 +28,11 @@ from lightstage.commands import ProgressCallback, quiet
 from lightstage.counting import counted
 from lightstage.errors import ConfigError
 from lightstage.formats.files import atomic_folder, sha256_file, write_json
-from processing.dataset.contents import RELEASES, append_line, now_utc
+from processing.dataset.about import About
+from processing.dataset.contents import RELEASES, Entry, append_line, now_utc, read_entries
+from processing.dataset.croissant import write_croissant
+from processing.dataset.datasheet import write_datasheet
+from processing.dataset.groups import people_tables
 from processing.dataset.places import Layout, Place, clear_skin, places_of, size_that_shows, turned
 from processing.dataset.protection import DEFAULT_GAP, cannot_protect
 from processing.dataset.release_files import (
@@ -34,6 +41,7 @@ from processing.dataset.release_files import (
     ReleaseWriter,
     TarRelease,
     ZarrRelease,
+    give_one_time,
     write_checksums,
 )
 from processing.dataset.scan import DatasetError
@@ -107,6 +115,8 @@ def publish(
     seed: int | None = None,
     config: PublishConfig | None = None,
     progress: ProgressCallback = quiet,
+    *,
+    about: About,
 ) -> Path:
     """Write the patches of a store that may be published.
 
@@ -118,6 +128,7 @@ def publish(
             them. The same seed draws otherwise for another store.
         config: settings.
         progress: called after each patch.
+        about: what the lab says of the release: licence, terms, who made it.
 
     Returns:
         `out`.
@@ -158,29 +169,32 @@ def publish(
             writer.write(first, blocks)
         subjects = len({scan.subject for scan in store.scans})
         shown = statistics.facts() if subjects >= config.fewest_subjects else {}
-        write_json(
-            beside / DATASET,
-            {
-                "schema": PUBLISHED_SCHEMA,
-                "kind": PUBLISHED,
-                "patch": layout.size,
-                "stride": layout.size + layout.gap,
-                "gap": layout.gap,
-                "channels": CHANNELS,
-                "frame": "of each patch its own: the head frame, mirrored where the patch is and "
-                "turned at random, about the patch's mean position"
-                if layout.turned
-                else "head, each patch's mean position removed",
-                "counts": {"subjects": subjects, "patches": len(order)},
-                "left_out_share": config.drop,
-                "most_of_a_face": config.most_face,
-                "consent": _consent(store),
-                "statistics": shown,
-                "cannot_protect": cannot_protect(config.gap),
-            },
-        )
+        facts = {
+            "schema": PUBLISHED_SCHEMA,
+            "kind": PUBLISHED,
+            "patch": layout.size,
+            "stride": layout.size + layout.gap,
+            "gap": layout.gap,
+            "channels": CHANNELS,
+            "frame": "of each patch its own: the head frame, mirrored where the patch is and "
+            "turned at random, about the patch's mean position"
+            if layout.turned
+            else "head, each patch's mean position removed",
+            "counts": {"subjects": subjects, "patches": len(order)},
+            "left_out_share": config.drop,
+            "most_of_a_face": config.most_face,
+            "consent": _consent(store),
+            "people_by": _people_by(store),
+            "statistics": shown,
+            "cannot_protect": cannot_protect(config.gap),
+        }
+        write_json(beside / DATASET, facts)
+        write_datasheet(beside, about, facts, config.form)
         writer.close()
+        day = datetime.now(UTC).date().isoformat()
+        write_croissant(beside, about, facts, config.form, day)
         write_checksums(beside)
+        give_one_time(beside)
         record_release(store, out, beside)
     return out
 
@@ -268,6 +282,24 @@ def _refuse_unasked(store: Store, unasked: list[Scan]) -> None:
         hint="`lightstage capture --consent ID` records one. Leave these scans out of "
         "`dataset build`, or publish them --without-consent; the published set then says so.",
     )
+
+
+def _people_by(store: Store) -> list[dict[str, Any]]:
+    """People by age, sex and tone as far as the store knows it and it may be told."""
+    entries: list[Entry] = []
+    # A store of an earlier version keeps nothing that tells it.
+    if all(scan.has_sums for scan in store.scans):
+        entries = read_entries(store.path)
+    tables = people_tables(entries, (scan.subject for scan in store.scans))
+    return [
+        {
+            "what": table.what,
+            "groups": list(table.at_least),
+            "at_least": list(table.at_least.values()),
+            "said": table.said,
+        }
+        for table in tables
+    ]
 
 
 def _consent(store: Store) -> dict[str, int | bool]:

@@ -2,13 +2,15 @@
 
     PUB/patches-000000.tar      0000000.diffuse_albedo.npy, 0000000.specular_albedo.npy, ...
 
-What stands before the first dot is a patch's number, what follows is the map. All files of a map
-have one size, and no file tells a time or an owner: neither says which patches belong together.
+What stands before the first dot is a patch's number, what follows is the map. Nothing besides the
+patches themselves says which belong together: all parts of a map have one size, since packing
+would make them as small as a person's skin is smooth, and all files have one time.
 """
 
 from __future__ import annotations
 
 import io
+import os
 import tarfile
 import warnings
 from collections.abc import Mapping
@@ -32,6 +34,8 @@ AXES = ("patch", "row", "column", "channel")
 FORMS = ("zarr", "webdataset")
 TAR_PATCHES = 256
 """Patches of a tar."""
+FILE_TIME_S = 315532800
+"""Of all files and folders of a release: 1980, the first day that every archive can write."""
 CHECKSUMS, CHECKSUMS_SCHEMA = "checksums.json", "lightstage.checksums/1"
 
 
@@ -65,7 +69,7 @@ class ZarrRelease:
                 chunks=(1, size, size, channels),
                 shards=(min(shard_patches, count), size, size, channels),
                 dimension_names=AXES,
-                **written_whole(),
+                **{**written_whole(), "compressors": (zarr.codecs.Crc32cCodec(),)},
             )
             for name, channels in CHANNELS.items()
         }
@@ -124,3 +128,9 @@ def write_checksums(folder: Path) -> Path:
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     sums = {str(path.relative_to(folder)): sha256_file(path) for path in files}
     return write_json(folder / CHECKSUMS, {"schema": CHECKSUMS_SCHEMA, "files": sums})
+
+
+def give_one_time(folder: Path) -> None:
+    """Give all files and folders of a release one time: the order of writing says nothing."""
+    for path in (*folder.rglob("*"), folder):
+        os.utime(path, (FILE_TIME_S, FILE_TIME_S))

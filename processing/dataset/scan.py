@@ -30,6 +30,10 @@ CHANNELS: dict[str, int] = {
 """Maps of a store and their channels; normals and position (mm) are in the head frame."""
 NORMALS = ("diffuse_normal", "specular_normal")
 SKIN = "skin"
+SEXES = ("female", "male", "other")
+AGE_BANDS = {"under 18": 18.0, "18 to 29": 30.0, "30 to 44": 45.0, "45 to 59": 60.0}
+"""Name of a band, and the age in years at which the next begins; the last has no end."""
+OLDEST, OLDEST_YEARS = "60 and over", 130
 
 
 class DatasetError(ProcessingError):
@@ -48,6 +52,8 @@ class ScanEntry:
         sha256: of all files that went in.
         consent: id of the record of the person's consent; None where there is none.
         synthetic: a simulated person, who needs none.
+        sex: one of `SEXES`; None where the processed folder does not say it.
+        age: a band of `AGE_BANDS`, likewise; the years themselves are not kept.
     """
 
     subject: str
@@ -57,6 +63,8 @@ class ScanEntry:
     sha256: str
     consent: str | None
     synthetic: bool
+    sex: str | None = None
+    age: str | None = None
 
 
 def without_people_files(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
@@ -145,8 +153,42 @@ def read_scan(root: Path) -> tuple[ScanEntry, dict[str, np.ndarray]]:
         sha256=scan_digest(folder),
         consent=consent,
         synthetic=report.get("synthetic") is True,
+        sex=_sex(report.get("sex"), root / "report.json"),
+        age=_age(report.get("age_years"), root / "report.json"),
     )
     return entry, maps
+
+
+def age_band(years: float) -> str:
+    """The band of an age."""
+    return next((name for name, end in AGE_BANDS.items() if years < end), OLDEST)
+
+
+def _sex(value: Any, where: Path) -> str | None:
+    """What a report says of a person's sex; None where it says nothing."""
+    if value is not None and value not in SEXES:
+        raise FormatError(
+            where,
+            field="sex",
+            found=ascii(value)[:80],
+            expected=f"one of {', '.join(SEXES)}, or null",
+        )
+    return value
+
+
+def _age(value: Any, where: Path) -> str | None:
+    """The band of the age that a report says; None where it says nothing."""
+    if value is None:
+        return None
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not number or not 0 <= value <= OLDEST_YEARS:
+        raise FormatError(
+            where,
+            field="age_years",
+            found=ascii(value)[:80],
+            expected=f"years from 0 to {OLDEST_YEARS}, or null",
+        )
+    return age_band(value)
 
 
 def scan_digest(folder: ProcessedFolder) -> str:

@@ -54,6 +54,8 @@ class Scan:
         consent: id of the record of the person's consent, None where there is none.
         synthetic: a simulated person, who needs none.
         folder: in the store's `scans`.
+        has_sums: whether the store keeps what its statistics are made of, and more of the scan
+            (`contents.Entry`); those of earlier versions do not.
     """
 
     index: int
@@ -65,6 +67,7 @@ class Scan:
     consent: str | None = None
     synthetic: bool = False
     folder: str = ""
+    has_sums: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -208,6 +211,7 @@ def open_store(path: Path, not_published: str = NOT_FOR_TRAINING) -> Store:
                 s.get("synthetic") is True,
                 # Stores of before scans came and went one by one have numbers there.
                 check_name(s.get("folder", f"{i:04d}"), file, f"scans[{i}].folder"),
+                "sums" in s,
             )
             for i, s in enumerate(value["scans"])
         )

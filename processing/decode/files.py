@@ -15,14 +15,15 @@ import numpy as np
 
 from lightstage.errors import FormatError
 from lightstage.formats.session import Frame, Session
-from processing.decode.photographs import Calibrated, Photograph, open_photograph
+from processing.decode.session_photographs import Calibrated, Photograph, open_photograph
 from processing.frames.drafts import Draft, Marks, frames_path, read_marks, read_told
 from processing.frames.read import power_of_two, read_frames
 from processing.frames.small import SmallPictures
 from processing.frames.window import Window
 from processing.parallel import cores
 from processing.raw.region import find_window
-from processing.records import code_version, hash_of
+from processing.records import hash_of
+from processing.stage_inputs import stage_code
 
 MOST_THREADS = 4
 """Each holds one photograph's counts in memory."""
@@ -89,7 +90,7 @@ class CameraJob:
         frame = self.frames[pattern]
         known = None if self.calibrated is None else self.calibrated.told()
         return hash_of(
-            code_version(),
+            stage_code("decode"),
             frame.sha256,
             frame.encoding,
             known,

@@ -15,8 +15,8 @@ from lightstage.formats.session import Session
 from lightstage.formats.sums import Balance, axes_alike, sum_fault
 from processing.decode.completing import Pair, Recipe, fill, pairs_of
 from processing.decode.diagnosis import Diagnosis, write_diagnosis
-from processing.decode.motion import Flow, solve_pair, warp
 from processing.decode.shrinking import free_cells, shrunk
+from processing.decode.subject_motion import Flow, solve_pair, warp
 from processing.decode.sums import (
     ambient_ratio,
     fit_sums,

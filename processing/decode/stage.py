@@ -23,12 +23,16 @@ from processing.decode.files import (
     fill_draft,
     first_look,
 )
-from processing.decode.photographs import exposure_factors, read_calibrations, read_exposures
 from processing.decode.preparation import (
     PrepareConfig,
     cell_px,
     prepare_view,
     prepare_warnings,
+)
+from processing.decode.session_photographs import (
+    exposure_factors,
+    read_calibrations,
+    read_exposures,
 )
 from processing.errors import ProcessingError
 from processing.frames.drafts import NOT_A_NUMBER, Draft, new_frames

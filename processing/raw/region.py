@@ -7,7 +7,7 @@ import numpy as np
 from lightstage.rig import Camera
 from processing.frames.window import Window, box_of, whole
 from processing.masks import foreground
-from processing.raw.file import RawFile
+from processing.raw.raw_file import RawFile
 
 LONG_SIDE = 400
 """Cells along a preview's longer side, about."""

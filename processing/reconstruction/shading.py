@@ -17,7 +17,7 @@ from processing.lighting.lights import PatternLights, Shadows, fix_normals, irra
 from processing.normals import solve_normals
 from processing.parallel import over_views, workers
 from processing.rays import MeshRays
-from processing.reconstruction.again import Sighted
+from processing.reconstruction.second_depth import Sighted
 from processing.reconstruction.views import Level, View, block_sum
 
 ROUNDS = 2

@@ -40,7 +40,7 @@ from processing.reconstruction.small_views import (
     smaller_picture,
 )
 from processing.reconstruction.stereo import match_views, sources_of
-from processing.reconstruction.twice import Depths, as_known, meshed, twice
+from processing.reconstruction.two_passes import Depths, as_known, meshed, twice
 from processing.reconstruction.views import View, common_basis, make_view, pyramid
 
 __all__ = ["ReconstructConfig", "reconstruct", "reconstruct_views"]

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lightstage.commands import ProgressCallback, quiet
-from lightstage.lines import nearest_equations
+from lightstage.nearest_point import nearest_equations
 from lightstage.rig import Camera
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.patches import NO_MATCH, Stereo

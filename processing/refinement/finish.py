@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from processing.pixels import PixelMaps
 from processing.refinement.config import RefineConfig
+from processing.view_maps import PixelMaps
 
 NORMAL, MATTE, ALBEDO, POWER, MISFIT, CERTAINTY, SATURATION = 0, 3, 6, 9, 12, 13, 14
 MESH, FACING, INSIDE, PRIOR, ROUGHNESS, SPECULAR, USABLE, OPEN = 15, 18, 19, 20, 23, 24, 25, 26

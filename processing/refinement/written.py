@@ -8,7 +8,7 @@ import numpy as np
 
 from lightstage.formats.processed import ProcessedFolder
 from processing.parallel import cores
-from processing.pixels import MAP_NAMES, PixelMaps, pasted
+from processing.view_maps import MAP_NAMES, PixelMaps, pasted
 
 MOST_AT_ONCE = 2
 """Maps read and written at once, at most: each takes 18 bytes a pixel of the whole picture."""

@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 
-from lightstage.lines import nearest_equations
+from lightstage.nearest_point import nearest_equations
 from lightstage.rig import Camera
 from processing.rays import MeshRays
 

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from lightstage.formats.session import Session
 from processing.errors import ProcessingError
 from processing.lighting.lights import PatternLights, fix_normals, pattern_lights, rank
-from processing.pixels import PixelMaps
 from processing.separation import colour, kampouris, linear, mux, polarised, ratios
 from processing.separation.config import SeparateConfig
-from processing.separation.pixels import Pixels
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 Method = Callable[[Pixels, PatternLights, SeparateConfig], PixelMaps]
 """Separates one view's pixels under the lights of their patterns."""

@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from processing.lighting.lights import PatternLights
-from processing.pixels import PixelMaps
 from processing.readings import read_pixels
 from processing.separation.config import SeparateConfig
 from processing.separation.lobe_fit import maps_by_lobe
 from processing.separation.matte import matte_normals
-from processing.separation.pixels import Pixels
 from processing.separation.variants import noise_of, normal_signal
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 
 def maps_by_chroma(

@@ -17,7 +17,6 @@ from processing.albedo import shrunk
 from processing.lanes import LANES
 from processing.lighting.interface import skin_interface
 from processing.lighting.lights import PatternLights
-from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 from processing.separation.coarse_given import Maps, Model, Window
 from processing.separation.coarse_kernels import COUNT, SUMS, finish_window, solve_window
@@ -25,7 +24,8 @@ from processing.separation.coarse_tile import TILE_ROWS
 from processing.separation.coarse_tiles import solve_tiles
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import far_tables
-from processing.separation.pixels import Pixels
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 RAY_STEP_RAD = 1e-3
 """The camera's rays are found at steps of this angle and interpolated."""

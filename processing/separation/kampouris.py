@@ -15,13 +15,13 @@ from processing.albedo import diffuse_light
 from processing.lighting.lights import PatternLights, far_field, no_shadows
 from processing.lighting.lobe import transport
 from processing.normals import blurred, ratio_normals, solve_far_normals
-from processing.pixels import PixelMaps
 from processing.readings import read_pixels
 from processing.separation.config import KampourisConfig, SeparateConfig, relief_of
 from processing.separation.lobe_fit import with_detail
 from processing.separation.pairs import axis_pairs, full_reading
-from processing.separation.pixels import Pixels
 from processing.separation.variants import normal_signal
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 COMBINES = ("maximum", "median", "mean", "weighted")
 

@@ -8,10 +8,10 @@ brings. Separation is by colour, as with half spheres.
 from __future__ import annotations
 
 from processing.lighting.lights import PatternLights
-from processing.pixels import PixelMaps
 from processing.separation.chroma import maps_by_chroma
 from processing.separation.config import SeparateConfig, relief_of
-from processing.separation.pixels import Pixels
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 
 def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:

@@ -22,10 +22,10 @@ from processing.lighting.interface import BARE, skin_interface
 from processing.lighting.lights import PatternLights, no_shadows
 from processing.lighting.lobe import SKIN_F0, transport
 from processing.normals import blurred
-from processing.pixels import PixelMaps
 from processing.separation.lobe_table import lobe_table, table_lobe
 from processing.separation.mirror import MirrorConfig, mirror_normals
-from processing.separation.pixels import Pixels
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 MOST_SPECULAR = 0.2
 """Reflectances above are metals, not faces."""

@@ -14,8 +14,8 @@ from processing.lighting.lights import (
 )
 from processing.normals import solve_far_normals, solve_normals
 from processing.separation.config import SeparateConfig
-from processing.separation.pixels import Pixels
 from processing.separation.trust import normal_trust
+from processing.separation.view_readings import Pixels
 
 
 def matte_normals(

@@ -21,12 +21,12 @@ from processing.lighting.lights import (
     far_field,
     octahedral_cell,
 )
-from processing.pixels import PixelMaps
 from processing.readings import BRIGHTEST
 from processing.separation.config import SeparateConfig
 from processing.separation.lobe_table import LobeTable, lobe_at, lobe_table, table_lobe
 from processing.separation.mirror import turn_by, two_across
-from processing.separation.pixels import Pixels
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 ROUNDS = 8
 """Steps of Gauss-Newton with the lobe, whose light turns with the normal."""

@@ -12,14 +12,14 @@ import numpy as np
 
 from processing.lighting.lights import PatternLights, cells_of
 from processing.lighting.polarisers import diffuse_shares, mirror_lights
-from processing.pixels import PixelMaps
 from processing.readings import read_pixels
 from processing.separation.config import SeparateConfig, relief_of
 from processing.separation.lobe_fit import maps_by_lobe
 from processing.separation.lobe_table import lobe_table, table_lobe
 from processing.separation.matte import matte_normals
-from processing.separation.pixels import Pixels
 from processing.separation.variants import noise_of, normal_signal
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 
 def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:

@@ -8,13 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from processing.lighting.lights import PatternLights
-from processing.pixels import PixelMaps
 from processing.readings import read_pixels
 from processing.separation.config import SeparateConfig
 from processing.separation.kampouris import flat_albedo, pair_normals
 from processing.separation.pairs import axis_pairs
-from processing.separation.pixels import Pixels
 from processing.separation.variants import normal_signal
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 
 def separate_pixels(pixels: Pixels, lights: PatternLights, config: SeparateConfig) -> PixelMaps:

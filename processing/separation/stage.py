@@ -14,10 +14,10 @@ from processing.errors import ProcessingError
 from processing.frames.read import read_foreground, read_frames
 from processing.lighting.lights import PatternLights, pattern_lights
 from processing.parallel import over_views, workers
-from processing.pixels import write_maps
 from processing.separation.choice import chosen_method
 from processing.separation.config import SeparateConfig, normals_of, relief_of
 from processing.separation.view import separate_view
+from processing.view_maps import write_maps
 
 BYTES_A_PIXEL, BYTES_OF_ARRAYS = 50, 400
 """What a view takes at most for a pixel of its picture: by the one pass of `colour`, and by methods

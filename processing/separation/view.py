@@ -7,13 +7,13 @@ import numpy as np
 from lightstage.rig import Camera
 from processing.frames.read import Frames
 from processing.lighting.lights import PatternLights
-from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 from processing.separation import colour
 from processing.separation.choice import METHODS, used_patterns
 from processing.separation.chroma import maps_by_chroma
 from processing.separation.config import SeparateConfig, relief_of
-from processing.separation.pixels import Pixels
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 
 
 def separate_view(

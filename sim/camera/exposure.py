@@ -5,8 +5,6 @@ from __future__ import annotations
 import struct
 from fractions import Fraction
 
-import numpy as np
-
 from sim.errors import SimError
 
 WIDTH, HEIGHT, COMPRESSION, EXIF, ISO = 256, 257, 259, 34665, 34855
@@ -59,6 +57,8 @@ def expose_again(dng: bytes, gain: float, iso: str) -> bytes:
     tags = _entries(data, 4)
     if not {STRIP_OFFSETS, STRIP_BYTES, BLACK, WHITE} <= set(tags) or tags.get(COMPRESSION) != [1]:
         raise SimError("photograph", found="another kind of file", expected="an uncompressed DNG")
+    import numpy as np  # a camera's process at its own settings starts sooner
+
     black, white = float(np.mean(tags[BLACK])), tags[WHITE][0]
     for offset, size in zip(tags[STRIP_OFFSETS], tags[STRIP_BYTES], strict=True):
         counts = np.frombuffer(data, "<u2", size // 2, offset)
@@ -121,6 +121,7 @@ def told_by(
 def preview_jpeg(dng: bytes) -> bytes:
     """The small grey picture that a camera puts beside its RAW; SimError on another file."""
     import cv2
+    import numpy as np
 
     tags = _entries(bytearray(dng), 4)
     if not {WIDTH, HEIGHT, STRIP_OFFSETS} <= set(tags) or tags.get(COMPRESSION) != [1]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import decimal
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from sim.camera.exposure import exposure_gain
 from sim.errors import SimError
@@ -131,4 +130,4 @@ def changed(settings: CameraSettings, name: str, value: Any) -> CameraSettings:
 
 def _plain(seconds: float) -> str:
     """A time of six digits, without an exponent, which cameras do not write."""
-    return np.format_float_positional(seconds, precision=6, fractional=False, trim="-")
+    return format(decimal.Decimal(f"{seconds:.6g}"), "f")

@@ -10,6 +10,7 @@ import collections
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from sim.devices.coded_photographer import CodedPhotographer, read_code
 from sim.devices.faults import FaultLog, Story
 from sim.devices.led_device import WATCHDOG_S, LedDevice
 from sim.devices.simulated_camera import SimulatedCameras
+from sim.devices.wiring import Wires, wires_of
 
 SETTINGS = {"iso": "100", "shutter": "1/60", "aperture": "f/8"}
 """Of every camera, as its photographs say."""
@@ -49,6 +51,14 @@ class Labels:
     doubled: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     of_another: tuple[str, ...] = ()
+
+
+class LightsEnd(Protocol):
+    """The lights' device, as this stage sees it."""
+
+    @property
+    def commanded(self) -> np.ndarray:
+        """(channels,) uint16 that the host asked for last, whatever shines."""
 
 
 class CodedStage:
@@ -87,14 +97,11 @@ class CodedStage:
         self.rig_path = save_rig(rig, desk / "rig.json")
         self.cameras_path = write_text(desk / "cameras.toml", self.cameras.cameras_file())
         self._shown = shown
-        count = len(rig.lights)
+        self._wires = Wires(wires_of(rig))
         self._asked: list[np.ndarray] = []
-        self._device: LedDevice | None = None
-        self._show(np.zeros(count))
-        banks = [light.bank or "" for light in rig.lights]
-        self.device = self._device = LedDevice(
-            count, self._show, 1, story, self.log, banks, watchdog_s
-        )
+        self._device: LightsEnd | None = None
+        self._show(np.zeros(self._wires.count))
+        self.device = self._device = self._far_end(story, watchdog_s)
 
     def __enter__(self) -> CodedStage:
         self.device.__enter__()
@@ -103,10 +110,16 @@ class CodedStage:
     def __exit__(self, *_: object) -> None:
         self.device.__exit__()
 
-    def _show(self, levels: np.ndarray) -> None:
+    def _far_end(self, story: Story | None, watchdog_s: float | None) -> Any:
+        """The lights' device, a LightsEnd; another one where this is overridden."""
+        banks = self._wires.channels([light.bank or "" for light in self.rig.lights])
+        return LedDevice(len(banks), self._show, 1, story, self.log, banks, watchdog_s)
+
+    def _show(self, by_channel: np.ndarray) -> None:
+        levels = self._wires.lamps(by_channel)
         light = self._photographer.lit(levels)
-        asked = _counts(levels) if self._device is None else self._device.commanded
-        self._asked.append(np.array(asked))
+        asked = _counts(by_channel) if self._device is None else self._device.commanded
+        self._asked.append(self._wires.lamps(asked))
         for camera in self.rig.cameras:
             data = self._photographer.photograph(camera, light)
             put(self.cameras.folder(camera.id) / NEXT, data)

@@ -9,6 +9,9 @@ from typing import Any, Literal
 LEDS = "leds"
 """The LED device's name in a story; cameras go by the rig's names."""
 
+OF_ICL = ("hang-up", "other-id")
+"""Faults that ICL's server alone can have."""
+
 Device = Literal["leds", "camera"]
 Counted = Literal["packet", "open", "shot"]
 
@@ -72,6 +75,15 @@ NAMES: dict[str, FaultName] = {
     ),
     "wrong-acknowledgement": FaultName(
         "leds", "packet", False, "acknowledges levels that nobody asked for"
+    ),
+    "hang-up": FaultName(
+        "leds",
+        "packet",
+        False,
+        "the connection ends before the packet is read; the lights stay as they are",
+    ),
+    "other-id": FaultName(
+        "leds", "packet", False, "the answer is that of a request that nobody sent"
     ),
     "stuck-on": _lamps("these lights stay fully on; the device tells so"),
     "stuck-on-hidden": _lamps("these lights stay fully on; the device says what it was told"),

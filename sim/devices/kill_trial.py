@@ -158,6 +158,8 @@ class KillTrial:
             command += [] if retake else ["--resume"]
         else:
             command += ["--rig", str(stage.rig_path), "--sequence", ",".join(SEQUENCE)]
+            # At a cube's corners all weights are 1: to find that takes longer than to capture.
+            command += ["--drive", "on-off"]
         environment = dict(os.environ)
         environment.pop("LIGHTSTAGE_STOP_FILE", None)
         if stopping:

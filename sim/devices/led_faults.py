@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from sim.devices.fault_names import LEDS
+from sim.devices.fault_names import LEDS, OF_ICL
 from sim.devices.faults import Due, Fault, FaultLog, Story
 from sim.devices.led_protocol import FULL_COUNT, LedProtocol, Shining
 from sim.errors import SimError
@@ -212,8 +212,14 @@ def _flipped(frame: bytes, due: Due) -> bytes:
 
 
 def require_lights(story: Story, light_count: int, lamps: FaultyLamps) -> None:
-    """SimError when a story is of lights or banks that are not there."""
+    """SimError when a story is of lights or banks that are not there, or of another device."""
     for fault in story.faults:
+        if fault.name in OF_ICL:
+            raise SimError(
+                f"fault {fault.name}",
+                found="lights that are no server's",
+                expected="ICL's server (lightstage-sim icl)",
+            )
         lights = fault["lights"] if "lights" in fault.kind.fields else ()
         beyond = [light for light in lights if light >= light_count]
         if beyond:

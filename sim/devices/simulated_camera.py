@@ -14,7 +14,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Set
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from lightstage.cameras.camera import (
     FREE_CARD,
@@ -27,12 +27,14 @@ from lightstage.cameras.camera import (
 from lightstage.cameras.card_file import pieces, write_card_file
 from lightstage.errors import DeviceError
 from lightstage.formats.files import write_bytes
-from lightstage.rig import Rig
 from sim.devices.body_folder import NEXT, write_body
 from sim.devices.camera_body import BodyError, CameraBody
 from sim.devices.camera_settings import CameraSettings
 from sim.devices.faults import FaultLog, Story
 from sim.errors import SimError
+
+if TYPE_CHECKING:
+    from lightstage.rig import Rig
 
 T = TypeVar("T")
 DRIVER = "sim.devices.simulated_camera:SimulatedCamera"

@@ -20,6 +20,9 @@ GO_ON = "  Go on with: "
 SCALE = 0.12
 """Of `stage` and `calibrate` alike, since calibration shots hold for one rig.json alone. At half of
 it a marker of the ChArUco board is 12 pixels wide, which is too few to be read."""
+RewiredOption = typer.Option(
+    None, min=0, help="Wire the lamps by chance of this seed, in another order than the rig's."
+)
 ScaleOption = typer.Option(SCALE, min=0.005, max=1.0, help="Share of the rig's pixels a side.")
 
 
@@ -35,6 +38,7 @@ def stage(
     seed: int = typer.Option(0, min=0, help="Of the person and the noise."),
     scale: float = ScaleOption,
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
+    rewired: int | None = RewiredOption,
     faults: Path | None = typer.Option(None, help="What goes wrong (TOML, docs/faults.md)."),
     landmarks: Path | None = output_file(
         "--landmarks",
@@ -51,6 +55,7 @@ def stage(
     from sim.devices.faults import FaultLog, Story
     from sim.devices.photographer import lab_white
     from sim.devices.standing_stage import standing_stage
+    from sim.devices.wiring import shuffled_wires
     from sim.light.world import World
     from sim.people.subjects import check_subject, load_subject
     from sim.session import SessionConfig, write_landmarks
@@ -69,7 +74,10 @@ def stage(
     with tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name:
         desk = Path(name)
         log = FaultLog(None if faults is None else faults.with_suffix(".jsonl").absolute())
-        devices = standing_stage(world, desk, seed, patterns, None, story, log, lab_white(where))
+        wires = None if rewired is None else shuffled_wires(where, rewired)
+        devices = standing_stage(
+            world, desk, seed, patterns, None, story, log, lab_white(where), wires
+        )
         with devices as standing:
             command = [*standing.command(Path("SESSION")), "--sequence", sequence]
             print(f"Ready; Ctrl-C ends it. In another terminal:\n\n{_in_lines(command)}\n")
@@ -106,17 +114,20 @@ def calibrate(
     seed: int = typer.Option(0, min=0, help="Of poses, lenses and noise."),
     scale: float = ScaleOption,
     rig: Path | None = typer.Option(None, help="rig.json; the default rig where absent."),
+    rewired: int | None = RewiredOption,
 ) -> None:
     """Let `lightstage calibrate` take a simulated target, held pose by pose as it asks."""
     from lightstage.calibrations.config import require_kind
     from lightstage.rig import default_rig, load_rig
     from sim.devices.target_stage import TargetStage
+    from sim.devices.wiring import shuffled_wires
 
     require_kind(kind, "kind")
     where = (default_rig() if rig is None else load_rig(rig)).scaled(scale)
+    wires = None if rewired is None else shuffled_wires(where, rewired)
     with (
         tempfile.TemporaryDirectory(prefix="lightstage-stage-") as name,
-        TargetStage(Path(name), where, kind, seed) as standing,
+        TargetStage(Path(name), where, kind, seed, None, wires) as standing,
     ):
         done = standing.calibrate(out, kind, echo=Echo(sys.stderr))
     print(done.stdout, end="")

@@ -19,6 +19,7 @@ from sim.devices.faults import FaultLog, Story
 from sim.devices.led_device import SETTLE_TIMEOUT_S, WATCHDOG_S, LedDevice
 from sim.devices.photographer import Photographer
 from sim.devices.story_cameras import ATTEMPTS, TIMEOUT_S, StoryCameras
+from sim.devices.wiring import Wires, wires_of
 from sim.light.polarised import seen_through
 
 
@@ -60,6 +61,7 @@ def standing_stage(
     story: Story | None = None,
     log: FaultLog | None = None,
     peak: np.ndarray | None = None,
+    wires: np.ndarray | None = None,
 ) -> Iterator[StandingStage]:
     """A person in a stage whose devices wait for `lightstage capture`.
 
@@ -73,6 +75,7 @@ def standing_stage(
             ones then, whose cards outlive their processes; else libgphoto2's virtual ones.
         log: where what went wrong is noted.
         peak: as in `Photographer`.
+        wires: (n,) channel of each lamp, whatever the rig says; as it says where absent.
     """
     world = seen_through(world, patterns)
     photographer = Photographer(world, seed, flaws, patterns, peak=peak)
@@ -96,8 +99,9 @@ def standing_stage(
     save_rig(world.rig, desk / "rig.json")
     write_json(desk / "colour.json", photographer.colour_calibration())
     write_text(desk / "cameras.toml", folders.cameras_file())
-    banks = [light.bank or "" for light in world.rig.lights]
+    line = Wires(wires_of(world.rig) if wires is None else wires)
+    banks = line.channels([light.bank or "" for light in world.rig.lights])
     subject = (world.subject.name, world.subject.expression)
-    with LedDevice(len(banks), show, 1, story, log, banks, WATCHDOG_S) as device:
+    with LedDevice(line.count, line.show(show), 1, story, log, banks, WATCHDOG_S) as device:
         url = device.url(timeout_s, attempts)
         yield StandingStage(desk, device, url, photographer, subject)

@@ -19,8 +19,8 @@ from sim.errors import SimError
 from sim.light.lamps import lamps_of
 from sim.targets.ball import Ball, photograph_grey, photograph_mirror
 from sim.targets.boards import board_poses, chart_plane, facing
-from sim.targets.photographs import LONGEST, SHORTEST, TargetsConfig
 from sim.targets.plane import Plane, photograph_plane
+from sim.targets.target_session import LONGEST, SHORTEST, TargetsConfig
 
 AS_SESSIONS = ("chart", "dark")
 """Kinds that hold only for sessions of the same exposure: taken as `lightstage-sim stage` does."""

@@ -18,6 +18,7 @@ from sim.devices.body_folder import NEXT, put
 from sim.devices.led_device import SETTLE_TIMEOUT_S, WATCHDOG_S, LedDevice
 from sim.devices.simulated_camera import SimulatedCameras
 from sim.devices.target_photographer import TargetPhotographer
+from sim.devices.wiring import Wires, wires_of
 
 _POSE = re.compile(r"Pose (\d+) of \d+: ")
 
@@ -31,6 +32,7 @@ class TargetStage:
         kind: as of TargetPhotographer.
         seed: of poses, lenses, sensors and noise.
         flaws: what lamps, lens, room and sensor do.
+        wires: (n,) channel of each lamp, whatever the rig says; as it says where absent.
 
     Attributes:
         rig_path: rig.json.
@@ -46,6 +48,7 @@ class TargetStage:
         kind: str,
         seed: int = 0,
         flaws: CaptureFlaws | None = None,
+        wires: np.ndarray | None = None,
     ) -> None:
         desk.mkdir(parents=True, exist_ok=True)
         self.rig = rig
@@ -58,7 +61,8 @@ class TargetStage:
         self._lock = threading.Lock()
         self._levels = np.zeros(len(rig.lights))
         self._show(self._levels)
-        self.device = LedDevice(len(rig.lights), self._show, watchdog_s=WATCHDOG_S)
+        line = Wires(wires_of(rig) if wires is None else wires)
+        self.device = LedDevice(line.count, line.show(self._show), watchdog_s=WATCHDOG_S)
 
     def __enter__(self) -> TargetStage:
         self.device.__enter__()

@@ -248,7 +248,7 @@ def _write_person(plan: Plan, person: Person, expressions: tuple[str, ...]) -> i
         expression = subject.expression
         occlusion = vertex_occlusion(Scene(subject))
         with atomic_folder(plan.out / f"{person.name}-{expression}", MADE_FROM) as beside:
-            write_atlas(subject, occlusion, ProcessedFolder(beside))
+            write_atlas(subject, occlusion, ProcessedFolder(beside), person.traits)
             write_json(beside / MADE_FROM, plan.made_from(person, expression))
     return len(expressions)
 

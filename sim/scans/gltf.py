@@ -20,7 +20,7 @@ from lightstage.counting import counted
 from lightstage.formats.paths import path_inside
 from lightstage.formats.values import parse_json, read_regular
 from sim.errors import SimError
-from sim.scans.file import Picture, ScanFile, decode_picture, merged
+from sim.scans.scan_file import Picture, ScanFile, decode_picture, merged
 
 MAGIC = b"glTF"
 SCENE_BYTES = 1 << 31

@@ -22,9 +22,9 @@ from lightstage.formats.template import default_template_path, load_template
 from sim.errors import SimError
 from sim.light.texture import raster_uv, tangent_frames
 from sim.people.subject import Subject
-from sim.scans.file import read_picture
 from sim.scans.gltf import read_gltf
 from sim.scans.head_data import head_data_folder
+from sim.scans.scan_file import read_picture
 from sim.scans.subdivide import loop_subdivide
 
 SOURCE = (

@@ -11,7 +11,6 @@ from lightstage.formats.mesh import Mesh, vertex_normals
 from sim.errors import SimError
 from sim.head.maps import region_map
 from sim.light.texture import raster_uv, sample, texture_of
-from sim.scans.file import Picture, ScanFile
 from sim.scans.lps import (
     DETAIL_TEXEL_MM,
     fine_detail,
@@ -21,6 +20,7 @@ from sim.scans.lps import (
     world_normals,
 )
 from sim.scans.match import carried, own_uv
+from sim.scans.scan_file import Picture, ScanFile
 from sim.skin.normals import bend_normals
 
 NECK_MM = 30.0

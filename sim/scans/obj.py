@@ -7,7 +7,7 @@ from pathlib import Path
 from lightstage.counting import counted
 from lightstage.formats.mesh import read_obj
 from sim.errors import SimError
-from sim.scans.file import Picture, ScanFile, merged, read_picture
+from sim.scans.scan_file import Picture, ScanFile, merged, read_picture
 
 _COLOUR, _NORMALS = "map_kd", "norm"
 

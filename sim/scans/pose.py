@@ -13,9 +13,9 @@ from lightstage.formats.mesh import Mesh
 from sim.errors import SimError
 from sim.head.mesh import neutral_mesh
 from sim.scans.checks import UNITS_MM
-from sim.scans.file import ScanFile
 from sim.scans.lps import template_landmarks
 from sim.scans.match import FEWEST_LANDMARKS
+from sim.scans.scan_file import ScanFile
 
 BOX_MM = 200.0
 """From the crown down: a head without its shoulders."""

@@ -19,7 +19,6 @@ from sim.errors import SimError
 from sim.people.person import FACE_MIDDLE_MM
 from sim.people.subject import Subject
 from sim.scans.checks import CheckConfig, MeshReport, check_scan, unit_of
-from sim.scans.file import ScanFile, read_picture, read_scan
 from sim.scans.lps import head_from_landmarks
 from sim.scans.maps import scan_maps
 from sim.scans.pose import (
@@ -30,6 +29,7 @@ from sim.scans.pose import (
     require_fit,
     require_near,
 )
+from sim.scans.scan_file import ScanFile, read_picture, read_scan
 from sim.scans.subdivide import loop_subdivide
 
 WORLD_SHIFT_MM = np.array([0.0, 0.0, 6.0]) - FACE_MIDDLE_MM

@@ -171,6 +171,7 @@ def world(tmp_path_factory, make_processed) -> dict[str, Path]:
     at["small rig"] = save_rig(default_rig().scaled(48 / 6016), folder / "small rig.json")
     at["processed"] = make_processed(folder / "processed")
     at["maps"] = at["processed"] / "atlas"
+    at["about"] = Path(__file__).parents[2] / "demo" / "about.toml"
     at["store"] = build_store([at["processed"]], folder / "store")
     return at
 

@@ -20,6 +20,7 @@ from safetensors.numpy import load_file, save_file
 from lightstage.formats.files import sha256_file
 from tests.commands.conftest import COMMANDS
 from tests.commands.test_wrong_inputs import words_of
+from tests.processing.releases import ABOUT_FILE
 
 PLACES = {
     "pipe": os.mkfifo,
@@ -191,11 +192,11 @@ JSONS = {
 READ_BY = {
     "store": [
         ("learning", "train", "--preset", "demo", "--data"),
-        ("processing", "dataset", "publish"),
+        ("processing", "dataset", "publish", "--about", str(ABOUT_FILE)),
     ],
     "published": [
         ("learning", "train", "--preset", "demo", "--data"),
-        ("processing", "dataset", "publish"),
+        ("processing", "dataset", "publish", "--about", str(ABOUT_FILE)),
     ],
     "processed": [("processing", "dataset", "build")],
 }

@@ -283,15 +283,15 @@ def test_training_brings_the_losses_down_and_leaves_figures(run: Path) -> None:
         assert network(torch.ones(1, CHANNELS, 8, 8)).shape == (1, SAID_CHANNELS, 8, 8)
 
 
-def test_an_interrupted_training_goes_on_to_the_same_bits(
-    bumpy: Path, run: Path, tmp_path: Path
-) -> None:
-    store, again = open_store(bumpy), tmp_path / "again"
+def test_an_interrupted_training_goes_on_to_the_same_bits(bumpy: Path, tmp_path: Path) -> None:
+    store, straight, again = open_store(bumpy), tmp_path / "straight", tmp_path / "again"
+    short = dataclasses.replace(TINY, steps=20)
+    train(store, straight, short)
     with pytest.raises(KeyboardInterrupt):
-        train(store, again, TINY, progress=stopping_after(50))
-    train(store, again, TINY, resume=True)
+        train(store, again, short, progress=stopping_after(8))
+    train(store, again, short, resume=True)
     for one, two in zip(
-        load_mesostructure(run)[0].state_dict().values(),
+        load_mesostructure(straight)[0].state_dict().values(),
         load_mesostructure(again)[0].state_dict().values(),
         strict=True,
     ):

@@ -4,8 +4,6 @@ import dataclasses
 import json
 import os
 import stat
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -17,6 +15,7 @@ from lightstage.formats.session import load_session
 from lightstage.importing import find_photographs, import_session, named_cameras
 from lightstage.patterns import pattern_levels
 from lightstage.rig import save_rig
+from tests.programs import run_program
 
 PATTERNS = ["x-", "full", "x+"]
 
@@ -158,9 +157,12 @@ def test_the_command_imports_and_says_how_many(folder, tmp_path, small_rig, run_
 
 def imported(folder, tmp_path, small_rig, *more):
     rig = save_rig(small_rig, tmp_path / "rig.json")
-    command = [sys.executable, "-m", "lightstage", "import", str(folder), "--rig", str(rig)]
-    command += ["--out", str(tmp_path / "S"), "--json", *more]
-    return subprocess.run(command, capture_output=True, text=True, umask=0)
+    words = ["import", folder, "--rig", rig, "--out", tmp_path / "S", "--json", *more]
+    before = os.umask(0)
+    try:
+        return run_program("lightstage", *words)
+    finally:
+        os.umask(before)
 
 
 def test_an_imported_face_is_nobody_elses_and_says_that_consent_is_missing(
@@ -168,9 +170,9 @@ def test_an_imported_face_is_nobody_elses_and_says_that_consent_is_missing(
 ):
     (tmp_path / "S").mkdir(mode=0o777)
     done = imported(folder, tmp_path, small_rig)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.count("no record of this person's consent") == 1
-    facts = json.loads(done.stdout.splitlines()[-1])
+    assert done.code == 0, done.err
+    assert done.err.count("no record of this person's consent") == 1
+    facts = json.loads(done.out.splitlines()[-1])
     assert facts["consent"] is None
     assert "no record of this person's consent" in facts["warnings"][0]
     out = tmp_path / "S"
@@ -184,13 +186,13 @@ def test_an_import_keeps_the_consent_record_and_may_require_one(folder, tmp_path
     config = tmp_path / "config.toml"
     config.write_text('[session]\nrequire_consent = true\ngroup = "read"\n')
     done = imported(folder, tmp_path, small_rig, "--config", str(config))
-    assert done.returncode == 2
-    assert "--consent: found no id" in done.stderr
+    assert done.code == 2
+    assert "--consent: found no id" in done.err
     assert not (tmp_path / "S").exists()
     more = ("--config", str(config), "--consent", "C-17")
     done = imported(folder, tmp_path, small_rig, *more)
-    assert done.returncode == 0
-    assert "warning" not in done.stderr
+    assert done.code == 0
+    assert "warning" not in done.err
     assert load_session(tmp_path / "S").file.model_extra["consent"] == "C-17"
     assert stat.S_IMODE((tmp_path / "S").stat().st_mode) == 0o750
 
@@ -203,8 +205,8 @@ def test_an_import_that_fails_says_why_and_nothing_of_consent(folder, tmp_path, 
     if wrong == "calibration":
         more = ("--colour", str(tmp_path / "none"))
     done = imported(folder, tmp_path, small_rig, *more)
-    assert done.returncode == 2
-    assert "consent" not in done.stderr
+    assert done.code == 2
+    assert "consent" not in done.err
     assert not (tmp_path / "S").exists()
 
 
@@ -213,6 +215,6 @@ def test_an_import_of_a_subject_that_the_labs_table_lacks_is_refused(folder, tmp
     config.write_text('[session]\npseudonyms = "known.txt"\n')
     (tmp_path / "known.txt").write_text("P08\n")
     done = imported(folder, tmp_path, small_rig, "--config", str(config))
-    assert done.returncode == 2
-    assert "known.txt, subject: found no" in done.stderr
+    assert done.code == 2
+    assert "known.txt, subject: found no" in done.err
     assert not (tmp_path / "S").exists()

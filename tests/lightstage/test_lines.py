@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lightstage.lines import nearest_equations
+from lightstage.nearest_point import nearest_equations
 
 
 @given(seed=st.integers(0, 10**6), scale=st.sampled_from([1e-6, 1.0, 1e6]), count=st.integers(2, 9))

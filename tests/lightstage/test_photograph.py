@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
-from lightstage.photograph import identify, identify_file
+from lightstage.photo_file import identify, identify_file
 
 
 def tiff(order, make, **extra):

@@ -1,8 +1,6 @@
 """The rig: every fault named, projection against known geometry, the default rig as described."""
 
 import json
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -12,6 +10,7 @@ from hypothesis import strategies as st
 
 from lightstage.errors import FormatError, RigError
 from lightstage.rig import default_rig, load_rig, look_at, rig_to_json, save_rig
+from tests.programs import run_program
 
 
 def write(tmp_path, value):
@@ -63,6 +62,13 @@ def test_the_default_rig_is_the_described_one():
         assert depth == pytest.approx(1100, abs=0.01)
 
 
+def addressed(value, *channels):
+    """Give each light a channel, or none."""
+    for light, channel in zip(value["lights"], channels, strict=True):
+        if channel is not None:
+            light["address"] = {"channel": channel}
+
+
 FAULTS = {
     "two lights of one id": (
         lambda v: v["lights"][3].update(id=1),
@@ -74,6 +80,31 @@ FAULTS = {
     ),
     "metres": (lambda v: v["lights"][0].update(position_mm=[0.5, 0.5, 0.5]), "is it metres"),
     "NaN place": (lambda v: v["lights"][0].update(position_mm=[float("nan"), 0, 1]), "finite"),
+    "a channel of two lights": (
+        lambda v: addressed(v, 0, 1, 2, 3, 1, 5, 6, 7),
+        r"light 4 \(corner4\).address: found channel 1, which light 1 \(corner1\) has, expected",
+    ),
+    "many channels of several lights": (
+        lambda v: addressed(v, 0, 0, 2, 2, 4, 4, 6, 6),
+        r"light 1 \(corner1\).address and 3 more: found channel 0",
+    ),
+    "addresses of some lights": (
+        lambda v: addressed(v, 0, 1, None, 3, 4, 5, None, 7),
+        r"light 2 \(corner2\).address: found none; 2 of 8 lights have none",
+    ),
+    "a channel below the first": (
+        lambda v: addressed(v, 0, 1, 2, 3, 4, 5, 6, -7),
+        r"lights\[7\].address.channel: found -7, expected a whole number from 0",
+    ),
+    "an address that is a number": (lambda v: v["lights"][0].update(address=3), "an object"),
+    "an address without a channel": (
+        lambda v: v["lights"][0].update(address={"chanel": 3}),
+        "no 'channel', expected it. Is 'chanel' misspelt",
+    ),
+    "a controller without a name": (
+        lambda v: v["lights"][0].update(address={"channel": 0, "controller": " "}),
+        r"lights\[0\].address.controller: found no name",
+    ),
     "bank": (lambda v: v["lights"][0].update(bank="left"), "bank: found 'left', expected horiz"),
     "gain": (lambda v: v["lights"][0].update(rgb_gain=[1, -1, 1]), "rgb_gain"),
     "missing field": (lambda v: v["lights"][2].pop("name"), r"lights\[2\]: found no 'name'"),
@@ -131,6 +162,19 @@ def test_fields_that_others_added_are_kept_and_make_it_no_other_rig(tmp_path, va
     assert rig_to_json(read) == rig_to_json(small_rig)
 
 
+def test_a_rigs_addresses_survive_its_file_with_what_others_added(tmp_path, value, small_rig):
+    assert "address" not in value["lights"][0]
+    assert [each.channel for each in small_rig.addresses] == list(range(8))
+    addressed(value, 7, 6, 5, 4, 3, 2, 1, 0)
+    value["lights"][2]["address"].update(controller="main", plug="B4")
+    read = load_rig(write(tmp_path, value))
+    assert [each.channel for each in read.addresses] == [7, 6, 5, 4, 3, 2, 1, 0]
+    assert {each.controller for each in read.addresses} == {"main"}
+    again = json.loads(save_rig(read, tmp_path / "again.json").read_text())
+    assert again["lights"][2]["address"] == {"controller": "main", "channel": 5, "plug": "B4"}
+    assert rig_to_json(read) != rig_to_json(small_rig)
+
+
 def test_all_faults_of_a_rig_make_one_message(tmp_path, value):
     value["lights"][3]["id"] = 1
     value["lights"][5]["position_mm"] = [0, 0, 0]
@@ -144,11 +188,10 @@ def test_a_bad_rig_makes_a_command_exit_2_and_leave_nothing(tmp_path, value, nam
     damage, _ = FAULTS[name]
     damage(value)
     path = write(tmp_path, value)
-    command = [sys.executable, "-m", "lightstage", "import", str(tmp_path), "--rig", str(path)]
-    done = subprocess.run([*command, "--out", str(tmp_path / "S")], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert str(path) in done.stderr
-    assert "Traceback" not in done.stderr
+    done = run_program("lightstage", "import", tmp_path, "--rig", path, "--out", tmp_path / "S")
+    assert done.code == 2
+    assert str(path) in done.err
+    assert "Traceback" not in done.err
     assert [p.name for p in tmp_path.iterdir()] == ["rig.json"]
 
 

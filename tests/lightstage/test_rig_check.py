@@ -15,6 +15,7 @@ from lightstage.errors import FormatError, PatternError
 from lightstage.patterns import pattern_levels
 from lightstage.patterns.picture import pattern_sheet
 from lightstage.rig import (
+    LightAddress,
     Rig,
     default_rig,
     load_rig,
@@ -117,6 +118,12 @@ ODD = {
             for light in default_rig().lights
         )
     ),
+    "controllers": changed(
+        lights=tuple(
+            dataclasses.replace(light, address=LightAddress(light.id, "ab"[light.id % 2]))
+            for light in default_rig().lights
+        )
+    ),
     "aim": with_camera(1, cam_from_world=look_at(np.array([0, 0, 1100.0]), np.array([0, 0, 2e3]))),
     "roll": with_camera(
         0, cam_from_world=np.diag([-1.0, -1.0, 1.0]) @ default_rig().cameras[0].cam_from_world
@@ -162,3 +169,17 @@ def test_the_command_draws_and_says(tmp_path):
     assert red.any()
     plain = draw_rig(default_rig()).astype(int)
     assert not ((plain[..., 0] > 200) & (plain[..., 1:].max(axis=2) < 120)).any()
+
+
+def test_the_command_says_which_channels_a_rig_uses(tmp_path):
+    lights = [
+        dataclasses.replace(light, address=LightAddress(3 + light.id))
+        for light in default_rig().lights
+    ]
+    rig = save_rig(changed(lights=tuple(lights)), tmp_path / "rig.json")
+    done = CliRunner().invoke(app, ["rig", "check", str(rig), "--json"])
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.stdout.strip().splitlines()[-1])
+    assert (facts["addressed"], facts["channels"], facts["odd"]) == (True, [3, 170], [])
+    said = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
+    assert "168 lights on channels 3 to 170, 9 cameras" in said

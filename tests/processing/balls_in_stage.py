@@ -11,8 +11,8 @@ import numpy as np
 from lightstage.patterns import pattern_levels
 from lightstage.rig import Camera, Rig, default_rig
 from processing.calibration.ball import BallShots, Picture
-from processing.calibration.highlights import Highlights
-from processing.calibration.mirror_ball import Seen
+from processing.calibration.lights.highlights import Highlights
+from processing.calibration.lights.mirror_ball import Seen
 from processing.lighting.lamps import measured_rig
 from sim.light.lamps import Lamps
 from sim.targets.ball import Ball, highlights_mm, photograph_grey, photograph_mirror

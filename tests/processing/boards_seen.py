@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from lightstage.formats.board import BoardConfig
 from lightstage.rig import Rig
-from processing.calibration.boards import Sight
+from processing.calibration.cameras.boards import Sight
 from sim.targets.boards import BoardConfig as PrintedBoard
 from sim.targets.boards import board_poses
 

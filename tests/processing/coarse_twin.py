@@ -13,7 +13,7 @@ from processing.lighting.lobe import SKIN_F0
 from processing.separation.colour import SETTLED
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import CELLS, ROWS, FarTables
-from processing.separation.pixels import Pixels
+from processing.separation.view_readings import Pixels
 from tests.processing.lit_ball import exact_fresnel, smith
 
 

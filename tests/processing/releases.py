@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import zarr
 
-from processing.dataset import PublishConfig, Store, build_store, open_store
+import processing.dataset
+from processing.dataset import About, PublishConfig, Store, build_store, open_store
+from tests.documents import ROOT
 
 Make = Callable[..., Path]
 SIZE, GAP = 16, 4
@@ -21,6 +24,16 @@ SMALL = PublishConfig(
     min_coverage=0.3,
     shard_patches=4,
 )
+ABOUT_FILE = ROOT / "demo" / "about.toml"
+ABOUT = About(
+    name="Patches of a test",
+    license="https://creativecommons.org/licenses/by-nc/4.0/",
+    terms="For tests alone.",
+    creators=("The lab", "Another lab"),
+    contact="somebody@example.org",
+    url="https://example.org/patches",
+)
+publish = functools.partial(processing.dataset.publish, about=ABOUT)
 SEED = 8675309886753098867
 PEOPLE = ("anna-kowalska-77", "bo-larsson-12", "chidi-okoro-31")
 

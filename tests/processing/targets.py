@@ -10,7 +10,7 @@ from lightstage.formats.files import sha256_file, write_bytes, write_json
 from lightstage.formats.session import load_session, save_session
 from lightstage.rig import default_rig, save_rig
 from sim.camera.flaws import PRESETS
-from sim.targets.photographs import TargetsConfig, write_targets
+from sim.targets.target_session import TargetsConfig, write_targets
 
 CONFIG = TargetsConfig(board_poses=0, mirror_places_mm=())
 

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -175,6 +176,28 @@ def test_a_full_disk_and_full_memory_are_told_apart_from_bad_input(
     assert "ZeroDivisionError" in answer.trace
 
 
+def test_a_disk_that_fills_up_in_the_middle_stops_cleanly_and_goes_on_after(
+    sessions: list[Path], tmp_path: Path, small_disk: Path
+) -> None:
+    out = small_disk / "out"
+    asked = order(sessions[0], out)
+    assert work.step(asked, True).status == "disk full"
+    subprocess.run(["mount", "-o", "remount,size=8m", small_disk], check=True)
+    assert work.step(asked, True).ran == "decode"
+    filler = small_disk / "filler"
+    filler.write_bytes(bytes(shutil.disk_usage(small_disk).free - 32_768))
+    full = work.step(asked, False)
+    assert (full.status, full.ran) == ("disk full", None)
+    assert str(small_disk) in full.reason
+    assert list(out.rglob(".*")) == []
+    # What is done stays done, and nothing counts as done that is not.
+    assert work.look(asked).left == ("separate",)
+    filler.unlink()
+    assert work.step(asked, False).left == ()
+    run(sessions[0], tmp_path / "run", TEMPLATE, PipelineConfig(), until="separate")
+    assert differences(out, tmp_path / "run") == []
+
+
 def test_memory_decides_how_many_workers_there_are() -> None:
     gib = needs.GIB
     full = needs.peak_bytes(24.2)
@@ -215,8 +238,10 @@ def test_a_number_of_workers_that_is_none_is_refused(
 def test_a_scheduler_that_is_not_there_is_told(
     sessions: list[Path], tmp_path: Path, command: Callable[..., Any]
 ) -> None:
+    (tmp_path / "soon.toml").write_text("[batch]\nanswer_s = 0.3\n")
     for address in ("tcp://127.0.0.1:1", "nonsense", "tcp://no.such.host.invalid:8786"):
-        done = command(sessions[0], "--out", tmp_path / "out", "--scheduler", address)
+        words = [sessions[0], "--out", tmp_path / "out", "--config", tmp_path / "soon.toml"]
+        done = command(*words, "--scheduler", address)
         assert done.code == 2
         assert f"--scheduler: found nothing that answers at {address}" in done.err
 
@@ -238,7 +263,6 @@ class Killer(threading.Thread):
             time.sleep(0.0005)
 
 
-@pytest.mark.slow
 def test_killed_workers_cost_nothing_and_a_hopeless_session_stops_no_other(
     sessions: list[Path], tmp_path: Path, command: Callable[..., Any]
 ) -> None:

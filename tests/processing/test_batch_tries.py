@@ -189,6 +189,17 @@ def test_a_worker_of_another_version_gets_no_more_work() -> None:
     assert workers.calls[-1][2] == ("w0",)
 
 
+def test_a_batch_of_which_no_worker_fits_any_more_ends_and_says_why() -> None:
+    def answer(_: str, looked: bool, nth: int) -> object:
+        if looked:
+            return done(("decode",))
+        return Answer("unfit", f"w{nth}", reason="found another version")
+
+    batch = batch_of("a", FakeWorkers(answer), away_s=1.0)
+    assert states(batch) == "waiting"
+    assert batch.gone == "no worker that fits came within 1 s: found another version"
+
+
 def test_a_stage_without_progress_has_its_worker_killed_and_is_done_again() -> None:
     def answer(_: str, looked: bool, nth: int) -> object:
         if looked:

@@ -15,15 +15,15 @@ from lightstage.formats.board import BoardConfig
 from lightstage.formats.files import read_json
 from lightstage.rig import Rig, default_rig, load_rig
 from processing.__main__ import app
-from processing.calibration.boards import find_board
-from processing.calibration.cameras import CamerasConfig, MeasuredCameras, measure_cameras
-from processing.calibration.cameras_fit import adjust, residuals
-from processing.calibration.cameras_output import CamerasFile, camera_settings, make_cameras
+from processing.calibration.cameras.boards import find_board
+from processing.calibration.cameras.fit import adjust, residuals
+from processing.calibration.cameras.measured import CamerasConfig, MeasuredCameras, measure_cameras
+from processing.calibration.cameras.output import CamerasFile, camera_settings, make_cameras
 from processing.calibration.folder import Source
 from processing.errors import PoseError, ProcessingError
 from sim.camera.flaws import CaptureFlaws
 from sim.light.lamps import lamps_of
-from sim.targets import photographs
+from sim.targets import target_session
 from sim.targets.boards import BoardConfig as PrintedBoard
 from sim.targets.boards import board_poses, facing
 from sim.targets.plane import photograph_plane
@@ -237,16 +237,18 @@ def test_boards_that_opencv_cannot_make_are_refused() -> None:
 
 
 def test_the_command_writes_a_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    every = photographs.make_targets
+    every = target_session.make_targets
 
-    def boards_alone(*given: Any) -> dict[str, photographs.Target]:
+    def boards_alone(*given: Any) -> dict[str, target_session.Target]:
         return {name: one for name, one in every(*given).items() if name.startswith("charuco")}
 
-    monkeypatch.setattr(photographs, "make_targets", boards_alone)
+    monkeypatch.setattr(target_session, "make_targets", boards_alone)
     rig = default_rig().scaled(0.2)
     rig = dataclasses.replace(rig, cameras=rig.cameras[:3])
-    config = photographs.TargetsConfig(board_poses=5)
-    photographs.write_targets(rig, tmp_path / "targets", config, CaptureFlaws(), 5, lambda *_: None)
+    config = target_session.TargetsConfig(board_poses=5)
+    target_session.write_targets(
+        rig, tmp_path / "targets", config, CaptureFlaws(), 5, lambda *_: None
+    )
     arguments = ["calibrate-cameras", str(tmp_path / "targets"), "--out", str(tmp_path / "out")]
     said = CliRunner().invoke(app, [*arguments, "--json"])
     assert said.exit_code == 0, said.output

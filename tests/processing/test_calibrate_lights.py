@@ -18,8 +18,9 @@ from lightstage.patterns import SEQUENCES, pattern_levels
 from lightstage.patterns.names import BINARY, LINEAR
 from lightstage.rig import Camera, Rig, default_rig
 from processing.calibration.ball import Picture, ball_shots, find_ball, rays_through
-from processing.calibration.flux import Flux, intensities
-from processing.calibration.grey_ball import (
+from processing.calibration.lights.fit import LightsConfig, fit_lights, normal_errors
+from processing.calibration.lights.flux import Flux, intensities
+from processing.calibration.lights.grey_ball import (
     GreyConfig,
     Readings,
     expected_gains,
@@ -27,9 +28,8 @@ from processing.calibration.grey_ball import (
     nominal_weights,
     solve_gains,
 )
-from processing.calibration.highlights import expected_px, find_highlights, mirrored
-from processing.calibration.lights_fit import LightsConfig, fit_lights, normal_errors
-from processing.calibration.mirror_ball import MirrorConfig, solve_lamps
+from processing.calibration.lights.highlights import expected_px, find_highlights, mirrored
+from processing.calibration.lights.mirror_ball import MirrorConfig, solve_lamps
 from processing.errors import ProcessingError
 from processing.lighting.lamps import nominal_lamps
 from sim.devices.target_photographer import TargetPhotographer

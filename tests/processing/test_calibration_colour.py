@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from lightstage.errors import FormatError
-from processing.calibration.chart_reference import LAB_2014, chart_reflectance
-from processing.calibration.colour_fit import ChartSample, ColourFitConfig, fit_colour
-from processing.calibration.difference import delta_e_2000, lab_from_linear
+from processing.calibration.colour.chart_reference import LAB_2014, chart_reflectance
+from processing.calibration.colour.difference import delta_e_2000, lab_from_linear
+from processing.calibration.colour.fit import ChartSample, ColourFitConfig, fit_colour
 from processing.colour import root_terms
 from processing.errors import ProcessingError
 

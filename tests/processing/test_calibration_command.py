@@ -19,12 +19,12 @@ from lightstage.formats.session import Calibration, load_session, save_session
 from lightstage.session import read_calibration
 from processing.__main__ import app
 from processing.calibration.ball import rays_through, sphere_hits
-from processing.calibration.chart import chart_places_mm, find_chart
-from processing.calibration.flat_file import read_flats
+from processing.calibration.colour.chart import chart_places_mm, find_chart
+from processing.calibration.colour.flat_file import read_flats
+from processing.calibration.colour.white import white_at
 from processing.calibration.folder import read_source
 from processing.calibration.picture import read_mosaic
 from processing.calibration.stage import CalibrateConfig, calibrate, lights_of
-from processing.calibration.white import white_at
 from processing.colour import read_colour
 from processing.decode.stage import DecodeConfig, decode
 from processing.errors import ProcessingError

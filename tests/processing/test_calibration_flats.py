@@ -11,9 +11,9 @@ import pytest
 from lightstage.errors import FormatError
 from lightstage.formats.orientation import OF_TIFF
 from lightstage.rig import default_rig
-from processing.calibration.colours import flattened
-from processing.calibration.flat_file import FlatField, read_flats, write_flats
-from processing.calibration.flats import FlatConfig, fit_flat, read_darks
+from processing.calibration.colour.all_cameras import flattened
+from processing.calibration.colour.flat_file import FlatField, read_flats, write_flats
+from processing.calibration.colour.flats import FlatConfig, fit_flat, read_darks
 from processing.calibration.picture import Mosaic
 from processing.errors import ProcessingError
 

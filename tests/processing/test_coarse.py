@@ -28,7 +28,6 @@ from processing.lanes import (
 from processing.lighting.interface import BARE, skin_interface
 from processing.lighting.lamps import nominal_lamps
 from processing.lighting.lights import PatternLights, far_field, lights_of
-from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 from processing.separation.colour import (
     Readings,
@@ -39,7 +38,8 @@ from processing.separation.colour import (
 )
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import far_tables
-from processing.separation.pixels import Pixels
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 from tests.processing import coarse_twin, lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 

@@ -13,13 +13,13 @@ from numba import njit
 from lightstage.rig import Camera
 from processing.lanes import LANES, lane, load
 from processing.lighting.interface import skin_interface
-from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 from processing.separation.coarse_tile import TILE_ROWS
 from processing.separation.colour import separate_window, window_readings
 from processing.separation.config import SeparateConfig
 from processing.separation.far_tables import far_tables
 from processing.separation.triples import load_triples, over_root, store_triples
+from processing.view_maps import PixelMaps
 from tests.processing import coarse_twin, lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 

@@ -13,8 +13,10 @@ from lightstage.rig import save_rig
 from processing.dataset import build_store
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
+from tests.processing.releases import ABOUT_FILE
 
 Made = Callable[..., Any]
+ABOUT = ("--about", ABOUT_FILE)
 
 
 @pytest.fixture
@@ -72,7 +74,7 @@ def test_add_publish_and_train_ask_too(
     new = tmp_path / "new"
     commands = {
         "research": ("processing", "dataset", "add", people[1], "--store", store),
-        "publication": ("processing", "dataset", "publish", store, "--out", new),
+        "publication": ("processing", "dataset", "publish", store, "--out", new, *ABOUT),
         "training": ("learning", "train", "--data", store, "--out", new, "--preset", "demo"),
     }
     for purpose, (program, *words) in commands.items():

@@ -16,17 +16,34 @@ from typer.testing import CliRunner
 from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.processed import ProcessedFolder
 from processing.__main__ import app
-from processing.dataset import PublishConfig, Store, build_store, open_store, publish
+from processing.dataset import PublishConfig, Store, build_store, open_store
 from processing.dataset.places import CLEAR, clear_skin, places_of
+from processing.dataset.protection import CANNOT_PROTECT
 from processing.dataset.publish import published_places, read_patch
-from tests.processing.releases import GAP, PEOPLE, SEED, SIZE, SMALL, Make, read, small_store
+from tests.processing.releases import (
+    ABOUT_FILE,
+    GAP,
+    PEOPLE,
+    SEED,
+    SIZE,
+    SMALL,
+    Make,
+    publish,
+    read,
+    small_store,
+)
 
 Found = tuple[int, int, int]
 
 
-@pytest.fixture
-def store(tmp_path: Path, make_processed: Make) -> Store:
-    return small_store(tmp_path, make_processed)
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory, make_processed: Make) -> Store:
+    return small_store(tmp_path_factory.mktemp("small"), make_processed)
+
+
+@pytest.fixture(scope="module")
+def released(store: Store, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return publish(store, tmp_path_factory.mktemp("release") / "out", SEED, SMALL)
 
 
 def unturned(picture: np.ndarray) -> list[np.ndarray]:
@@ -57,10 +74,9 @@ def find(patch: np.ndarray, whole: list[np.ndarray]) -> Found:
     return found.pop()
 
 
-def test_patches_lie_apart_by_the_gap_and_hold_enough_face(tmp_path: Path, store: Store) -> None:
-    out = publish(store, tmp_path / "out", SEED, SMALL)
-    places = texel_places(store, out)
-    facts = json.loads((out / "dataset.json").read_text())
+def test_patches_lie_apart_by_the_gap_and_hold_enough_face(store: Store, released: Path) -> None:
+    places = texel_places(store, released)
+    facts = json.loads((released / "dataset.json").read_text())
     assert len(places) == len(set(places)) == facts["counts"]["patches"] > 30
     assert (facts["patch"], facts["gap"]) == (SIZE, GAP)
     for scan, row, column in places:
@@ -139,10 +155,12 @@ def test_a_release_leaves_out_a_share_of_everybody_drawn_anew(
 
 
 def test_directions_and_shape_are_turned_and_mirrored_with_the_picture(
-    tmp_path: Path, store: Store
+    store: Store, released: Path
 ) -> None:
-    out = publish(store, tmp_path / "out", SEED, SMALL)
-    shape, normal = read(out, "shape").astype(float), read(out, "specular_normal").astype(float)
+    shape, normal = (
+        read(released, "shape").astype(float),
+        read(released, "specular_normal").astype(float),
+    )
     along = [shape[:, 1:-1, 2:] - shape[:, 1:-1, :-2], shape[:, 2:, 1:-1] - shape[:, :-2, 1:-1]]
     own = np.cross(along[1], along[0])
     seen = normal.any(axis=3)
@@ -248,12 +266,12 @@ def test_shares_that_are_none_are_refused(wrong: dict[str, float]) -> None:
         PublishConfig(**wrong)
 
 
-def test_the_order_is_shuffled_by_the_seed(tmp_path: Path, store: Store) -> None:
+def test_the_order_is_shuffled_by_the_seed(tmp_path: Path, store: Store, released: Path) -> None:
     def order(name: str, seed: int | None) -> tuple[bytes, ...]:
         out = publish(store, tmp_path / name, seed, SMALL)
         return tuple(patch.tobytes() for patch in read(out, "diffuse_albedo"))
 
-    first, again = order("one", SEED), order("two", SEED)
+    first, again = order("one", SEED), tuple(p.tobytes() for p in read(released, "diffuse_albedo"))
     other, unknown = order("three", SEED + 1), order("four", None)
     assert first == again
     assert sorted(first) == sorted(other) == sorted(unknown)
@@ -261,27 +279,32 @@ def test_the_order_is_shuffled_by_the_seed(tmp_path: Path, store: Store) -> None
 
 
 def test_nothing_in_the_folder_names_a_person_a_place_or_the_seed(
-    tmp_path: Path, store: Store
+    store: Store, released: Path
 ) -> None:
-    out = publish(store, tmp_path / "out", SEED, SMALL)
-    words = [*PEOPLE, "grin-wide", str(SEED), f"{SEED:x}", store.fingerprint, str(tmp_path)]
+    words = [
+        *PEOPLE,
+        "grin-wide",
+        str(SEED),
+        f"{SEED:x}",
+        store.fingerprint,
+        str(store.path.parent),
+    ]
     words += ['subject"', "expression", "seed", "scan", "session", "C-0", "C-1"]
     binary = [SEED.to_bytes(8, "little"), SEED.to_bytes(8, "big")]
-    files = [path for path in out.rglob("*") if path.is_file()]
+    files = [path for path in released.rglob("*") if path.is_file()]
     assert len(files) > 5
     for path in files:
-        name = str(path.relative_to(out))
+        name = str(path.relative_to(released))
         data = path.read_bytes()
         assert not any(word in name for word in words)
-        if path.suffix == ".json":
+        if path.suffix in (".json", ".md"):
             assert not [word for word in words if word.encode() in data]
         assert not any(secret in data for secret in (*binary, *(p.encode() for p in PEOPLE)))
 
 
-def test_shape_is_the_positions_about_the_patch_mean_to_scale(tmp_path: Path, store: Store) -> None:
-    out = publish(store, tmp_path / "out", SEED, SMALL)
-    shapes = read(out, "shape").astype(float)
-    for (scan, row, column), shape in zip(texel_places(store, out), shapes, strict=True):
+def test_shape_is_the_positions_about_the_patch_mean_to_scale(store: Store, released: Path) -> None:
+    shapes = read(released, "shape").astype(float)
+    for (scan, row, column), shape in zip(texel_places(store, released), shapes, strict=True):
         rows, columns = slice(row, row + SIZE), slice(column, column + SIZE)
         seen = store.read(scan, "confidence", rows, columns)[:, :, 0] > 0
         position = store.read(scan, "position", rows, columns)[seen].astype(float)
@@ -309,9 +332,8 @@ def test_statistics_need_enough_people(tmp_path: Path, make_processed: Make) -> 
     np.testing.assert_allclose(shown["shape_mean"], 0, atol=1e-4)
 
 
-def test_what_it_cannot_protect_is_said_in_the_folder(tmp_path: Path, store: Store) -> None:
-    out = publish(store, tmp_path / "out", SEED, SMALL)
-    said = json.loads((out / "dataset.json").read_text())["cannot_protect"]
+def test_what_it_cannot_protect_is_said_in_the_folder(store: Store, released: Path) -> None:
+    said = json.loads((released / "dataset.json").read_text())["cannot_protect"]
     for word in ("moles", "join", "consent"):
         assert word in said
 
@@ -322,6 +344,7 @@ def test_a_gap_of_nothing_is_warned_of_with_the_figures_of_the_docs(
 ) -> None:
     out = tmp_path / "published"
     asked = ["dataset", "publish", str(store.path), "--out", str(out), "--patch", "16", *words]
+    asked += ["--about", str(ABOUT_FILE)]
     done = CliRunner().invoke(app, [*asked, "--json"])
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout)
@@ -338,6 +361,15 @@ def test_a_gap_of_nothing_is_warned_of_with_the_figures_of_the_docs(
         assert count in said[0]
         assert f"{share:.0f} %" in said[0]
         assert f"{float(same.removesuffix(' %')):.0f} %" in said[0]
+
+
+def test_the_figures_of_forty_people_are_those_of_the_docs() -> None:
+    table = (Path(__file__).parents[2] / "docs" / "dataset.md").read_text().splitlines()
+    row = next(row for row in table if row.startswith("| the most alike, by tone |"))
+    right, chance = row.split("|")[3].split("% (")
+    assert f"for {float(right):.0f} % ({float(chance.strip(' %)')):.0f} % by chance)" in (
+        CANNOT_PROTECT
+    )
 
 
 def test_maps_smaller_than_a_patch_are_refused(tmp_path: Path, store: Store) -> None:
@@ -361,9 +393,9 @@ def test_an_interrupt_leaves_nothing(tmp_path: Path, store: Store) -> None:
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_published_set_is_not_opened_as_a_store(tmp_path: Path, store: Store) -> None:
+def test_a_published_set_is_not_opened_as_a_store(released: Path) -> None:
     with pytest.raises(LightstageError, match=r"published.*whole texture.*place.*person"):
-        open_store(publish(store, tmp_path / "out", SEED, SMALL))
+        open_store(released)
 
 
 def test_unmeasured_texels_publish_nothing(tmp_path: Path, make_processed: Make) -> None:
@@ -434,18 +466,18 @@ def test_neither_dataset_takes_the_place_of_the_other(
     assert len(read(published, "shape")) == before
     assert publish(store, published, SEED, SMALL) == published
     overwriting = ["dataset", "publish", str(store.path), "--out", str(other), "--overwrite"]
+    overwriting += ["--about", str(ABOUT_FILE)]
     done = CliRunner().invoke(app, overwriting)
     assert isinstance(done.exception, LightstageError)
     assert "of kind 'store', not 'published'" in str(done.exception)
 
 
 def test_a_published_set_given_to_publish_is_told_from_one_given_to_training(
-    store: Store, tmp_path: Path
+    released: Path, tmp_path: Path
 ) -> None:
-    published = publish(store, tmp_path / "published", SEED, SMALL)
-    again = ["dataset", "publish", str(published), "--out", str(tmp_path / "again")]
+    again = ["dataset", "publish", str(released), "--out", str(tmp_path / "again")]
     said = str(CliRunner().invoke(app, again).exception)
     assert "Name the store that `dataset build` made" in said
     assert "training" not in said
     with pytest.raises(LightstageError, match="training"):
-        open_store(published)
+        open_store(released)

@@ -18,9 +18,9 @@ from processing.dataset import (
     PublishConfig,
     build_store,
     open_store,
-    publish,
     without_people_files,
 )
+from tests.processing.releases import publish
 
 Make = Callable[..., Path]
 ALL = slice(None)

@@ -17,9 +17,9 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
-from processing.calibration.flat_file import FlatField, write_flats
+from processing.calibration.colour.flat_file import FlatField, write_flats
 from processing.decode.files import CameraJob, lookers
-from processing.decode.photographs import Photograph
+from processing.decode.session_photographs import Photograph
 from processing.decode.stage import DecodeConfig, decode
 from processing.errors import ProcessingError
 from processing.frames.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
@@ -324,7 +324,7 @@ def _with_all(folder: Path) -> Session:
 
 
 def test_the_preview_is_the_brightest_colour_upright(tmp_path: Path) -> None:
-    from processing.raw.file import open_raw
+    from processing.raw.raw_file import open_raw
     from sim.camera.tiff import SHORT
 
     rgb = photographs()["full"]["cam0"]

@@ -193,11 +193,10 @@ def test_albedo_is_the_balls_own(world, plain):
     assert np.median(green) == pytest.approx(0.4, rel=0.05)
 
 
-@pytest.mark.slow
 def test_a_persons_albedo_is_the_same_by_either_drive(tmp_path):
     """Through the cameras' mosaics and noise, with cast shadows."""
     rig = default_rig().scaled(0.04)
-    person = load_subject("anna", 3, None, 384)
+    person = load_subject("anna", 3, None, 192)
     world = World(person, dataclasses.replace(rig, cameras=rig.cameras[:1]))
     shape = coarser(Mesh(person.mesh.vertices, person.mesh.triangles()), 12_000)
     drives: tuple[Drive, Drive] = ("on-off", "solid-angle")

@@ -14,10 +14,11 @@ import pytest
 from lightstage.errors import LightstageError
 from lightstage.formats.files import write_json
 from lightstage.formats.lock import locked
-from processing.dataset import PublishConfig, build_store, forget, open_store, publish
+from processing.dataset import PublishConfig, build_store, forget, open_store
 from processing.records import RUN_LOCK
 from tests.processing import lit_ball
 from tests.processing.lit_ball import Ball
+from tests.processing.releases import publish
 
 WHO = "person-1"
 

@@ -142,6 +142,13 @@ def test_a_mesh_is_rendered_and_its_landmarks_are_triangulated():
         assert not lit[0, 0]
 
 
+@pytest.fixture
+def small_pictures(monkeypatch):
+    """Of 27 pictures whose every pixel is a ray, where nobody looks at a pixel."""
+    monkeypatch.setattr("processing.registration.providers.PICTURE_PX", 128)
+
+
+@pytest.mark.usefixtures("small_pictures")
 def test_a_mesh_that_lies_on_its_side_is_turned_until_a_face_is_seen():
     turn = TURNS[11]
     lying = MESH.with_vertices(MESH.vertices @ turn)
@@ -150,6 +157,7 @@ def test_a_mesh_that_lies_on_its_side_is_turned_until_a_face_is_seen():
     assert np.linalg.norm(found.points_mm @ turn.T - MARKS, axis=1).max() < 0.01
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_no_face_in_any_picture_is_said():
     class Blind:
         def find(self, pictures):

@@ -16,14 +16,14 @@ from lightstage.patterns import SEQUENCES
 from processing.errors import ProcessingError
 from processing.frames.read import Frames
 from processing.frames.window import whole
-from processing.pixels import PixelMaps
 from processing.readings import px_per_mm
 from processing.separation import kampouris, linear, mux, polarised, ratios
 from processing.separation.choice import METHODS, chosen_method, fitting_methods
 from processing.separation.config import KampourisConfig, RatiosConfig, SeparateConfig, relief_of
 from processing.separation.pairs import axis_pairs
-from processing.separation.pixels import Pixels
 from processing.separation.view import separate_view
+from processing.separation.view_readings import Pixels
+from processing.view_maps import PixelMaps
 from tests.processing import lit_ball, shots
 from tests.processing.lit_ball import Ball, angle_deg
 

@@ -110,7 +110,7 @@ def photographed(subject: Subject, rig: Rig, root: Path) -> Path:
 def test_a_grey_collar_is_found_and_is_no_part_of_the_skins_mesh(
     tmp_path: Path, small_rig: Rig
 ) -> None:
-    person = load_subject("parametric", 3, None, 384)
+    person = load_subject("parametric", 3, None, 192)
     clothes = collar(person)
     session = photographed(dressed(person, clothes, (0.2, 0.2, 0.2)), small_rig, tmp_path / "s")
     out = tmp_path / "out"

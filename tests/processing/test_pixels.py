@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from processing.pixels import pasted
+from processing.view_maps import pasted
 
 
 @settings(max_examples=60, deadline=None)

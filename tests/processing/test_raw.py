@@ -11,19 +11,19 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from lightstage.calibrations.picture import read_picture
-from lightstage.checks.photo import measure_photo
+from lightstage.checks.photo_measures import measure_photo
 from lightstage.errors import FormatError
 from lightstage.formats.orientation import OF_TIFF
-from lightstage.motion.pictures import _read_mosaic
+from lightstage.poses_from_photos.pictures import _read_mosaic
 from lightstage.tiff import Directory
-from processing.calibration.flat_file import FlatField
+from processing.calibration.colour.flat_file import FlatField
 from processing.calibration.picture import read_mosaic
 from processing.colour import ColourCorrection
 from processing.frames.drafts import NOT_A_NUMBER
 from processing.frames.window import Window, whole
 from processing.raw.develop import Settings, develop, lying, store
-from processing.raw.file import RawFile, open_raw, read_exposure, unpack_raw
 from processing.raw.plain_dng import _strips, map_plain_dng
+from processing.raw.raw_file import RawFile, open_raw, read_exposure, unpack_raw
 from processing.raw.region import preview
 from sim.camera.tiff import BYTE, LONG, RATIONAL, SHORT
 from tests.processing.made_raw import (

@@ -7,12 +7,12 @@ import pytest
 from lightstage.formats.mesh import Mesh
 from processing.lighting.interface import skin_interface
 from processing.lighting.lights import Shadows, irradiance_vectors
-from processing.reconstruction.again import Sighted, look_again, rays_of, sighted
 from processing.reconstruction.config import ReconstructConfig
 from processing.reconstruction.consistency import Points
+from processing.reconstruction.second_depth import Sighted, look_again, rays_of, sighted
 from processing.reconstruction.shading import mended_normals
 from processing.reconstruction.stereo import match_views, sources_of
-from processing.reconstruction.twice import spacing_mm, twice
+from processing.reconstruction.two_passes import spacing_mm, twice
 from processing.reconstruction.views import Level, View, finest_level, halved, make_view
 from tests.processing import lit_ball, textured_ball
 from tests.processing.textured_ball import RADIUS_MM

@@ -38,7 +38,7 @@ from processing.refinement.gloss_search import find_gloss
 from processing.refinement.scene import prepare_scene, read_view
 from processing.separation.colour import separate_pixels
 from processing.separation.config import SeparateConfig
-from processing.separation.pixels import Pixels
+from processing.separation.view_readings import Pixels
 from tests.processing import lit_ball, shots
 from tests.processing.lit_ball import PATTERNS, Ball, angle_deg
 

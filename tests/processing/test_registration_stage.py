@@ -212,7 +212,6 @@ def test_the_stage_refuses_clicks_of_unknown_cameras(tmp_path):
         register(session, tmp_path / "out", template, RegisterConfig())
 
 
-@pytest.mark.slow
 def test_our_own_template_finds_a_person_made_of_its_modes():
     template = load_template(default_template_path())
     assert template.modes is not None
@@ -236,7 +235,6 @@ def test_our_own_template_finds_a_person_made_of_its_modes():
     assert facts["triangles_flipped"] == 0
 
 
-@pytest.mark.slow
 def test_another_face_model_registers_to_a_known_person(head_data):
     folder = head_data / "ict_facekit"
     with np.load(folder / "ict_facekit_modes.npz", allow_pickle=False) as file:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import struct
 import tarfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -15,13 +17,24 @@ import zarr
 
 from lightstage.errors import ConfigError
 from lightstage.formats.files import sha256_file
-from processing.dataset import PublishConfig, Store, publish
-from tests.processing.releases import SEED, SIZE, SMALL, Make, read, small_store
+from processing.dataset import PublishConfig, Store
+from processing.dataset.release_files import CHANNELS as PUBLISHED
+from processing.dataset.release_files import FILE_TIME_S
+from tests.processing.releases import (
+    ABOUT_FILE,
+    SEED,
+    SIZE,
+    SMALL,
+    Make,
+    publish,
+    read,
+    small_store,
+)
 
 
-@pytest.fixture
-def store(tmp_path: Path, make_processed: Make) -> Store:
-    return small_store(tmp_path, make_processed)
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory, make_processed: Make) -> Store:
+    return small_store(tmp_path_factory.mktemp("small"), make_processed)
 
 
 def test_the_whole_set_opens_as_one_zarr_group(tmp_path: Path, store: Store) -> None:
@@ -32,7 +45,14 @@ def test_the_whole_set_opens_as_one_zarr_group(tmp_path: Path, store: Store) -> 
     for name, channels in facts["channels"].items():
         assert group[name].shape == (facts["counts"]["patches"], SIZE, SIZE, channels)
     assert sorted(p.name for p in out.iterdir()) == sorted(
-        ["checksums.json", "dataset.json", "zarr.json", *facts["channels"]]
+        [
+            "DATASHEET.md",
+            "checksums.json",
+            "croissant.json",
+            "dataset.json",
+            "zarr.json",
+            *facts["channels"],
+        ]
     )
 
 
@@ -89,6 +109,67 @@ def test_every_file_of_a_release_has_a_checksum(
     sums = json.loads((out / "checksums.json").read_text())["files"]
     there = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} - {"checksums.json"}
     assert sums == {name: sha256_file(out / name) for name in there}
+
+
+@pytest.mark.parametrize("form", ["zarr", "webdataset"])
+def test_files_of_a_release_tell_no_time_and_parts_of_a_map_have_one_size(
+    tmp_path: Path, store: Store, form: Literal["zarr", "webdataset"]
+) -> None:
+    out = publish(store, tmp_path / "out", SEED, dataclasses.replace(SMALL, form=form))
+    assert {path.stat().st_mtime for path in (out, *out.rglob("*"))} == {FILE_TIME_S}
+    if form == "zarr":
+        for name in PUBLISHED:
+            array = zarr.open_array(out / name, mode="r")
+            whole = array.shape[0] // array.shards[0]
+            sizes = [(out / name / f"c/{i}/0/0/0").stat().st_size for i in range(whole)]
+            assert whole > 5
+            assert len(set(sizes)) == 1
+            # An index of offsets and sizes ends each file.
+            parts = struct.unpack(
+                f"<{2 * array.shards[0]}Q",
+                (out / name / "c/0/0/0/0").read_bytes()[-16 * array.shards[0] - 4 : -4],
+            )
+            assert len(set(parts[1::2])) == 1
+
+
+def test_a_set_that_is_there_is_replaced_as_a_whole_and_only_when_told(
+    tmp_path: Path, store: Store, run_command: Callable[..., Any]
+) -> None:
+    out = tmp_path / "out"
+    words = ("dataset", "publish", store.path, "--about", ABOUT_FILE, "--out", out, "--patch", 16)
+    assert run_command("processing", *words).code == 0
+    first = contents(out)
+    again = run_command("processing", *words)
+    assert again.code == 2
+    assert "pass --overwrite" in again.err
+    assert contents(out) == first
+    tars = run_command("processing", *words, "--format", "webdataset", "--overwrite")
+    assert tars.code == 0, tars.err
+    assert {path.suffix for path in out.iterdir()} == {".tar", ".json", ".md"}
+    assert sorted(tmp_path.glob(".*")) == []
+    # The lab knows of both.
+    assert len((store.path / "releases.jsonl").read_text().splitlines()) == 2
+
+
+def test_of_two_that_publish_to_one_place_at_once_one_is_there_whole(
+    tmp_path: Path, store: Store
+) -> None:
+    out, between = tmp_path / "out", []
+
+    def other(done: int, total: int) -> None:
+        if done == total and not between:
+            between.append(contents(publish(store, out, SEED + 1, SMALL)))
+
+    publish(store, out, SEED, SMALL, other)
+    sums = json.loads((out / "checksums.json").read_text())["files"]
+    assert sums == {name: sha256_file(out / name) for name in sums}
+    assert contents(out) != between[0]
+    assert sorted(tmp_path.glob(".*")) == []
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def test_a_form_that_there_is_none_of_is_refused() -> None:

@@ -10,10 +10,10 @@ from scipy import sparse
 
 from lightstage.errors import FormatError
 from lightstage.formats.processed import ProcessedFolder
-from processing.pixels import MAP_NAMES, PixelMaps, write_maps
 from processing.rays import MeshRays
 from processing.refinement.gloss import smooth
 from processing.refinement.written import write_refined
+from processing.view_maps import MAP_NAMES, PixelMaps, write_maps
 
 
 def maps_of(count: int, value: float) -> PixelMaps:

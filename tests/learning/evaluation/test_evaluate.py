@@ -17,14 +17,13 @@ from hypothesis import strategies as st
 
 from learning.evaluation.measures import (
     albedo_measures,
-    ita_deg,
     normal_measures,
     ssim,
-    tone_of,
 )
 from learning.evaluation.people import by_tone, interval, spread
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
+from processing.tones import ita_deg, tone_of
 from tests.learning.export.called import run
 
 WHITE = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.mesh import read_obj
 from lightstage.formats.template import Template, default_template_path
 from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, KEY, Shot
+from tests.programs import run_program
 
 ROWS = 192
 FILM_MM = 36 * FOCAL_PX / HEIGHT_PX
@@ -30,10 +29,9 @@ FILM_MM = 36 * FOCAL_PX / HEIGHT_PX
 
 def called(*words: str | Path) -> tuple[int, dict[str, Any]]:
     """Exit code and what the last line says as JSON."""
-    line = [sys.executable, "-m", "learning", *map(str, words), "--json"]
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
-    assert "Traceback" not in done.stderr, done.stderr
-    return done.returncode, json.loads(done.stdout.strip().splitlines()[-1])
+    ended = run_program("learning", *words, "--json")
+    assert "Traceback" not in ended.err, ended.err
+    return ended.code, json.loads(ended.out.strip().splitlines()[-1])
 
 
 @pytest.fixture(scope="session")

@@ -19,6 +19,7 @@ from lightstage.rig import Rig, default_rig
 from lightstage.session import read_journal
 from sim.devices.led_device import SETTLE_TIMEOUT_S
 from sim.devices.target_stage import TargetStage
+from tests.programs import run_program
 
 CONFIG = '[calibration]\nwanted = ["chart"]\n'
 
@@ -182,16 +183,15 @@ def test_bad_arguments_exit_2_with_one_message_and_leave_nothing(rig, tmp_path, 
 
 def test_a_lab_is_listed_by_its_command(taken, tmp_path):
     _, desk, *_ = taken
-    command = [sys.executable, "-m", "lightstage", "calibrations"]
-    done = subprocess.run([*command, str(desk / "lab")], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    lines = {line.split()[0]: line for line in done.stdout.splitlines()}
+    done = run_program("lightstage", "calibrations", desk / "lab")
+    assert done.code == 0, done.err
+    lines = {line.split()[0]: line for line in done.out.splitlines()}
     assert "holds 14 days more" in lines["chart"]
     assert "none yet, wanted by every session" in lines["mirror"]
-    assert "1 of 6 kinds hold" in done.stdout.splitlines()[-1]
-    done = subprocess.run([*command, str(tmp_path / "none")], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert "found no such folder, expected a lab's folder of calibration shots" in done.stderr
+    assert "1 of 6 kinds hold" in done.out.splitlines()[-1]
+    done = run_program("lightstage", "calibrations", tmp_path / "none")
+    assert done.code == 2
+    assert "found no such folder, expected a lab's folder of calibration shots" in done.err
 
 
 def test_shots_of_two_rigs_are_told_apart():

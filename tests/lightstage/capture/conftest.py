@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from lightstage.cameras.process import Deadlines
+from lightstage.capture.camera_shot import Photographer
 from lightstage.capture.config import CaptureConfig
-from lightstage.capture.photograph import Photographer
 from lightstage.capture.run import CaptureReport, Run
 from lightstage.preflight import PreflightConfig
 from lightstage.safety import SafetyConfig

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.checks.noise import fit_noise
-from lightstage.checks.photo import BAYER, measure_counts, measure_photo
+from lightstage.checks.photo_measures import BAYER, measure_counts, measure_photo
 from lightstage.errors import FormatError
 from lightstage.formats.exr import write_exr
 from sim.camera.dng import Exif, dng_bytes

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from benchmarks.check_faults import BINARY
-from lightstage.checks.motion import sum_shift
 from lightstage.checks.noise import fit_noise
-from lightstage.checks.photo import BAYER, measure_counts
+from lightstage.checks.photo_measures import BAYER, measure_counts
 from lightstage.checks.sharpness import sharpness
 from lightstage.checks.shot import ShotChecks
+from lightstage.checks.subject_motion import sum_shift
 from lightstage.patterns import pattern_levels
 from lightstage.sequence import Shot
 from sim.camera.optics import defocus

@@ -2,8 +2,6 @@
 
 import hashlib
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ from lightstage.formats.files import sha256_file, write_json
 from lightstage.patterns import pattern_levels
 from lightstage.session import SessionPlan, SessionWriter
 from lightstage.session.manifest import write_manifest
+from tests.programs import run_program
 
 PATTERNS = ["full", "x+", "x-"]
 
@@ -62,15 +61,13 @@ def test_missing_truncated_changed_and_misnamed_frames_make_one_message(session)
     data = bytearray(changed.read_bytes())
     data[-1] ^= 1
     changed.write_bytes(data)
-    done = subprocess.run(
-        [sys.executable, "-m", "lightstage", "check", str(session)], capture_output=True, text=True
-    )
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert "3 problems" in done.stderr
-    assert f"{session}/frames/full/cam0.dng: found no such file, expected" in done.stderr
-    assert "frames/x+/cam1.dng, sha256: found" in done.stderr
-    assert "frames/x-/cam2.dng, sha256: found" in done.stderr
+    done = run_program("lightstage", "check", session)
+    assert done.code == 2
+    assert "Traceback" not in done.err
+    assert "3 problems" in done.err
+    assert f"{session}/frames/full/cam0.dng: found no such file, expected" in done.err
+    assert "frames/x+/cam1.dng, sha256: found" in done.err
+    assert "frames/x-/cam2.dng, sha256: found" in done.err
 
 
 def test_a_frame_truncated_before_it_was_hashed_is_found_by_its_header(session):
@@ -150,10 +147,8 @@ def test_an_interrupted_capture_is_told_from_no_session(session, tmp_path):
 
 
 def checked(root):
-    """The command `check`, as a user runs it."""
-    return subprocess.run(
-        [sys.executable, "-m", "lightstage", "check", str(root)], capture_output=True, text=True
-    )
+    """The command `check`."""
+    return run_program("lightstage", "check", root)
 
 
 @pytest.mark.parametrize(
@@ -172,8 +167,8 @@ def test_check_says_what_the_files_that_a_session_has_do_not_prove(session, lack
     for name in lacks:
         (session / name).unlink()
     done = checked(session)
-    assert done.returncode == 0, done.stderr
-    said = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
+    assert done.code == 0, done.err
+    said = [line for line in done.err.splitlines() if line.startswith("note: ")]
     assert len(said) == len(notes)
     for line, part in zip(said, notes, strict=True):
         assert line.startswith(f"note: {part}")
@@ -198,9 +193,9 @@ def test_check_tells_two_photographs_that_were_exchanged_on_the_disk(session, ch
             value["files"][name] = sha256_file(session / name)
         write_json(session / "manifest.json", value)
     done = checked(session)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert done.stdout == ""
+    assert done.code == 2
+    assert "Traceback" not in done.err
+    assert done.out == ""
     for name, camera in zip(names, ("cam0", "cam1"), strict=True):
         told = f"frame x+ by {camera}, sha256: found" if changed_along else f"{name}, sha256: found"
-        assert told in done.stderr, done.stderr
+        assert told in done.err, done.err

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lightstage.checks.motion import sum_shift
-from lightstage.checks.photo import BAYER, measure_counts
+from lightstage.checks.photo_measures import BAYER, measure_counts
 from lightstage.checks.sharpness import own_sharpness, sharpness
+from lightstage.checks.subject_motion import sum_shift
 from lightstage.checks.sums import find_sums, fit_sum
 from lightstage.patterns import pattern_levels
 from lightstage.rig import default_rig

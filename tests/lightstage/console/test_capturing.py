@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -52,6 +53,11 @@ def test_a_take_is_captured_whole_and_the_next_one_follows(staged, plan) -> None
         assert page.count("/small") == 9
         picture = visitor.get("/session/P1+neutral/x+/cam1/1/small")
         assert picture.body.startswith(b"\xff\xd8")
+        added = visitor.get("/session/P1+neutral/x+/cam1/1/sum")
+        assert re.search(r"x\+ and x- together differ from full by|too little is lit", added.text)
+        assert "sum.jpg" in added.text
+        picture = visitor.get("/session/P1+neutral/x+/cam1/1/sum.jpg")
+        assert picture.body.startswith(b"\xff\xd8")
         assert visitor.post("/session/P1+neutral/check").headers["HX-Redirect"] == "/sessions"
         wait_until(lambda: (root / "checked.json").exists(), "the check's note")
         assert "✓ passed" in visitor.get("/sessions").text
@@ -99,6 +105,12 @@ def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
         wait_until(lambda: events_of(root, "asked"), "a question")
         visitor.shows("/session/P1+neutral/part", "take it again", "WAITING FOR YOU")
         assert stage.device.dark
+        devices = visitor.get("/devices/part").text
+        assert re.search(
+            r"at [0-9]+ % of full power's warmth at most \(90 % are allowed\).* "
+            r"[0-9]+ s at full level \(600 s are allowed\)",
+            devices,
+        ), devices
         time.sleep(0.5)
         assert not events_of(root, "answered")
         assert "there is no photograph" in visitor.post("/session/P1+neutral/do", do="accept").text
@@ -221,6 +233,9 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.wait("document.getElementById('look').open")
         browser.wait("document.querySelector('#look img').naturalWidth > 0")
         browser.wait("/Focus figure|too little/.test(document.getElementById('focus').innerText)")
+        browser.wait("/together|too little/.test(document.getElementById('sum').innerText)")
+        browser.wait("document.querySelector('#sum img').naturalWidth > 0")
+        assert browser.js("document.documentElement.scrollWidth") <= 800
         assert browser.errors == []
         root = site.desk.folder / "P1+neutral"
         assert check_session(root).frames == 9
@@ -234,3 +249,8 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
         browser.press("q")
         browser.wait('document.body.innerText.includes("STOPPED")')
         assert stage.device.dark
+        for key, path in (("1", "/plan"), ("3", "/devices"), ("4", "/sessions")):
+            browser.press(key)
+            browser.wait(f"location.pathname === '{path}' && document.readyState === 'complete'")
+            assert browser.js("document.documentElement.scrollWidth") <= 800, path
+        assert browser.errors == []

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from lightstage.errors import FormatError
-from lightstage.faces.photo import read_photo
+from lightstage.faces.upright_srgb import read_photo
 from lightstage.formats.landmarks import read_points_px
-from lightstage.motion.points import read_clicks
+from lightstage.poses_from_photos.points import read_clicks
 from tests.documents import ROOT
 
 

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from lightstage.errors import ConfigError
 from lightstage.leds.address import (
     AdalightOptions,
+    IclOptions,
     Options,
     SacnOptions,
     SerialOptions,
@@ -29,6 +30,17 @@ def test_each_scheme_has_its_place_its_options_and_its_defaults():
     assert (dmx.place, dmx.port) == ("multicast", 5568)
     assert dmx.options == SacnOptions(universe=7, channels=3, bits=16, priority=150)
     assert parse_url("sacn://10.0.0.7:5000").port == 5000
+    icl = parse_url(
+        "ws://stage.local:8080/ws?lights=polarised&white=ff8000&settle_s=0.2&attempts=3"
+    )
+    assert (icl.place, icl.port, icl.path, str(icl)) == (
+        "stage.local",
+        8080,
+        "/ws",
+        "stage.local:8080",
+    )
+    assert icl.options == IclOptions(lights="polarised", white="ff8000", settle_s=0.2, attempts=3)
+    assert icl.worst_s == 15.2
 
 
 @pytest.mark.parametrize(
@@ -54,6 +66,16 @@ def test_each_scheme_has_its_place_its_options_and_its_defaults():
         ("adalight:///dev/x?order=rgg", "rgb in any order"),
         ("adalight:///dev/x?colour=white", "RRGGBB"),
         ("adalight:///dev/x?colour=000000", "not black"),
+        ("ws://h:8080", "ws://HOST:8080/ws"),
+        ("ws://h/ws", "ws://HOST:8080/ws"),
+        ("ws://:8080/ws", "ws://HOST:8080/ws"),
+        ("ws://u@h:8080/ws", "ws://HOST:8080/ws"),
+        ("wss://h:8080/ws", "ws://HOST:8080/ws"),
+        ("ws://h:8080/w s", "ws://HOST:8080/ws"),
+        ("ws://h:1/ws?lights=green", "lights: found 'green', expected one of white, rgb, both"),
+        ("ws://h:1/ws?rgb=000000", "rgb: found '000000', expected RRGGBB, hexadecimal, not black"),
+        ("ws://h:1/ws?white=warm", "white: found 'warm', expected RRGGBB"),
+        ("ws://h:1/ws?gamma=2", "gamma: found an unknown key, expected one of attempts, lights"),
         ("sacn://h?universe=0", "universe: found '0', expected a whole number from 1 to 63999"),
         ("sacn://h?bits=12", "8 or 16"),
         ("sacn://h?priority=201", "from 0 to 200"),
@@ -71,7 +93,10 @@ def test_all_faults_of_a_url_are_told_at_once():
         parse_url("adalight:///dev/x?speed=1&attempts=0&gamma=many")
 
 
-@given(st.text(max_size=60), st.sampled_from(["", "serial://", "sacn://", "socket://h:1?"]))
+@given(
+    st.text(max_size=60),
+    st.sampled_from(["", "serial://", "sacn://", "socket://h:1?", "ws://h:1/", "ws://h:1/ws?"]),
+)
 def test_any_text_is_read_or_refused(text, head):
     try:
         address = parse_url(head + text)

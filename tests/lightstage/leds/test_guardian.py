@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -17,10 +18,13 @@ from lightstage.leds import guardian
 from lightstage.leds.guard import Guardian, LastWill
 from lightstage.leds.opening import open_leds
 from sim.devices.adalight_device import AdalightDevice
+from sim.devices.icl_server import IclServer
 from sim.devices.led_device import WATCHDOG_S, LedDevice
 from sim.devices.sacn_device import SOURCE_LOSS_S, SacnDevice
 
-KINDS = ("pty", "socket", "adalight", "sacn")
+WATCHFUL = ("pty", "socket", "adalight", "sacn")
+KINDS = (*WATCHFUL, "icl")
+"""ICL's server has no watchdog: it keeps the last state for ever."""
 
 CAPTURE = """
 import signal, subprocess, sys, time
@@ -62,6 +66,8 @@ def far_end(kind):
         return AdalightDevice(8, unwatched)
     if kind == "sacn":
         return SacnDevice(8, unwatched)
+    if kind == "icl":
+        return IclServer(unwatched, at_once=True)
     return LedDevice(8, unwatched, over=kind)
 
 
@@ -140,7 +146,7 @@ def with_watchdog(kind):
     return LedDevice(8, unwatched, over=kind, watchdog_s=WATCHDOG_S), WATCHDOG_S
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", WATCHFUL)
 def test_a_capture_killed_with_its_guardian_leaves_the_device_to_go_dark_by_itself(kind, rig_path):
     far, silence_s = with_watchdog(kind)
     with far as device, Running(device, rig_path) as capture:
@@ -184,7 +190,7 @@ def test_an_exception_leaves_no_light_on(rig_path):
         assert "a bug" in capture.process.stderr.read()
 
 
-@pytest.mark.parametrize("kind", ["pty", "adalight"])
+@pytest.mark.parametrize("kind", ["pty", "adalight", "icl"])
 def test_a_capture_that_stands_still_is_made_dark_from_outside(kind, rig_path):
     with far_end(kind) as device, Running(device, rig_path, silence_s=1.0) as capture:
         os.kill(capture.process.pid, signal.SIGSTOP)
@@ -223,6 +229,49 @@ def test_a_guardian_sends_its_will_more_than_once_when_nobody_answers():
     os.close(writing)
     assert os.read(reading, 100) == 3 * b"dark"
     os.close(reading)
+
+
+def test_a_will_by_a_connection_of_its_own_is_sent_until_it_is_the_last_word():
+    ours, device = socket.socketpair()
+    heard = []
+
+    def serve(listener):
+        """A server that reads on in the capture's connection only after the first will."""
+        while True:
+            line, _ = listener.accept()
+            with line:
+                heard.append(line.recv(100))
+                line.sendall(b"HTTP/1.1 101\r\n\r\n")
+                heard.append(line.recv(100))
+                line.sendall(b"is dark")
+            if len(heard) == 2:
+                heard.append(device.recv(100))
+                device.close()
+
+    ours.sendall(b"light")
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=serve, args=(listener,), daemon=True).start()
+        will = {
+            "handle": ours.fileno(), "messages": [[b"dark".hex(), None]], "patience_s": 20.0,
+            "answer": b"is dark".hex(), "connect": listener.getsockname(), "greeting": b"GET".hex(),
+        }  # fmt: skip
+        assert guardian.make_dark_anew(will)
+    assert heard[:3] == [b"GET", b"dark", b"light"]
+    assert heard[-2:] == [b"GET", b"dark"]
+    ours.close()
+
+
+def test_a_will_that_nobody_takes_is_given_up_and_told():
+    ours, device = socket.socketpair()
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        place = listener.getsockname()
+    will = {
+        "handle": ours.fileno(), "messages": [[b"dark".hex(), None]], "patience_s": 0.1,
+        "answer": b"is dark".hex(), "connect": place, "greeting": b"GET".hex(),
+    }  # fmt: skip
+    assert not guardian.make_dark_anew(will)
+    ours.close()
+    device.close()
 
 
 def test_a_guardian_whose_capture_died_before_it_was_ready_makes_the_device_dark_without_a_word():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lightstage.errors import ConfigError, DeviceError
-from lightstage.leds import line, serial_port
+from lightstage.leds import connection, serial_port
 from lightstage.leds.controller import LightLostError
 from lightstage.leds.opening import open_leds
 from sim.devices.adalight_device import AdalightDevice
@@ -99,7 +99,7 @@ def test_more_lights_than_universes_are_refused():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_second_capture_on_one_device_is_refused_and_the_first_goes_on(kind, monkeypatch):
-    monkeypatch.setattr(line, "BUSY_WAIT_S", 0.1)
+    monkeypatch.setattr(connection, "BUSY_WAIT_S", 0.1)
     monkeypatch.setattr(serial_port, "BUSY_WAIT_S", 0.1)
     with far_end(kind) as device, open_leds(url(device), 8) as leds:
         with pytest.raises(DeviceError, match=r"another program that is using it.*Two on one"):

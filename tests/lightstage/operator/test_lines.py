@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lightstage.errors import FormatError
-from lightstage.operator.lines import JournalTail
+from lightstage.operator.journal_stream import JournalTail
 
 
 def as_bytes(*lines):

@@ -19,7 +19,7 @@ CAPTURING = """
 import json, sys, time
 from pathlib import Path
 from lightstage.operator import Unattended, serve_events
-from lightstage.operator.lines import JournalTail
+from lightstage.operator.journal_stream import JournalTail
 
 class Writer:
     def __init__(self, root):

@@ -10,6 +10,7 @@ from lightstage.errors import ConfigError, DeviceError
 from lightstage.formats.config import make_config
 from lightstage.leds.controller import Hello
 from lightstage.preflight import Plan, PreflightConfig, preflight, require
+from lightstage.rig import LightAddress
 
 GOOD = Summary(
     "600", "D750", "1.0", "M", "100", "1/8", "f/8", "Daylight", "RAW", "MF", 80.0, 10**10, 0.0,
@@ -56,6 +57,17 @@ def test_lights_cameras_and_disk_are_told_in_one_message(tmp_path, small_rig):
     assert "Ann" not in said
     assert "unacknowledged" not in said
     assert [f.code for f in found if f.severity == "warn"] == ["unacknowledged"]
+
+
+@pytest.mark.parametrize(("count", "fits"), [(8, False), (9, False), (10, True), (16, True)])
+def test_a_device_needs_as_many_channels_as_the_rigs_addresses_go(tmp_path, small_rig, count, fits):
+    lights = [
+        dataclasses.replace(light, address=LightAddress(channel))
+        for light, channel in zip(small_rig.lights, (9, 1, 2, 3, 4, 5, 6, 7), strict=True)
+    ]
+    rig = dataclasses.replace(small_rig, lights=tuple(lights))
+    found = look(rig, tmp_path / "s", Leds(count))
+    assert [f.expected for f in found] == ["at least 10 (addresses in rig.json)"] * (not fits)
 
 
 def test_warnings_alone_let_a_capture_begin(tmp_path, small_rig):

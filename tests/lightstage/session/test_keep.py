@@ -7,9 +7,9 @@ import threading
 
 import pytest
 
-from lightstage.session import keep as module
+from lightstage.session import durable_rename as module
 from lightstage.session.disk import make_folder, rename_new
-from lightstage.session.keep import Arrival, is_whole, settle, sha256_on_disk
+from lightstage.session.durable_rename import Arrival, is_whole, settle, sha256_on_disk
 
 STEPS = ["sized", "parsed", "hashed", "flushed", "named", "folder-flushed"]
 
@@ -61,7 +61,7 @@ def test_the_file_is_flushed_before_it_is_read_back_and_the_folder_after_it_has_
 MEMORY = """
 import hashlib, resource, struct, sys, threading
 from pathlib import Path
-from lightstage.session.keep import Arrival, settle
+from lightstage.session.durable_rename import Arrival, settle
 folder, size = Path(sys.argv[1]), int(sys.argv[2])
 head = b"II*\\0\\x08\\0\\0\\0" + struct.pack("<HHHI4sI", 1, 50706, 1, 4, b"\\x01\\x04\\0\\0", 0)
 block = bytes(range(256)) * 4096

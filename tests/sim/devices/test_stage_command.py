@@ -11,6 +11,7 @@ from lightstage.formats.landmarks import read_points_px
 from lightstage.formats.session import load_session
 from lightstage.rig import save_rig
 from sim.devices.stage_command import Echo
+from tests.programs import run_program
 
 
 def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig):
@@ -47,16 +48,13 @@ def test_the_command_that_a_standing_stage_prints_captures_it(tmp_path, tiny_rig
 def test_a_simulated_target_becomes_calibration_shots_that_hold(tmp_path, tiny_rig):
     rig = save_rig(tiny_rig, tmp_path / "rig.json")
     options = ["dark", "--out", str(tmp_path / "LAB"), "--rig", str(rig), "--scale", "1"]
+    options += ["--rewired", "3"]
     done = subprocess.run(
         [sys.executable, "-m", "sim", "calibrate", *options], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    listed = subprocess.run(
-        [sys.executable, "-m", "lightstage", "calibrations", str(tmp_path / "LAB")],
-        capture_output=True,
-        text=True,
-    )
-    assert "1 of 6 kinds hold" in listed.stdout
+    listed = run_program("lightstage", "calibrations", tmp_path / "LAB")
+    assert "1 of 6 kinds hold" in listed.out
 
 
 def test_lines_that_go_on_with_devices_that_are_gone_are_not_passed_on():

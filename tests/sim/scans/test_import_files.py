@@ -14,7 +14,7 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.mesh import Mesh
 from sim.errors import SimError
 from sim.scans.checks import outward_share
-from sim.scans.file import decode_picture, merged, read_picture, read_scan
+from sim.scans.scan_file import decode_picture, merged, read_picture, read_scan
 
 
 def corners(mesh: Mesh) -> np.ndarray:

@@ -28,8 +28,8 @@ from sim.people.subject import Subject
 from sim.targets.ball import Ball, photograph_grey, photograph_mirror
 from sim.targets.boards import BoardConfig, board_poses, chart_plane, facing
 from sim.targets.light import white_reading
-from sim.targets.photographs import TargetsConfig, make_targets, write_targets
 from sim.targets.plane import Plane, photograph_plane
+from sim.targets.target_session import TargetsConfig, make_targets, write_targets
 
 SCALE = 0.1795
 NO_ROOM = np.zeros(3)

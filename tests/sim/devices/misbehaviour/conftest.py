@@ -19,7 +19,7 @@ from lightstage.cameras.camera import Summary
 from lightstage.cameras.process import CameraProcess, Deadlines
 from lightstage.capture import CaptureConfig, CaptureReport, Order, Stage, capture_session
 from lightstage.errors import LightstageError, one_error
-from lightstage.leds.opening import open_leds
+from lightstage.leds.opening import open_rig_leds
 from lightstage.operator import OperatorConfig, Unattended
 from lightstage.patterns import Drive
 from lightstage.rig import Camera, Light, Rig, look_at
@@ -181,7 +181,7 @@ class StandingStage:
         said, report, labels = "", None, None
         cameras: list[Any] = []
         try:
-            with open_leds(coded.device.url(timeout_s, attempts), len(small.rig.lights)) as leds:
+            with open_rig_leds(coded.device.url(timeout_s, attempts), small.rig) as leds:
                 ports = {c.id: str(coded.cameras.folder(c.id)) for c in small.rig.cameras}
                 cameras = [
                     Named(name, port)

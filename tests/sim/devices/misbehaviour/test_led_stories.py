@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from lightstage.checks import check_session
+from lightstage.patterns import pattern_levels
+from lightstage.rig import LightAddress
 from sim.devices.faults import Fault
 from sim.errors import SimError
 
@@ -27,6 +31,22 @@ def test_with_no_fault_all_is_well_and_dark(stage):
     assert ending.happened == []
     assert ending.report.retakes == 0
     assert check_session(ending.root).frames == 9
+
+
+def test_a_rig_with_addresses_lights_the_lamps_that_its_patterns_name(stage):
+    lights = [
+        dataclasses.replace(light, address=LightAddress(2 * (7 - i)))
+        for i, light in enumerate(stage.rig.lights)
+    ]
+    stage.rig = dataclasses.replace(stage.rig, lights=tuple(lights))
+    ending = stage.capture(Fault("drop", at=SET_X, way="request"))
+    assert ending.fine, ending.said
+    assert ending.dark
+    shone = [state.counts for state in ending.shone if state.counts.any()]
+    assert {len(counts) for counts in shone} == {15}
+    assert not any(counts[1::2].any() for counts in shone)
+    right = pattern_levels("x+", stage.rig)[::-1] > 0
+    assert any(((counts[::2] > 0) == right).all() for counts in shone)
 
 
 @pytest.mark.parametrize("way", ["request", "answer"])

@@ -16,14 +16,16 @@ from hypothesis import strategies as st
 from lightstage.errors import DeviceError
 from lightstage.leds import wire_leds
 from lightstage.leds.wire_leds import WireLeds
-from sim.devices.fault_names import LEDS, NAMES
+from sim.devices.fault_names import LEDS, NAMES, OF_ICL
 from sim.devices.faults import Fault, FaultLog, Story
 from sim.devices.led_faults import FaultyLeds, Wait
 
 LIGHTS = 4
 HIDDEN = ("stuck-on-hidden", "dead-light-hidden", "swapped-bank")
 """Of these the device knows nothing: no wire can tell them."""
-TOLD = [name for name, known in NAMES.items() if known.device == LEDS and name not in HIDDEN]
+TOLD = [
+    name for name, known in NAMES.items() if known.device == LEDS and name not in (*HIDDEN, *OF_ICL)
+]
 
 
 class Port:

@@ -1,0 +1,109 @@
+"""The command `lights identify`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import typer
+
+from lightstage.capture.config import read_config
+from lightstage.commands import JsonFlag, finish, output_file
+from lightstage.counting import counted
+from lightstage.errors import ConfigError
+from lightstage.rig import Rig, load_rig, save_rig
+from lightstage.wiring.identify import identify
+from lightstage.wiring.walk import corrections
+
+LEVEL = 0.5
+"""Of the lamp that shines: plain to see, and a lamp bears it as long as anybody looks."""
+MOST_CHANNELS = 65535
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group `lights` to an application."""
+    group = typer.Typer(
+        rich_markup_mode=None, help="Light single lamps: which one is on which wire."
+    )
+    group.callback()(_lights)
+    group.command("identify")(identify_command)
+    app.add_typer(group, name="lights")
+
+
+def _lights() -> None:
+    """Light single lamps: which one is on which wire."""
+
+
+def identify_command(
+    rig: Path = typer.Option(..., "--rig", help="rig.json: where the lights stand."),
+    leds: str = typer.Option(..., help="The LED device, as for `capture`."),
+    out: Path = output_file(
+        "--out",
+        help="The corrected rig, .json; may be the rig itself.",
+        suffixes=[".json"],
+        shared=True,
+    ),
+    level: float = typer.Option(LEVEL, min=0.01, max=1.0, help="Of the lamp that shines."),
+    channels: int | None = typer.Option(
+        None,
+        min=1,
+        max=MOST_CHANNELS,
+        help="Of a device that does not tell how many it has, if more than the rig needs.",
+    ),
+    config: Path | None = typer.Option(
+        None, "--config", help="TOML with other limits of light than the defaults, as `capture`'s."
+    ),
+    as_json: bool = JsonFlag,
+) -> None:
+    """Light one lamp after the other, and correct the rig's addresses by what is seen."""
+    settings = read_config(config)
+    the_rig = load_rig(rig)
+    lines = Lines()
+
+    def save(changed: Rig) -> None:
+        save_rig(changed, out)
+
+    found = identify(the_rig, leds, lines.ask, _say, save, settings.safety, level, channels)
+    changes = corrections(the_rig, found)
+    for change in changes:
+        _say(change)
+    finish(
+        f"{out}: {counted(len(changes), 'address', 'addresses')} corrected"
+        if changes
+        else f"{rig}: no address corrected, nothing written",
+        {"rig": str(out) if changes else None, "corrected": changes},
+        as_json,
+    )
+
+
+class Lines:
+    """The operator's lines: typed at a terminal, or piped.
+
+    Raises:
+        ConfigError: neither, before a light goes on.
+    """
+
+    def __init__(self) -> None:
+        self._first: str | None = None
+        if not sys.stdin.isatty():
+            self._first = sys.stdin.readline()
+            if not self._first:
+                raise ConfigError(
+                    "standard input",
+                    found="no terminal and no line",
+                    expected="somebody who says what is seen",
+                    hint="Start it in a terminal, or pipe one line for each step: a light's "
+                    "number, Enter for the next, c NUMBER, s NUMBER, q.",
+                )
+
+    def ask(self, question: str) -> str:
+        """Print a question and return the line; EOFError at the end."""
+        print(question, end="", file=sys.stderr, flush=True)
+        said, self._first = self._first or sys.stdin.readline(), None
+        if not said:
+            raise EOFError
+        return said
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

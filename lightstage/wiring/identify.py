@@ -1,0 +1,107 @@
+"""Lights one lamp after the other while an operator says what is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from lightstage.errors import DeviceError, LightstageError
+from lightstage.interrupts import raise_once
+from lightstage.leds.controller import LightLostError
+from lightstage.leds.opening import channel_count, open_leds
+from lightstage.leds.wired import WiredLeds
+from lightstage.rig import Rig
+from lightstage.safety import SafeLights, SafetyConfig
+from lightstage.wiring.walk import HELP, Walk
+
+
+def identify(
+    rig: Rig,
+    leds: str,
+    ask: Callable[[str], str],
+    say: Callable[[str], None],
+    save: Callable[[Rig], None],
+    safety: SafetyConfig,
+    level: float,
+    channels: int | None = None,
+) -> Rig:
+    """Light one lamp at a time until the operator ends it; dark on every way out.
+
+    Args:
+        rig: its lights, with the addresses to be looked at.
+        leds: the LED device's URL.
+        ask: prints a question and returns the operator's line; EOFError where nobody is there
+            any more.
+        say: prints a line.
+        save: keeps the rig; called after each correction.
+        safety: limits of light.
+        level: in 0..1, of the lamp that shines.
+        channels: of a device that does not tell how many it has; as many as the rig needs.
+
+    Returns:
+        The rig with its addresses as corrected.
+
+    Raises:
+        RigError: lights on several controllers.
+        DeviceError: nobody there, fewer channels than the rig needs.
+    """
+    needed = channel_count(rig)
+    raise_once()
+    with open_leds(leds, max(needed, channels or 0)) as device:
+        count = device.hello.light_count
+        if count < needed:
+            raise DeviceError(
+                "LED device",
+                field="light count",
+                found=str(count),
+                expected=f"at least {needed}, as the rig's addresses go",
+                hint="Is this the rig file of this stage?",
+            )
+        walk = Walk(rig, count)
+        wired = WiredLeds(device, walk.channels)
+        if not device.acknowledged:
+            say("This LED device does not answer: what it lights is what was sent.")
+        with SafeLights(wired, safety, rig) as lights:
+            lights.dark()
+            while not walk.over:
+                if walk.lit:
+                    _light(lights, level * np.eye(len(rig.lights))[walk.at])
+                    say(walk.told())
+                _step(walk, ask, say)
+                if walk.rig is not rig:
+                    save(walk.rig)
+                    wired.rewire(walk.channels)
+                    rig = walk.rig
+                _tell_of_loss(lights, say)
+                if not walk.lit:
+                    lights.dark()
+    return rig
+
+
+def _step(walk: Walk, ask: Callable[[str], str], say: Callable[[str], None]) -> None:
+    try:
+        line = ask(HELP)
+    except EOFError:
+        walk.over = True
+        return
+    said = walk.hear(line)
+    if said:
+        say(said)
+
+
+def _light(lights: SafeLights, levels: np.ndarray) -> None:
+    """Light, once more where the device had lost what was lit (a reset, a cable)."""
+    try:
+        lights.light(levels)
+    except LightLostError:
+        lights.recover()
+        lights.light(levels)
+
+
+def _tell_of_loss(lights: SafeLights, say: Callable[[str], None]) -> None:
+    """Say so where the lamp went out while somebody looked for it."""
+    try:
+        lights.confirm()
+    except LightstageError as error:
+        say(f"The light was lost: {error}")

@@ -1,0 +1,141 @@
+"""A walk through the lights of a rig: which one is lit, on which channel, what was corrected."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+
+from lightstage.rig import Rig
+
+HELP = (
+    "Enter next, b back, a number that light; c NUMBER its channel, s NUMBER the light that "
+    "shines instead, d dark, q end: "
+)
+_SAID = re.compile(r"([a-z?]*)\s*([0-9]{0,10})")
+
+
+@dataclasses.dataclass
+class Walk:
+    """Where somebody is who looks at one light after the other.
+
+    Attributes:
+        rig: with the addresses as they are now.
+        count: channels of the device.
+        at: place in the rig of the light that is meant.
+        lit: whether it shall shine.
+        over: whether the walk has ended.
+    """
+
+    rig: Rig
+    count: int
+    at: int = 0
+    lit: bool = True
+    over: bool = False
+
+    @property
+    def channels(self) -> list[int]:
+        """Channel of each light, in the rig's order."""
+        return [address.channel for address in self.rig.addresses]
+
+    def told(self) -> str:
+        """The light that is meant: name, place, address."""
+        light, address = self.rig.lights[self.at], self.rig.addresses[self.at]
+        return (
+            f"Light {light.id} ({light.name}), {self.at + 1} of {len(self.rig.lights)}: "
+            f"{place_in_words(np.array(light.position_mm))}; "
+            f"channel {address.channel} of {address.controller}"
+        )
+
+    def hear(self, line: str) -> str:
+        """Do what an operator's line says.
+
+        Returns:
+            What was done or could not be, in words; empty where the light that is meant now
+            says it.
+        """
+        parts = _SAID.fullmatch(line.strip().lower())
+        word, number = (parts[1], parts[2]) if parts else ("", "?")
+        moves = {"": 1, "n": 1, "b": -1}
+        if word in moves and not number:
+            self.at = (self.at + moves[word]) % len(self.rig.lights)
+        elif parts and not word:
+            return self._go_to(int(number))
+        elif word == "c" and number:
+            return self._connect(self.at, int(number))
+        elif word == "s" and number:
+            other = self._place_of(int(number))
+            if other is None:
+                return self._no_light(int(number))
+            return self._connect(other, self.channels[self.at])
+        elif word == "d" and not number:
+            self.lit = False
+            return "Dark."
+        elif word == "q" and not number:
+            self.over = True
+            return ""
+        else:
+            return f"Not understood: {line.strip()[:40]!r}."
+        self.lit = True
+        return ""
+
+    def _go_to(self, light_id: int) -> str:
+        place = self._place_of(light_id)
+        if place is None:
+            return self._no_light(light_id)
+        self.at, self.lit = place, True
+        return ""
+
+    def _place_of(self, light_id: int) -> int | None:
+        found = (i for i, light in enumerate(self.rig.lights) if light.id == light_id)
+        return next(found, None)
+
+    def _no_light(self, light_id: int) -> str:
+        ids = [light.id for light in self.rig.lights]
+        return f"No light {light_id}: the rig has ids from {min(ids)} to {max(ids)}."
+
+    def _connect(self, place: int, channel: int) -> str:
+        """Give a light a channel; who had it gets the one that the light had, so none is double."""
+        if channel >= self.count:
+            return f"No channel {channel}: there are {self.count}, counted from 0."
+        channels = self.channels
+        light, before = self.rig.lights[place], channels[place]
+        self.lit = True
+        if before == channel:
+            return f"Light {light.id} ({light.name}) is on channel {channel} already."
+        said = f"Light {light.id} ({light.name}) is on channel {channel} now"
+        if channel in channels:
+            other = channels.index(channel)
+            channels[other] = before
+            said += f", and light {self.rig.lights[other].id} on channel {before}"
+        channels[place] = channel
+        self.rig = self.rig.rewired(channels)
+        return f"{said}."
+
+
+def place_in_words(position_mm: np.ndarray) -> str:
+    """Where a light stands, as somebody sees it who stands at the frontal camera.
+
+    Args:
+        position_mm: (3,) in the world.
+    """
+    x, y, z = position_mm
+    around = round(float(np.degrees(np.arctan2(x, z))))
+    up = round(float(np.degrees(np.arcsin(y / np.linalg.norm(position_mm)))))
+    side = "straight ahead" if around == 0 else f"{abs(around)} degrees to the right"
+    if around < 0:
+        side = side.replace("right", "left")
+    if abs(around) > 90:
+        side += " (behind the person)"
+    return f"{side}, {abs(up)} degrees {'up' if up >= 0 else 'down'}"
+
+
+def corrections(before: Rig, after: Rig) -> list[str]:
+    """Each light whose address changed, in words."""
+    pairs = zip(before.lights, before.addresses, after.addresses, strict=True)
+    return [
+        f"light {light.id} ({light.name}): channel {was.channel} -> {now.channel}"
+        for light, was, now in pairs
+        if was.channel != now.channel
+    ]

@@ -1,0 +1,1 @@
+"""Lenses and poses of the stage's cameras, from photographs of boards."""

@@ -1,0 +1,1 @@
+"""Where lamps stand, how strong they are and which wire lights which, from balls."""

@@ -1,0 +1,129 @@
+"""What is known of a release, in words: its datasheet and its Croissant file say the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from lightstage import __version__
+from lightstage.counting import counted
+from processing.dataset.about import About
+
+MAPS = {
+    "diffuse_albedo": "linear red, green and blue; 1 is a perfect white diffuser",
+    "specular_albedo": "reflectance at normal incidence; skin has about 0.028",
+    "diffuse_normal": "unit vectors that explain the diffuse shading",
+    "specular_normal": "unit vectors of the surface itself",
+    "shape": "mm from the patch's mean position",
+}
+READ_BY = {
+    "zarr": "any reader of zarr, format 3: one group with an array for each map",
+    "webdataset": "the package webdataset, or any reader of tar and npy: one sample a patch",
+}
+
+
+def description(facts: Mapping[str, Any]) -> str:
+    """What the set is.
+
+    Args:
+        facts: of the release's dataset.json, here and below.
+    """
+    counts, size = facts["counts"], facts["patch"]
+    return (
+        f"{counted(counts['patches'], 'square patch', 'square patches')} of facial skin of "
+        f"{counted(counts['subjects'], 'person', 'people')}, {size} texels wide: diffuse and "
+        "specular albedo, two maps of normals, and shape in mm. Nothing says which patches are of "
+        "one person, where they lay, or when they were taken."
+    )
+
+
+def collection(facts: Mapping[str, Any]) -> str:
+    """How the data came about."""
+    simulated = facts["consent"]["subjects_simulated"]
+    captured = facts["counts"]["subjects"] - simulated
+    said = []
+    if captured:
+        said.append(
+            f"{counted(captured, 'person', 'people')} sat in a light stage, a sphere of lamps with "
+            "cameras, and were photographed under known patterns of light."
+        )
+    if simulated:
+        said.append(
+            f"{counted(simulated, 'person', 'people')} of the set are simulated: drawn from a "
+            "model of heads and skin. Nobody was photographed for them."
+        )
+    return " ".join(said) + " Nothing was taken from the web or from another data set."
+
+
+def preprocessing() -> str:
+    """What was computed of the photographs."""
+    return (
+        "Of the photographs maps of reflectance, a mesh and one texture of the face were computed, "
+        f"by the software lightstage {__version__}. No texel was filled in by guessing: what was "
+        "not measured is 0."
+    )
+
+
+def manipulation(facts: Mapping[str, Any]) -> str:
+    """What was done so that patches are hard to trace."""
+    turned = "turned at random" in facts["frame"]
+    return (
+        f"Of everybody {facts['left_out_share']:.0%} of the patches were left out, drawn for this "
+        f"release. Patches of one face lie at least {counted(facts['gap'], 'texel')} apart and on "
+        f"no common grid, and none shows more than {facts['most_of_a_face']:.1%} of the measured "
+        "skin of its face. "
+        + ("Each was turned and mirrored at random, in axes of its own. " if turned else "")
+        + "The order is random."
+    )
+
+
+def missing() -> str:
+    """What is not there."""
+    return (
+        "A texel that shows no clear skin is 0 in all maps; a patch of which less than half is "
+        "clear skin is not published. Eyes, lips' opening and hair are not shown; brows and beard "
+        "of captured people count as skin, those of simulated people do not."
+    )
+
+
+def people(facts: Mapping[str, Any]) -> list[str]:
+    """Who is shown, as far as it may be told."""
+    return [str(each["said"]) for each in facts["people_by"]]
+
+
+def personal(facts: Mapping[str, Any]) -> list[str]:
+    """What of it is personal."""
+    consent = facts["consent"]
+    said = [
+        "A patch is a picture of somebody's skin and may show a mole, a scar or a wrinkle. Skin "
+        "tone is seen in every patch. Names, identifiers, dates, age and sex stand at no patch.",
+        f"A consent is on record of {counted(consent['subjects_on_record'], 'person', 'people')}; "
+        f"{consent['subjects_simulated']} are simulated, and of {consent['subjects_without']} "
+        "there is no record.",
+    ]
+    return said
+
+
+def limitations(facts: Mapping[str, Any]) -> list[str]:
+    """What the set cannot do, and what it cannot protect."""
+    return [
+        "Whole faces cannot be put together from it: places and directions of the patches, and all "
+        "that lies between them, are missing.",
+        str(facts["cannot_protect"]),
+    ]
+
+
+def uses() -> list[str]:
+    """What it is fit for, and what not."""
+    return [
+        "Statistics and textures of facial skin, and networks that work on patches.",
+        "Not for finding out who is shown, not for telling people apart, not for medicine.",
+    ]
+
+
+def maintenance(about: About) -> str:
+    """Whom to write to."""
+    said = (
+        f"Version {about.version}. Questions, errors and withdrawals of consent: {about.contact}."
+    )
+    return f"{said} {about.answers.maintenance}".strip()

@@ -1,0 +1,159 @@
+"""A stage runs again for its own code, configuration and files alone; `run --why` says which."""
+
+from __future__ import annotations
+
+import functools
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lightstage.formats.template import default_template_path
+from processing.pipeline import PipelineConfig, read_job, run, why
+from processing.reachable import ROOT, reachable_files
+from processing.records import CODE
+from processing.stage_inputs import STAGE_MODULES
+from tests.processing import lit_ball
+from tests.processing.lit_ball import Ball
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    return lit_ball.write_session(
+        Ball(coated=True), lit_ball.small_rig(2, 0.015), tmp_path / "session"
+    )
+
+
+def reached(module: str) -> set[str]:
+    return {str(path.relative_to(ROOT)) for path in reachable_files(module, CODE)}
+
+
+def test_a_stage_reaches_its_own_code_and_not_that_of_later_stages() -> None:
+    folders = {
+        stage: {Path(name).parts[1] for name in reached(module) if name.startswith("processing/")}
+        for stage, module in STAGE_MODULES.items()
+    }
+    for stage, module in STAGE_MODULES.items():
+        assert module.split(".")[1] in folders[stage]
+    later = {"separation", "reconstruction", "refinement", "registration", "atlas", "pages.py"}
+    assert not folders["decode"] & later
+    assert not folders["separate"] & (later - {"separation"})
+    assert not folders["atlas"] & {"refinement", "dataset", "batch"}
+
+
+@pytest.mark.parametrize("stage", STAGE_MODULES)
+def test_what_a_stage_imports_when_it_is_loaded_is_among_what_it_reaches(stage: str) -> None:
+    """The plain twin: Python's own record of what was imported."""
+    listed = (
+        f"import sys, {STAGE_MODULES[stage]}; "
+        "print([m.__file__ for m in sys.modules.values() if getattr(m, '__file__', None)])"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", listed], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    loaded = {Path(name) for name in eval(said.stdout)}
+    own = {path for name in CODE for path in [ROOT / name, *(ROOT / name).rglob("*.py")]}
+    assert loaded & own <= set(reachable_files(STAGE_MODULES[stage], CODE))
+
+
+def test_imports_of_every_form_are_followed_and_what_is_outside_is_not_listed(
+    tmp_path: Path,
+) -> None:
+    files = {
+        "a/__init__.py": "",
+        "a/one.py": "import a.two\nfrom a import three\nfrom outside import x\nimport os\n",
+        "a/two.py": "def f():\n    from a.deep.four import g\n    return g\n",
+        "a/three.py": "from .five import h\nfrom . import six\n",
+        "a/five.py": "import a.one\n",
+        "a/six.py": "",
+        "a/unused.py": "",
+        "a/deep/__init__.py": "from a.seven import k\n",
+        "a/deep/four.py": "from ..eight import m\n",
+        "a/seven.py": "",
+        "a/eight.py": "",
+        "outside.py": "import a.nine\n",
+        "a/nine.py": "",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    found = {str(p.relative_to(tmp_path)) for p in reachable_files("a.one", ("a",), tmp_path)}
+    assert found == set(files) - {"a/unused.py", "outside.py"}
+    with pytest.raises(ModuleNotFoundError, match=r"a\.none"):
+        reachable_files("a.none", ("a",), tmp_path)
+
+
+def test_another_stages_code_leaves_a_stage_as_it_is(
+    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, template = tmp_path / "out", default_template_path()
+    run(session, out, template, PipelineConfig(), until="separate")
+
+    def reasons() -> dict[str, str | None]:
+        job = read_job(session, out, template, PipelineConfig(), "separate")
+        return why(job, "separate")
+
+    assert reasons() == {"decode": None, "separate": None}
+    code = {stage: f"code of {stage}" for stage in STAGE_MODULES}
+    monkeypatch.setattr("processing.stage_inputs.stage_code", code.__getitem__)
+    run(session, out, template, PipelineConfig(), until="separate")
+    code["reconstruct"] = code["atlas"] = "changed"
+    assert reasons() == {"decode": None, "separate": None}
+    code["separate"] = "changed"
+    assert reasons() == {"decode": None, "separate": "its code has changed"}
+    code["decode"] = "changed"
+    assert reasons() == {"decode": "its code has changed", "separate": "its code has changed"}
+
+
+def test_why_names_each_stages_reason_and_runs_nothing(
+    session: Path, tmp_path: Path, run_command: Callable[..., Any]
+) -> None:
+    out = tmp_path / "out"
+    ask = functools.partial(
+        run_command, "processing", "run", session, "--out", out, "--until", "reconstruct", "--why"
+    )
+    before = ask()
+    assert before.code == 0, before.err
+    assert before.out.splitlines()[0] == "decode: it has not run, or did not end"
+    assert not out.exists()
+    run(session, out, default_template_path(), PipelineConfig(), until="separate")
+    times = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    toml = tmp_path / "c.toml"
+    toml.write_text("[separate]\nroughness = 0.3\n")
+    told = json.loads(ask("--config", toml, "--json").out)["stages"]
+    assert told == {
+        "decode": None,
+        "separate": "its configuration has changed",
+        "reconstruct": "it has not run, or did not end",
+    }
+    text = (session / "rig.json").read_text()
+    (session / "rig.json").write_text(text + "\n")
+    lines = ask().out.splitlines()
+    assert lines[0].startswith("decode: a file that it reads has changed: the session's")
+    assert lines[1] == "separate: decode runs before it"
+    (session / "rig.json").write_text(text)
+    (out / "views" / "cam0" / "diffuse_normal.exr").unlink()
+    assert ask().out.splitlines()[:2] == [
+        "decode: up to date",
+        "separate: views/cam0/diffuse_normal.exr, which it wrote, is missing",
+    ]
+    assert {
+        path: path.stat().st_mtime_ns for path in times if path.exists() and path.is_file()
+    } == {path: when for path, when in times.items() if path.exists() and path.is_file()}
+
+
+def test_records_of_an_older_version_say_so(session: Path, tmp_path: Path) -> None:
+    out, template = tmp_path / "out", default_template_path()
+    run(session, out, template, PipelineConfig(), until="decode")
+    path = out / "stages.json"
+    value = json.loads(path.read_text())
+    record = value["stages"]["decode"]
+    del record["parts"]
+    record["key"] = "0" * 64
+    path.write_text(json.dumps(value))
+    job = read_job(session, out, template, PipelineConfig(), "decode")
+    assert "an older version ran it" in str(why(job, "decode")["decode"])

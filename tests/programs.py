@@ -1,0 +1,79 @@
+"""The project's commands in the tests' own process: nothing is imported or compiled again."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib
+import io
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from lightstage.commands import run_app
+
+LONGEST_S = 400.0
+"""A command that takes longer, compiling included, hangs: it is interrupted, so that its test fails
+and tells which."""
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@dataclasses.dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+def run_program(program: str, *words: Any, interrupt_s: float = LONGEST_S) -> Ended:
+    """Run a program in this process: `run_program("sim", "render", ...)`.
+
+    Args:
+        program: the package.
+        words: the command line behind the program's name.
+        interrupt_s: it gets Ctrl-C after so many seconds.
+    """
+    argv = [f"lightstage-{program}", *map(str, words)]
+    out, err = _text(), _text()
+    with pytest.MonkeyPatch.context() as patch, _interrupted_after(interrupt_s):
+        patch.setattr(sys, "argv", argv)
+        redirected = contextlib.redirect_stdout(out), contextlib.redirect_stderr(err)
+        with redirected[0], redirected[1], pytest.raises(SystemExit) as ended:
+            run_app(importlib.import_module(f"{program}.__main__").app)
+    code = ended.value.code
+    return Ended(code if isinstance(code, int) else 0, _said(out), _said(err))
+
+
+@contextlib.contextmanager
+def _interrupted_after(seconds: float) -> Iterator[None]:
+    """Ctrl-C at its time; every handler is as it was before, for a command that was interrupted
+    ignores what comes after, because its process ends."""
+
+    def ctrl_c(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    before = {number: signal.getsignal(number) for number in STOPPING}
+    before[signal.SIGALRM] = signal.signal(signal.SIGALRM, ctrl_c)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _text() -> io.TextIOWrapper:
+    """A stream that is no terminal and has bytes underneath, as a pipe has."""
+    return io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="", write_through=True)
+
+
+def _said(stream: io.TextIOWrapper) -> str:
+    assert isinstance(stream.buffer, io.BytesIO)
+    return stream.buffer.getvalue().decode()
