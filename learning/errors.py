@@ -21,5 +21,9 @@ class DeviceMemoryError(LearningError):
     """A network, its batch or its tile that a GPU's memory does not hold."""
 
 
+class RecogniserError(LearningError):
+    """A file that is no face recogniser, or one that makes no embedding of a picture."""
+
+
 class TrainingError(LearningError):
     """Training data that cannot be trained on, or a training that diverged."""
