@@ -13,6 +13,10 @@ class MapsError(LearningError):
     """Maps, meshes or light sets that do not fit together."""
 
 
+class NoReliefError(MapsError):
+    """Maps whose normals are the mesh's own: they have no pores and folds."""
+
+
 class CheckpointError(LearningError):
     """A checkpoint that is missing, damaged or of another network."""
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from learning.detail.config import RELIEF_MM, TIMES
 from lightstage.commands import (
     JsonFlag,
     finish,
@@ -93,10 +94,10 @@ def detail(
     ] = None,
     longest_mm: Annotated[
         float, typer.Option(help="Size in mm above which relief is the mesh's, not the normals'.")
-    ] = 10.0,
+    ] = RELIEF_MM,
     subdivide: Annotated[
         int, typer.Option(help="How often triangles are split into four; 0 for no mesh.")
-    ] = 2,
+    ] = TIMES,
     as_json: bool = JsonFlag,
 ) -> None:
     """Find the heights of pores and folds: a displacement map in mm, and an embossed mesh."""
