@@ -91,7 +91,7 @@ def avatar_command(request: FitRequest, until: str, formats: str, bar: Bar) -> d
         made[stage] = key
         _keep(out, made)
     parts = [stage for stage in STAGES if not made.get(stage, FLAT).startswith(FLAT)]
-    if len(skipped) <= STAGES.index(until) or not (out / PAGE).exists():
+    if not _is_newer(out / PAGE, out / RECORD):
         with bar("avatar page") as progress:
             write_avatar_page(out / PAGE, parts)
             progress(1, 1)
@@ -118,6 +118,11 @@ def _is_made(stage: str, made: dict[str, str], key: str, out: Path) -> bool:
     if stage == "detail" and made.get(stage) == FLAT + key:
         return True
     return made.get(stage) == key and (out / stage / MARKS[stage]).exists()
+
+
+def _is_newer(page: Path, record: Path) -> bool:
+    """Whether the page was written after the last stage: a kill may come between."""
+    return page.exists() and page.stat().st_mtime_ns >= record.stat().st_mtime_ns
 
 
 def _detailed(out: Path, progress: ProgressCallback) -> bool:

@@ -137,7 +137,7 @@ def avatar(
     )
     with limited_access(group_of([path.parent for path in photo])):
         facts = avatar_command(request, until, formats, progress_bar)
-    skipped = f"{' and '.join(facts['skipped'])} up to date, " if facts["skipped"] else ""
+    skipped = f"{', '.join(facts['skipped'])} up to date, " if facts["skipped"] else ""
     finish(
         f"{out}: {', '.join(facts['parts'])}; {facts['rows']} x {facts['columns']} texels, "
         f"{skipped}{facts['seconds']:.1f} s" + "".join(f"; {note}" for note in facts["notes"]),

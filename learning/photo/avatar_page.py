@@ -12,7 +12,7 @@ from learning.detail.emboss import embossed
 from lightstage.formats.exr import read_exr
 from lightstage.formats.files import read_json
 from lightstage.formats.mesh import read_mesh
-from processing.report import Link, Picture, Section, Table, write_report
+from processing.report import Link, Marked, Picture, Section, Table, write_report
 from processing.sides import lit_sides
 
 SIDE_PX = 320
@@ -44,7 +44,7 @@ def write_avatar_page(path: Path, parts: Sequence[str]) -> Path:
         parts: folders that are up to date; others are not shown.
     """
     out = path.parent
-    there = [
+    there: list[list[str | float | int | Link | Marked]] = [
         [Link(file, what), file, f"{(out / file).stat().st_size / 1e6:.1f}"]
         for file, what in FILES.items()
         if file.split("/")[0] in parts and (out / file).is_file()

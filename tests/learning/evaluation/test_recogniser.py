@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -131,6 +132,17 @@ def test_what_is_no_recogniser_is_refused_in_one_message(
     assert ended.code == 2
     assert told in ended.err, ended.err
     assert not out.exists()
+
+
+def test_a_truth_without_a_mesh_is_refused(
+    people: list[ProcessedFolder],
+    tmp_path: Path,
+    recogniser: Path,
+    evaluate: Callable[..., Ended],
+) -> None:
+    bare = shutil.copytree(people[0].root / "atlas", tmp_path / "bare" / "atlas").parent
+    ended = evaluate(people[0].root, "--truth", bare, "--recogniser", recogniser)
+    assert (ended.code, "registered_mesh.obj" in ended.err) == (2, True)
 
 
 def test_options_of_a_recogniser_without_one_are_refused(

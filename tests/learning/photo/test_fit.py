@@ -150,8 +150,9 @@ def test_relief_becomes_heights_and_a_mesh_and_small_textures_have_none(
     height = read_exr(out / "detail" / "displacement.exr")
     assert height.shape == (ROWS, ROWS * 2 // 3)
     assert height.std() > 0.001
-    finer, mesh = (read_obj(out / n) for n in ("detail/embossed.obj", "fit/registered_mesh.obj"))
-    assert len(finer.faces) == 16 * len(mesh.triangles())
+    mesh = read_obj(out / "fit" / "registered_mesh.obj")
+    finer = (out / "detail" / "embossed.obj").read_text()
+    assert finer.count("\nf ") == 16 * len(mesh.triangles())
     page = (out / "avatar.html").read_text()
     assert 'href="detail/embossed.obj"' in page
     assert 'href="fit/fit.html"' in page
