@@ -8,34 +8,46 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import shutil
 import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 from learning.checkpoint import code_version, shipped_weights
-from learning.errors import MapsError
-from learning.export.command import export_command, formats_of
+from learning.detail.command import ABOUT, detail_command
+from learning.detail.config import RELIEF_MM, TIMES
+from learning.errors import MapsError, NoReliefError
+from learning.export.command import README, export_command, formats_of
+from learning.photo.avatar_page import write_avatar_page
 from learning.photo.command import FIT, FitRequest, fit_command
-from lightstage.commands import ProgressCallback, quiet
+from lightstage.commands import ProgressCallback
 from lightstage.errors import ConfigError
 from lightstage.formats.files import others_in, read_json, sha256_file, write_json
 
 SCHEMA = "lightstage.avatar/1"
-STAGES = ("fit", "export")
-RECORD = "avatar.json"
-"""What each stage was made of, by hash."""
+STAGES = ("fit", "detail", "export")
+RECORD, PAGE = "avatar.json", "avatar.html"
+"""What each stage was made of, by hash; and the page that shows what there is."""
+MARKS = {"fit": FIT, "detail": ABOUT, "export": README}
+"""A file that a stage's folder holds."""
+FLAT = "flat "
+"""Stands before the hash of a fit in whose normals `detail` found no relief."""
+Bar = Callable[[str], AbstractContextManager[ProgressCallback]]
+"""Draws the progress of the stage that it is given."""
 
 
-def avatar_command(
-    request: FitRequest, until: str, formats: str, progress: ProgressCallback
-) -> dict[str, Any]:
-    """Make a head of photographs of one person in OUT/fit and OUT/export; the facts.
+def avatar_command(request: FitRequest, until: str, formats: str, bar: Bar) -> dict[str, Any]:
+    """Make a head of photographs of one person: OUT/fit, OUT/detail, OUT/export, a page; the facts.
+
+    A texture too small for pores has no OUT/detail; a note says so.
 
     Args:
         request: of the fit; its `out` is the avatar's folder.
         until: the last stage, of `STAGES`.
         formats: of `export`, with commas.
-        progress: of the fit, which takes nearly all of the time.
+        bar: of each stage that runs.
 
     Raises:
         LightstageError: bad input; a stage that is there stays as it is.
@@ -45,7 +57,7 @@ def avatar_command(
         raise ConfigError("--until", found=repr(until), expected=" or ".join(STAGES))
     formats_of(formats)
     out = request.out
-    others = others_in(out, [RECORD, *STAGES])
+    others = others_in(out, [RECORD, PAGE, *STAGES])
     if others:
         raise MapsError(
             out,
@@ -56,46 +68,83 @@ def avatar_command(
         )
     made = _record(out)
     fit_key = _hash(_fit_inputs(request))
+    keys = {
+        "fit": fit_key,
+        "detail": _hash([fit_key, RELIEF_MM, TIMES]),
+        "export": _hash([fit_key, formats]),
+    }
     skipped = []
-    facts: dict[str, Any] = {}
-    if made.get("fit") == fit_key and (out / "fit" / FIT).exists():
-        skipped.append("fit")
-        progress(1, 1)
-        facts = read_json(out / "fit" / FIT)
-    else:
-        facts = fit_command(_in_folder(request, out / "fit"), progress)
-        made = {"fit": fit_key}
+    notes: list[str] = []
+    for stage in STAGES[: STAGES.index(until) + 1]:
+        if _is_made(stage, made, keys[stage], out):
+            skipped.append(stage)
+            continue
+        key = keys[stage]
+        with bar(f"avatar {stage}") as progress:
+            if stage == "fit":
+                fit_command(dataclasses.replace(request, out=out / "fit"), progress)
+                made = {}  # what is there was made of another fit
+            elif stage == "detail":
+                key = key if _detailed(out, progress) else FLAT + key
+            else:
+                notes += _exported(request, formats, progress)
+        made[stage] = key
         _keep(out, made)
-    exported: dict[str, Any] = {}
-    if until == "export":
-        export_key = _hash([fit_key, formats])
-        if made.get("export") == export_key and (out / "export").is_dir():
-            skipped.append("export")
-        else:
-            exported = export_command(
-                out / "fit",
-                None,
-                formats,
-                out / "export",
-                request.template,
-                None,
-                quiet,
-                replace=True,
-            )
-            made["export"] = export_key
-            _keep(out, made)
+    parts = [stage for stage in STAGES if not made.get(stage, FLAT).startswith(FLAT)]
+    if not _is_newer(out / PAGE, out / RECORD):
+        with bar("avatar page") as progress:
+            write_avatar_page(out / PAGE, parts)
+            progress(1, 1)
+    facts = read_json(out / "fit" / FIT)
+    if made.get("detail", "").startswith(FLAT):
+        notes.insert(
+            0,
+            f"no detail: the normals of {facts['rows']} rows have no pores and folds, those of "
+            "1536 rows and more may",
+        )
     return {
         "rows": facts["rows"],
         "columns": facts["columns"],
         "lamps": facts["lamps"],
+        "parts": parts,
         "skipped": skipped,
-        "notes": [*facts["notes"], *exported.get("notes", [])],
+        "notes": [*facts["notes"], *notes],
         "seconds": time.monotonic() - began,
     }
 
 
-def _in_folder(request: FitRequest, out: Path) -> FitRequest:
-    return dataclasses.replace(request, out=out)
+def _is_made(stage: str, made: dict[str, str], key: str, out: Path) -> bool:
+    """Whether a stage is up to date, and its folder there."""
+    if stage == "detail" and made.get(stage) == FLAT + key:
+        return True
+    return made.get(stage) == key and (out / stage / MARKS[stage]).exists()
+
+
+def _is_newer(page: Path, record: Path) -> bool:
+    """Whether the page was written after the last stage: a kill may come between."""
+    return page.exists() and page.stat().st_mtime_ns >= record.stat().st_mtime_ns
+
+
+def _detailed(out: Path, progress: ProgressCallback) -> bool:
+    """Make OUT/detail; false, and one of another fit is gone, where there is no relief."""
+    folder = out / "detail"
+    try:
+        detail_command(out / "fit", None, folder, RELIEF_MM, TIMES, progress)
+    except NoReliefError:
+        if (folder / ABOUT).is_file():
+            shutil.rmtree(folder)
+        return False
+    return True
+
+
+def _exported(request: FitRequest, formats: str, progress: ProgressCallback) -> list[str]:
+    """Make OUT/export; what to say of it."""
+    out = request.out
+    facts = export_command(
+        out / "fit", None, formats, out / "export", request.template, None, progress, replace=True
+    )
+    notes: list[str] = facts["notes"]
+    return notes
 
 
 def _fit_inputs(request: FitRequest) -> list[Any]:

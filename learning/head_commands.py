@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from learning.detail.config import RELIEF_MM, TIMES
 from lightstage.commands import (
     JsonFlag,
     finish,
@@ -15,6 +16,7 @@ from lightstage.commands import (
     progress_bar,
 )
 from lightstage.counting import counted
+from lightstage.errors import ConfigError
 from lightstage.formats.access import group_of, limited_access
 
 
@@ -92,10 +94,10 @@ def detail(
     ] = None,
     longest_mm: Annotated[
         float, typer.Option(help="Size in mm above which relief is the mesh's, not the normals'.")
-    ] = 10.0,
+    ] = RELIEF_MM,
     subdivide: Annotated[
         int, typer.Option(help="How often triangles are split into four; 0 for no mesh.")
-    ] = 2,
+    ] = TIMES,
     as_json: bool = JsonFlag,
 ) -> None:
     """Find the heights of pores and folds: a displacement map in mm, and an embossed mesh."""
@@ -126,6 +128,21 @@ def evaluate(
     data: Annotated[
         str, typer.Option(help="Whose truth: `captured` or `simulated` people.")
     ] = "captured",
+    recogniser: Annotated[
+        Path | None,
+        typer.Option(
+            help="Face recogniser of your own, .onnx, by which identity is measured; it is not "
+            "measured without one."
+        ),
+    ] = None,
+    recogniser_size: Annotated[
+        int | None,
+        typer.Option(help="Side of its pictures, px, where the file does not tell it."),
+    ] = None,
+    recogniser_range: Annotated[
+        str,
+        typer.Option(help="Black and white to it: `signed` -1, 1; `unit` 0, 1; `bytes` 0, 255."),
+    ] = "signed",
     out: Path | None = output_file(
         "--out",
         help="Figures to write, .json; a table with .md stands beside it.",
@@ -136,12 +153,24 @@ def evaluate(
 ) -> None:
     """Measure inferred maps against captured ones, with intervals over people."""
     from learning.evaluation.command import evaluate_command
+    from learning.evaluation.recogniser import RecogniserRequest
 
+    if recogniser is None and (recogniser_size is not None or recogniser_range != "signed"):
+        raise ConfigError(
+            "--recogniser-size, --recogniser-range",
+            found="one of them without --recogniser",
+            expected="--recogniser FILE.onnx",
+        )
+    recognise = (
+        None
+        if recogniser is None
+        else RecogniserRequest(recogniser, recogniser_size, recogniser_range)
+    )
     with (
         limited_access(group_of([*inferred, *truth])),
         progress_bar("evaluate") as progress,
     ):
-        facts = evaluate_command(tuple(inferred), tuple(truth), data, out, progress)
+        facts = evaluate_command(tuple(inferred), tuple(truth), data, out, progress, recognise)
     figures = facts["figures"]
     finish(
         f"{counted(facts['people'], 'person', 'people')}, {facts['data']}: albedo "
@@ -152,8 +181,9 @@ def evaluate(
             if "diffuse_normal_mean_deg" in figures
             else ""
         )
-        + f"skin colour {figures['ita_error_deg']['mean']:.1f} deg of ITA, "
-        f"{facts['seconds']:.1f} s",
+        + f"skin colour {figures['ita_error_deg']['mean']:.1f} deg of ITA, identity "
+        + (f"{figures['identity_cosine']['mean']:.3f}" if recognise else facts["identity"])
+        + f", {facts['seconds']:.1f} s",
         facts,
         as_json,
     )

@@ -125,25 +125,22 @@ def avatar(
     formats: Annotated[
         str, typer.Option("--format", help="As `export --format`, with commas.")
     ] = "gltf,page",
-    until: Annotated[str, typer.Option(help="Last stage: `fit` or `export`.")] = "export",
+    until: Annotated[str, typer.Option(help="Last stage: `fit`, `detail` or `export`.")] = "export",
     as_json: bool = JsonFlag,
 ) -> None:
-    """Make a head that leaves the program from photographs of one person: fit, then export."""
+    """Make a head that leaves the program from photographs of one person: fit, detail, export."""
     from learning.avatar import avatar_command
     from learning.photo.command import FitRequest
 
     request = FitRequest(
         tuple(photo), template, out, landmarks, face, film_mm, checkpoint, rows, refine, config
     )
-    with (
-        limited_access(group_of([path.parent for path in photo])),
-        progress_bar("avatar") as progress,
-    ):
-        facts = avatar_command(request, until, formats, progress)
-    skipped = f"{' and '.join(facts['skipped'])} up to date, " if facts["skipped"] else ""
+    with limited_access(group_of([path.parent for path in photo])):
+        facts = avatar_command(request, until, formats, progress_bar)
+    skipped = f"{', '.join(facts['skipped'])} up to date, " if facts["skipped"] else ""
     finish(
-        f"{out}: {facts['rows']} x {facts['columns']} texels, {skipped}{facts['seconds']:.1f} s"
-        + "".join(f"; {note}" for note in facts["notes"]),
+        f"{out}: {', '.join(facts['parts'])}; {facts['rows']} x {facts['columns']} texels, "
+        f"{skipped}{facts['seconds']:.1f} s" + "".join(f"; {note}" for note in facts["notes"]),
         facts,
         as_json,
     )

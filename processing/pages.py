@@ -13,6 +13,7 @@ from processing.decode.diagnosis_page import light_section
 from processing.reconstruction.pictures import mesh_section
 from processing.registration.residual import residual_section
 from processing.report import (
+    Link,
     Picture,
     Section,
     Table,
@@ -27,6 +28,9 @@ THUMBNAIL_PX = 240
 ATLAS_PX = 360
 SPECULAR_WHITE = 0.06
 ROUGHNESS_WHITE = 0.5
+REPORT, HEAD = "report.html", "head/page.html"
+"""The page, and that of the head which `lightstage-learning export` makes, in a processed folder.
+"""
 CAPTIONS = {
     "diffuse_albedo": "Diffuse albedo, 1 is perfect white. No light or shadow should be left.",
     "specular_albedo": f"Specular albedo; {SPECULAR_WHITE} shows as white, skin is near 0.028.",
@@ -63,6 +67,9 @@ def write_processed_report(out: Path, report: Mapping[str, Any]) -> Path:
     """
     folder = ProcessedFolder(out)
     sections = [Section("Stages", _stages(report))]
+    head = _head(folder)
+    if head:
+        sections.append(Section("The head", head))
     stages = report.get("stages", {})
     light = light_section(out, stages.get("decode", {}))
     if light is not None:
@@ -80,7 +87,15 @@ def write_processed_report(out: Path, report: Mapping[str, Any]) -> Path:
     if atlas:
         sections.append(Section("Atlas", atlas))
     title = f"Session of {report.get('subject', '?')}, {report.get('expression', '?')}"
-    return write_report(out / "report.html", title, sections)
+    return write_report(out / REPORT, title, sections)
+
+
+def lacks_head(out: Path) -> bool:
+    """Whether a folder's page is older than that of its head, and so may not link to it."""
+    try:
+        return (out / REPORT).stat().st_mtime_ns < (out / HEAD).stat().st_mtime_ns
+    except FileNotFoundError:
+        return False
 
 
 def show(name: str, image: np.ndarray) -> np.ndarray:
@@ -92,6 +107,19 @@ def show(name: str, image: np.ndarray) -> np.ndarray:
         grey = np.round(255 * np.clip(np.nan_to_num(image) / ROUGHNESS_WHITE, 0, 1))
         return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
     return display(image, 1 / SPECULAR_WHITE if name == "specular_albedo" else 1.0)
+
+
+def _head(folder: ProcessedFolder) -> list[str | Link | Picture | Table]:
+    """A link to the head's page, where there is one."""
+    page, albedo = folder.root / HEAD, folder.atlas_path("diffuse_albedo")
+    if not page.is_file():
+        return []
+    parts: list[str | Link | Picture | Table] = [
+        Link(HEAD, "Turn the head and its light in the browser.")
+    ]
+    if albedo.is_file() and albedo.stat().st_mtime_ns > page.stat().st_mtime_ns:
+        parts.append("It shows an earlier atlas than this one: export it again.")
+    return parts
 
 
 def _stages(report: Mapping[str, Any]) -> list[str | Picture | Table]:

@@ -21,7 +21,7 @@ from processing.decode.completing import unmendable_frames, with_complements
 from processing.decode.stage import DecodeConfig, decode, lit_patterns
 from processing.errors import ProcessingError
 from processing.memory import give_back
-from processing.pages import write_processed_report
+from processing.pages import lacks_head, write_processed_report
 from processing.reconstruction.given import require_given
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
 from processing.records import (
@@ -189,7 +189,7 @@ def run(
         for stage in planned:
             records = _run_stage(job, stage, inputs[stage], records, bar)
         report = write_report_json(job, records)
-        if planned:
+        if planned or lacks_head(out):
             write_processed_report(out, report)
     return {**report, "ran": planned}
 

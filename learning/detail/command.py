@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from learning.detail.config import MOST_TIMES, RELIEF_BOUNDS_MM
 from learning.detail.emboss import embossed
 from learning.detail.height import heights_mm
-from learning.errors import MapsError
+from learning.errors import NoReliefError
 from learning.export.source import Source, read_source
 from learning.vectors import unit
 from lightstage.commands import ProgressCallback
@@ -21,8 +22,6 @@ from lightstage.formats.mesh import write_obj
 
 SCHEMA = "lightstage.detail/1"
 DISPLACEMENT, EMBOSSED, ABOUT = "displacement.exr", "embossed.obj", "detail.json"
-LONGEST_MM = (0.5, 100.0)
-MOST_TIMES = 4
 LEAST_MM = 1e-3
 """A map whose heights are less, in the mean, has the mesh's own normals: half floats make that."""
 
@@ -46,11 +45,12 @@ def detail_command(
         progress: of the three steps.
 
     Raises:
+        NoReliefError: the normals are the mesh's own.
         LightstageError: bad input; nothing is written then.
     """
     began = time.monotonic()
-    if not LONGEST_MM[0] <= longest_mm <= LONGEST_MM[1]:
-        least, most = LONGEST_MM
+    least, most = RELIEF_BOUNDS_MM
+    if not least <= longest_mm <= most:
         raise ConfigError(
             "--longest-mm", found=f"{longest_mm:g}", expected=f"{least:g} to {most:g} mm"
         )
@@ -70,7 +70,7 @@ def detail_command(
     here = height[source.covered]
     deviation_mm = float(np.sqrt((here**2).mean()))
     if not deviation_mm > LEAST_MM:
-        raise MapsError(
+        raise NoReliefError(
             source.folder / "specular_normal.exr",
             found="the mesh's own normals",
             expected="finer ones",

@@ -17,6 +17,8 @@ from learning.evaluation.measures import (
     specular_measures,
 )
 from learning.evaluation.people import Interval, by_tone, interval, spread
+from learning.evaluation.portrait import portrait
+from learning.evaluation.recogniser import Recogniser, RecogniserRequest
 from learning.export.source import maps_folder
 from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
 from learning.relight import lit_texture, shadows_of
@@ -29,6 +31,7 @@ from lightstage.formats.files import write_json, write_text
 from lightstage.formats.mesh import Mesh, read_mesh
 from lightstage.formats.processed import ProcessedFolder, read_map
 from processing.colour import srgb_from_linear
+from processing.dataset import read_head_pose
 from processing.evaluation.maps import psnr_db
 from processing.tones import ita_deg
 
@@ -43,8 +46,11 @@ NEW_LIGHTS = {
     "rim": [(-0.8, 0.3, -0.5, 1.0), (0.3, 0.2, 0.9, 0.2)],
 }
 """Direction in the head frame and strength of the lamps of each light."""
+PORTRAIT_LIGHT = "key"
+"""Under which recognisers see a head."""
 NEAREST_MM = 1000.0
 AMBIENT = 0.08
+NOT_MEASURED = "not measured"
 LABELS = ("captured", "simulated")
 
 
@@ -56,11 +62,13 @@ class Person:
         name: the inferred folder.
         figures: by name.
         ita_deg: typology angle, (found, true).
+        faces: (2, d) embeddings of the inferred and of the true head; None without a recogniser.
     """
 
     name: str
     figures: dict[str, float]
     ita_deg: tuple[float, float]
+    faces: np.ndarray | None
 
 
 def evaluate_command(
@@ -69,6 +77,7 @@ def evaluate_command(
     label: str,
     out: Path | None,
     progress: ProgressCallback,
+    recognise: RecogniserRequest | None = None,
 ) -> dict[str, Any]:
     """Measure inferred maps against captured ones, person by person; the facts.
 
@@ -79,6 +88,7 @@ def evaluate_command(
         label: whose truth it is, of `LABELS`.
         out: JSON to write; a table of the same name with .md stands beside it.
         progress: of the people.
+        recognise: by which identity is measured; it is not without one.
 
     Raises:
         LightstageError: bad input; nothing is written then.
@@ -92,10 +102,11 @@ def evaluate_command(
             found=counted(len(truth), "folder"),
             expected=f"one for each of {counted(len(inferred), 'inferred folder')}, or one for all",
         )
+    recogniser = None if recognise is None else Recogniser(recognise)
     true_of = truth * len(inferred) if len(truth) == 1 else truth
     people, albedos = [], []
     for done, (mine, theirs) in enumerate(zip(inferred, true_of, strict=True)):
-        person, albedo = _measured(mine, theirs)
+        person, albedo = _measured(mine, theirs, recogniser)
         people.append(person)
         albedos.append(albedo)
         progress(done + 1, len(inferred))
@@ -104,6 +115,8 @@ def evaluate_command(
     means = {n: interval([p.figures[n] for p in people if n in p.figures]) for n in names}
     if one:
         means["agreement_db"] = agreement(albedos)
+    elif recogniser is not None and len(people) > 1:
+        means["identity_others_cosine"] = interval(others_cosine(people))
     tones = by_tone([p.ita_deg[1] for p in people], [p.ita_deg[0] for p in people])
     facts = {
         "data": label,
@@ -112,7 +125,7 @@ def evaluate_command(
         "ita_error_deg": {tone: error for tone, (_, error) in tones.items()},
         "ita_worst_over_best": spread(tones),
         "each": [{"name": p.name, **p.figures} for p in people],
-        "identity": "not measured",
+        "identity": NOT_MEASURED if recognise is None else f"by {recognise.path.name}",
         "seconds": time.monotonic() - began,
     }
     if out is not None:
@@ -135,7 +148,7 @@ def table(facts: dict[str, Any], means: dict[str, Interval]) -> str:
         lines.append(f"| {name} | {value.mean:.4g} | {range_} |")
     for tone, error in facts["ita_error_deg"].items():
         lines.append(f"| skin colour, error of the typology angle, {tone} | {error:.1f} deg | - |")
-    lines.append("| identity | not measured | - |")
+    lines.append(f"| identity | {facts['identity']} | - |")
     return "\n".join(lines) + "\n"
 
 
@@ -152,7 +165,17 @@ def agreement(albedos: list[np.ndarray]) -> Interval:
     return interval(values)
 
 
-def _measured(inferred: Path, truth: Path) -> tuple[Person, np.ndarray]:
+def others_cosine(people: list[Person]) -> list[float]:
+    """Of each person, the mean cosine between their true head and the true heads of others."""
+    true = np.array([person.faces[1] for person in people if person.faces is not None])
+    cosines = true @ true.T
+    others = len(true) - 1
+    return [float((row.sum() - row[place]) / others) for place, row in enumerate(cosines)]
+
+
+def _measured(
+    inferred: Path, truth: Path, recogniser: Recogniser | None
+) -> tuple[Person, np.ndarray]:
     """One person's figures, and the found albedo."""
     mine, theirs = _maps(inferred), _maps(truth)
     size = mine["diffuse_albedo"].shape[:2]
@@ -181,28 +204,44 @@ def _measured(inferred: Path, truth: Path) -> tuple[Person, np.ndarray]:
     for name in ("diffuse_normal", "specular_normal"):
         figures |= normal_measures(name, mine[name], theirs[name], skin)
     figures |= specular_measures(mine["specular_albedo"], theirs["specular_albedo"], skin)
-    figures |= _relit(mine, theirs, skin, truth)
+    relit, faces = _relit(mine, theirs, skin, truth, recogniser)
+    figures |= relit
+    if faces is not None:
+        figures["identity_cosine"] = float(faces[0] @ faces[1])
     found_deg, true_deg = ita_deg(albedo[skin]), ita_deg(theirs["diffuse_albedo"][skin])
     figures["ita_error_deg"] = abs(found_deg - true_deg)
-    return Person(str(inferred), figures, (found_deg, true_deg)), albedo * skin[..., None]
+    return Person(str(inferred), figures, (found_deg, true_deg), faces), albedo * skin[..., None]
 
 
 def _relit(
-    mine: dict[str, np.ndarray], theirs: dict[str, np.ndarray], skin: np.ndarray, truth: Path
-) -> dict[str, float]:
-    """PSNR in dB of both maps rendered on the truth's mesh under lights that nobody used."""
-    place = ProcessedFolder(maps_folder(truth).parent).registered_mesh
-    if not place.exists():
-        return {}
-    mesh = read_mesh(place)
+    mine: dict[str, np.ndarray],
+    theirs: dict[str, np.ndarray],
+    skin: np.ndarray,
+    truth: Path,
+    recogniser: Recogniser | None,
+) -> tuple[dict[str, float], np.ndarray | None]:
+    """Both maps rendered on the truth's mesh under lights that nobody used.
+
+    Returns:
+        PSNR in dB by light, and (2, d) what a recogniser makes of both under `PORTRAIT_LIGHT`.
+    """
+    folder = ProcessedFolder(maps_folder(truth).parent)
+    if not folder.registered_mesh.exists():
+        if recogniser is not None:
+            raise MapsError(
+                folder.registered_mesh,
+                found="no such file",
+                expected="the truth's mesh, for --recogniser",
+            )
+        return {}, None
+    mesh = read_mesh(folder.registered_mesh)
     size = (RELIT_ROWS, RELIT_ROWS * skin.shape[1] // skin.shape[0])
     raster = rasterise(mesh, *size)
     # Lights stand about the head: the middle of its vertices, in its own axes.
     centre = mesh.vertices.mean(axis=0)
     shown = (_resized(skin.astype(np.float32), size) > 0.5) & raster.covered
-    if not shown.any():
-        return {}
-    figures = {}
+    heads = [_head(maps, mesh, raster, size) for maps in (mine, theirs)]
+    figures, faces = {}, None
     for name, lamps in NEW_LIGHTS.items():
         given = np.array(lamps)
         direction = given[:, :3] / np.linalg.norm(given[:, :3], axis=1, keepdims=True)
@@ -212,15 +251,15 @@ def _relit(
             np.repeat(given[:, 3:], 3, axis=1),
             np.full(3, AMBIENT),
         )
-        seen = None
-        pictures = []
-        for maps in (mine, theirs):
-            head = _head(maps, mesh, raster, size)
-            seen = shadows_of(head, light) if seen is None else seen
-            lit = lit_texture(head, light, centre + CAMERA_MM, None, seen)
-            pictures.append(srgb_from_linear(lit[shown]))
-        figures[f"relit_{name}_db"] = psnr_db(*pictures)
-    return figures
+        seen = shadows_of(heads[0], light)
+        textures = [lit_texture(head, light, centre + CAMERA_MM, None, seen) for head in heads]
+        if shown.any():
+            figures[f"relit_{name}_db"] = psnr_db(*(srgb_from_linear(t[shown]) for t in textures))
+        if recogniser is not None and name == PORTRAIT_LIGHT:
+            pose = read_head_pose(folder.head_pose) if folder.head_pose.exists() else np.eye(3, 4)
+            pictures = [portrait(t, raster.covered, mesh, pose, recogniser.size) for t in textures]
+            faces = np.stack([recogniser.embedding(picture) for picture in pictures])
+    return figures, faces
 
 
 def _head(

@@ -112,7 +112,7 @@ RIGHT_TOO = {
 CHOICES = {
     "kind", "--drive", "--do", "--mode", "--background", "--shadows", "--light", "--until",
     "--sequence", "sequence", "--preset", "--flaws", "--people", "--camera",
-    "--format", "--scheme",
+    "--format", "--scheme", "--recogniser-range",
 }  # fmt: skip
 """Options that take one of some words."""
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from lightstage.formats.processed import ProcessedFolder
-from processing.pages import ATLAS_CAPTIONS, CAPTIONS, show, write_processed_report
+from processing.pages import ATLAS_CAPTIONS, CAPTIONS, lacks_head, show, write_processed_report
 
 REPORT = {
     "subject": "person <7>",
@@ -38,6 +39,25 @@ def test_a_folder_without_maps_has_a_page_too(tmp_path: Path) -> None:
     assert "<figure>" not in page
     assert "Warning" not in page
     assert "1.2" in page
+
+
+def test_a_page_links_to_the_head_that_lies_in_the_folder(
+    tmp_path: Path, make_processed: Callable[..., Path]
+) -> None:
+    out = make_processed(tmp_path / "out")
+    assert "href=" not in write_processed_report(out, REPORT).read_text()
+    assert not lacks_head(out)
+    head = out / "head" / "page.html"
+    head.parent.mkdir()
+    head.write_text("<html></html>")
+    later = (out / "report.html").stat().st_mtime_ns + 10**9
+    os.utime(head, ns=(later, later))
+    assert lacks_head(out)
+    page = write_processed_report(out, REPORT).read_text()
+    assert 'href="head/page.html"' in page
+    assert "earlier atlas" not in page
+    os.utime(ProcessedFolder(out).atlas_path("diffuse_albedo"), ns=(later + 1, later + 1))
+    assert "earlier atlas" in write_processed_report(out, REPORT).read_text()
 
 
 def test_roughness_is_shown_on_its_own_scale() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,20 @@ def test_foreground_is_the_largest_bright_region_without_holes() -> None:
     assert not mask[6, 72]
     assert abs(int(mask.sum()) - 1600) < 20
     assert not foreground(np.zeros((9, 9)), 0.03).any()
+
+
+def test_a_run_that_has_nothing_to_do_links_a_head_that_was_exported_since(
+    session: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    assert run(session, out, TEMPLATE, PipelineConfig(), until="decode")["ran"] == ["decode"]
+    assert "page.html" not in (out / "report.html").read_text()
+    (out / "head").mkdir()
+    (out / "head" / "page.html").write_text("<html></html>")
+    later = (out / "report.html").stat().st_mtime_ns + 10**9
+    os.utime(out / "head" / "page.html", ns=(later, later))
+    assert run(session, out, TEMPLATE, PipelineConfig(), until="decode")["ran"] == []
+    assert 'href="head/page.html"' in (out / "report.html").read_text()
 
 
 def test_linear_sessions_become_maps_of_the_ball(session: Path, tmp_path: Path) -> None:

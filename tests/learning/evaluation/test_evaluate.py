@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import colour
 import numpy as np
@@ -24,44 +22,9 @@ from learning.evaluation.people import by_tone, interval, spread
 from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.processed import ProcessedFolder
 from processing.tones import ita_deg, tone_of
-from tests.learning.export.called import run
+from tests.learning.evaluation.called import Ended, brightened
 
 WHITE = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-
-
-def brightened(person: ProcessedFolder, to: Path, factor: float | np.ndarray) -> Path:
-    """A person's maps, the albedo times a factor."""
-    shutil.copytree(person.root / "atlas", to)
-    albedo = read_exr(to / "diffuse_albedo.exr")
-    write_exr(to / "diffuse_albedo.exr", (albedo * factor).astype(np.float32))
-    return to
-
-
-@dataclasses.dataclass(frozen=True)
-class Ended:
-    """How the command ended."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        assert self.code == 0, self.err
-        found: dict[str, Any] = json.loads(self.out.strip().splitlines()[-1])
-        return found
-
-
-@pytest.fixture
-def evaluate(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., Ended]:
-    def call(*words: str | Path) -> Ended:
-        code = run(monkeypatch, "evaluate", *words, "--json")
-        ended = capsys.readouterr()
-        return Ended(code, ended.out, ended.err)
-
-    return call
 
 
 def test_a_person_against_themselves_has_no_error_and_a_factor_is_told_apart(

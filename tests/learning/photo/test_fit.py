@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,12 @@ from learning.photo.picture import read_photograph
 from learning.photo.unwrap import unwrap
 from learning.render.uv import rasterise
 from lightstage.formats.environment import read_lights
-from lightstage.formats.exr import read_exr
+from lightstage.formats.exr import read_exr, write_exr
 from lightstage.formats.files import write_json
 from lightstage.formats.landmarks import write_points_px
 from lightstage.formats.mesh import read_obj
 from lightstage.formats.template import Template, default_template_path
+from tests.learning.export.called import run
 from tests.learning.photo.scene import FOCAL_PX, HEIGHT_PX, KEY, Shot
 from tests.programs import run_program
 
@@ -106,13 +108,55 @@ def test_what_is_up_to_date_is_skipped_and_a_changed_option_is_not(
     out = fitted[0]
     before = (out / "fit" / "texture.exr").stat().st_mtime_ns
     code, facts = called(*words(shot, marks, out))
-    assert (code, facts["skipped"]) == (0, ["fit", "export"])
+    assert (code, facts["skipped"]) == (0, ["fit", "detail", "export"])
     assert (out / "fit" / "texture.exr").stat().st_mtime_ns == before
     line = [*words(shot, marks, out)[:-1], "obj"]
     code, facts = called(*line)
-    assert (code, facts["skipped"]) == (0, ["fit"])
+    assert (code, facts["skipped"]) == (0, ["fit", "detail"])
     assert (out / "export" / "head.obj").exists()
     assert not (out / "export" / "head.glb").exists()
+    page = (out / "avatar.html").read_text()
+    assert 'href="export/head.obj"' in page
+    assert "head.glb" not in page
+
+
+def test_relief_becomes_heights_and_a_mesh_and_small_textures_have_none(
+    fitted: tuple[Path, Any],
+    shot: Shot,
+    marks: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert "no detail" in " ".join(fitted[1]["notes"])
+    out = shutil.copytree(fitted[0], tmp_path / "A")
+    assert not (out / "detail").exists()
+    # Waves in the normals, as a texture of more rows has them.
+    path = out / "fit" / "atlas" / "specular_normal.exr"
+    normal = read_exr(path)
+    waves = 0.2 * np.sin(np.arange(ROWS) * 1.3)[:, None, None] * (normal != 0)
+    write_exr(path, (normal + waves).astype(np.float32))
+    record = json.loads((out / "avatar.json").read_text())
+    assert record["stages"].pop("detail")
+    write_json(out / "avatar.json", record)
+    line = [*words(shot, marks, out), "--until", "detail", "--json"]
+    assert run(monkeypatch, *line) == 0
+    facts = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert facts["skipped"] == ["fit"]
+    assert "detail" in facts["parts"]
+    assert "no detail" not in " ".join(facts["notes"])
+    height = read_exr(out / "detail" / "displacement.exr")
+    assert height.shape == (ROWS, ROWS * 2 // 3)
+    assert height.std() > 0.001
+    mesh = read_obj(out / "fit" / "registered_mesh.obj")
+    finer = (out / "detail" / "embossed.obj").read_text()
+    assert finer.count("\nf ") == 16 * len(mesh.triangles())
+    page = (out / "avatar.html").read_text()
+    assert 'href="detail/embossed.obj"' in page
+    assert 'href="fit/fit.html"' in page
+    assert run(monkeypatch, *line) == 0
+    facts = json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+    assert facts["skipped"] == ["fit", "detail"]
 
 
 def test_a_photograph_comes_back_to_the_texels_that_it_shows(

@@ -1,0 +1,118 @@
+"""What an ONNX file says of its inputs and outputs, read from its bytes (onnx.proto3).
+
+OpenCV runs such a file but does not tell what its inputs are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+VARINT, EIGHT_BYTES, BYTES, FOUR_BYTES = 0, 1, 2, 5
+"""Wire types of protocol buffers."""
+GRAPH = 7
+"""Field of a model."""
+INITIALIZER, INPUT, OUTPUT = 5, 11, 12
+"""Fields of a graph."""
+VARINT_BYTES = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class Value:
+    """An input or output of a network.
+
+    Attributes:
+        name: as the file has it.
+        shape: sizes; None where the file leaves one open.
+    """
+
+    name: str
+    shape: tuple[int | None, ...]
+
+    def __str__(self) -> str:
+        return f"{self.name} of " + " x ".join("?" if n is None else str(n) for n in self.shape)
+
+
+def inputs_and_outputs(data: bytes) -> tuple[list[Value], list[Value]]:
+    """The inputs that a caller must give, and the outputs.
+
+    Args:
+        data: the whole file. What older versions list among the inputs but set in the file
+            (weights) is left out.
+
+    Raises:
+        ValueError: these bytes are no ONNX model.
+    """
+    graph = _only(memoryview(data), GRAPH)
+    set_here = {_text(t, 8) for t in _messages(graph, INITIALIZER)}
+    inputs = [_value(v) for v in _messages(graph, INPUT)]
+    return (
+        [value for value in inputs if value.name not in set_here],
+        [_value(v) for v in _messages(graph, OUTPUT)],
+    )
+
+
+def _value(data: memoryview) -> Value:
+    """A ValueInfoProto: name, and type.tensor_type.shape.dim."""
+    shape = _only(_only(_only(data, 2), 1), 2)
+    sizes: list[int | None] = []
+    for dim in _messages(shape, 1):
+        told = [n for number, n in _fields(dim) if number == 1 and isinstance(n, int)]
+        # A size of zero, or one with the sign bit set, stands for one that is open.
+        sizes.append(told[-1] if told and 0 < told[-1] < 1 << 31 else None)
+    return Value(_text(data, 1), tuple(sizes))
+
+
+def _fields(data: memoryview) -> Iterator[tuple[int, int | memoryview]]:
+    """Number and content of each field of a message: whole numbers and bytes; others are passed.
+
+    Weights are not copied.
+    """
+    at = 0
+    while at < len(data):
+        key, at = _varint(data, at)
+        number, kind = key >> 3, key & 7
+        if number == 0:
+            raise ValueError("a field without a number")
+        if kind == VARINT:
+            value, at = _varint(data, at)
+            yield number, value
+        elif kind == BYTES:
+            length, at = _varint(data, at)
+            if length > len(data) - at:
+                raise ValueError("a field that ends beyond the file")
+            yield number, data[at : at + length]
+            at += length
+        elif kind in (EIGHT_BYTES, FOUR_BYTES):
+            at += 8 if kind == EIGHT_BYTES else 4
+        else:
+            raise ValueError("a field of an unknown kind")
+
+
+def _varint(data: memoryview, at: int) -> tuple[int, int]:
+    """A whole number of seven bits a byte, lowest first, and where it ends."""
+    value = 0
+    for place in range(VARINT_BYTES):
+        if at + place >= len(data):
+            raise ValueError("a number that is cut")
+        byte = data[at + place]
+        value |= (byte & 127) << (7 * place)
+        if byte < 128:
+            return value, at + place + 1
+    raise ValueError("a number of too many bytes")
+
+
+def _messages(data: memoryview, wanted: int) -> list[memoryview]:
+    return [v for number, v in _fields(data) if number == wanted and isinstance(v, memoryview)]
+
+
+def _only(data: memoryview, wanted: int) -> memoryview:
+    """A message's message; empty ones where it is left out, but for the graph's."""
+    found = _messages(data, wanted)
+    if not found and wanted == GRAPH:
+        raise ValueError("no graph")
+    return found[-1] if found else memoryview(b"")
+
+
+def _text(data: memoryview, wanted: int) -> str:
+    return b"".join(_messages(data, wanted)[-1:]).decode()
