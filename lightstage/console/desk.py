@@ -236,8 +236,9 @@ class Desk:
         if not dated:
             return ("" if state is None else state.job.session), state
         newest = max(dated)[1]
-        # The journal of a job that failed before it began is not there.
-        if state is not None and state.failed and not (self.folder / state.job.session).exists():
+        # The journal of a job that failed, or was stopped, before it began is not there.
+        ended = state is not None and (state.failed or state.stopped)
+        if state is not None and ended and not (self.folder / state.job.session).exists():
             return state.job.session, state
         return newest.name, state
 

@@ -20,6 +20,8 @@ from lightstage.printable import printable_lines
 SCHEMA = "lightstage.console-job/1"
 FOLDER = ".console"
 """Beside the sessions: what runs, what it said, and the lock of the one console of a plan."""
+INTERRUPTED = (130, -signal.SIGINT, -signal.SIGTERM)
+"""Exit codes of a command that was stopped: in order, or while Python had not begun with it."""
 LOG_BYTES = 8192
 """Of what a command said, from its end."""
 
@@ -62,9 +64,14 @@ class JobState:
     said: str
 
     @property
+    def stopped(self) -> bool:
+        """Whether it ended because it was asked to."""
+        return not self.running and self.code in INTERRUPTED
+
+    @property
     def failed(self) -> bool:
         """Whether it ended with an error."""
-        return not self.running and self.code not in (None, 0)
+        return not self.running and self.code not in (None, 0, *INTERRUPTED)
 
 
 class Runner:

@@ -14,7 +14,7 @@ from lightstage.findings import Finding
 from lightstage.formats.config import require_bounds
 
 Wish = Literal["abort", "retake", "pause", "resume"]
-"""``retake`` is of the last pattern that is done; ``resume`` ends a pause."""
+"""``retake`` is of the pattern that is done next; ``resume`` ends a pause."""
 Decision = Literal["retake", "accept", "abort"]
 Request = Literal["retake", "accept", "abort", "pause", "resume"]
 

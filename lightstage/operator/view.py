@@ -38,8 +38,8 @@ SHOTS_MEASURED = 9
 NEWS_KEPT = 50
 THERE: tuple[Mark, ...] = ("kept", "in question", "accepted")
 """Marks of photographs that are there."""
-FOLLOWING = "\0"
-"""In place of a pattern: the line holds as long as the capture runs."""
+FOLLOWING, STOPPED = "\0", "\1"
+"""In place of a pattern: the line holds as long as the capture runs; until it is resumed."""
 
 
 @dataclasses.dataclass
@@ -217,6 +217,7 @@ class View:
     def _resume(self, line: Mapping[str, Any]) -> None:
         self.phase, self.question, self.answers = "running", [], ()
         self.pattern = self._since_s = None
+        self._forget(STOPPED)
         for camera in self.cameras.values():
             camera.state = "idle"
         for marks in self.marks.values():
@@ -349,8 +350,8 @@ class View:
         self.late = None
         pattern, _ = self._place(line)
         self.done.add(pattern)
-        left = [item for item in self._news if not pattern or item[1] != pattern]
-        self._news = collections.deque(left, NEWS_KEPT)
+        if pattern:
+            self._forget(pattern)
         now_s = number_of(line, "elapsed_s")
         if now_s is not None and self._since_s is not None and now_s > self._since_s:
             (self._troubled_s if self._trouble else self._shot_s).append(now_s - self._since_s)
@@ -373,7 +374,11 @@ class View:
     def _ends(self, phase: Phase) -> None:
         self.phase, self.question, self.answers = phase, [], ()
         self.pattern = self.late = None
-        left = [item for item in self._news if item[1] != FOLLOWING]  # nobody can any more
+        self._forget(FOLLOWING)  # nobody can any more
+
+    def _forget(self, mended: str) -> None:
+        """Leave out news that this makes old: a pattern's shot, or one of the two above."""
+        left = [item for item in self._news if item[1] != mended]
         self._news = collections.deque(left, NEWS_KEPT)
 
 
@@ -390,9 +395,11 @@ def _starts_again(line: Mapping[str, Any]) -> bool:
 
 
 def _mended_by(line: Mapping[str, Any]) -> str:
-    """The pattern whose shot makes a line old; empty for none."""
+    """What makes a line old: a pattern's shot, the end, or going on; empty for nothing."""
     if text_of(line, "socket"):
         return FOLLOWING
+    if text_of(line, "event") == "aborted":
+        return STOPPED
     bad = text_of(line, "severity") in ("retake", "refuse")
     if text_of(line, "event") in ("failed", "rejected", "recovered") or bad:
         return text_of(line, "pattern")

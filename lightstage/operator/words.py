@@ -304,7 +304,7 @@ STATES = {
 
 QUESTION = "What now?"
 KEYS = {
-    "retake": ("r", "last pattern again"),
+    "retake": ("r", "this pattern again"),
     "accept": ("a", "accept as it is"),
     "pause": ("p", "pause"),
     "resume": ("c", "continue"),
@@ -325,7 +325,7 @@ LEGEND: tuple[tuple[Mark, str], ...] = (
 )
 """Marks of photographs and their words."""
 HEARD = {
-    "retake": "The last pattern is taken again after this one.",
+    "retake": "The pattern that is being taken is taken again once it is done.",
     "accept": "Accepted.",
     "pause": "It pauses, dark, after this pattern.",
     "resume": "It goes on.",

@@ -96,8 +96,35 @@ function write(told) {
   while (list.children.length > LINES_SHOWN) list.lastChild.remove();
 }
 
-function lost(is) {
-  document.getElementById("lost").hidden = !is;
+// What a page shows is old once the console does not answer, or knows this page no longer.
+function lost(why) {
+  for (const id of ["lost", "unknown"]) document.getElementById(id).hidden = id !== why;
+  document.body.classList.toggle("old", why !== "");
+}
+
+// What was pressed is sent before the page is left: a stop must not be lost on the way.
+let sending = 0;
+let going = "";
+function leave(url) {
+  going = url;
+  if (!sending) location.assign(url);
+  else setTimeout(() => location.assign(url), 2000);
+}
+function counted(by) {
+  return (event) => {
+    if (event.detail.requestConfig.verb !== "post") return;
+    sending += by;
+    if (!sending && going) location.assign(going);
+  };
+}
+
+// A word on what was pressed ends with the state that it was said of.
+let phase = "";
+function forget() {
+  const banner = document.querySelector("[data-phase]");
+  const now = banner === null ? "" : banner.dataset.phase;
+  if (now !== phase && phase !== "") document.getElementById("said").textContent = "";
+  phase = now;
 }
 
 document.addEventListener("DOMContentLoaded", () => {
@@ -111,15 +138,18 @@ document.addEventListener("DOMContentLoaded", () => {
   addEventListener("pointerdown", unlock);
   const part = document.querySelector("[data-events]");
   if (part !== null) follow(part);
-  document.body.addEventListener("htmx:sendError", () => lost(true));
-  document.body.addEventListener("htmx:responseError", (event) => lost(event.detail.xhr.status === 401));
-  document.body.addEventListener("htmx:afterOnLoad", () => lost(false));
+  document.body.addEventListener("htmx:sendError", () => lost("lost"));
+  document.body.addEventListener("htmx:afterOnLoad", (event) => lost(event.detail.xhr.status === 401 ? "unknown" : ""));
+  document.body.addEventListener("htmx:beforeRequest", counted(1));
+  document.body.addEventListener("htmx:afterRequest", counted(-1));
+  forget();
   document.body.addEventListener("htmx:afterSwap", (event) => {
+    forget();
     const look = document.getElementById("look");
     if (event.detail.target === look && !look.open) look.showModal();
     // A capture on its way has begun: its own page has what this one lacks.
-    if (location.pathname === "/live" && event.detail.xhr.responseURL.includes("/session/")) {
-      location.assign(event.detail.xhr.responseURL);
+    if (location.pathname === "/live" && event.detail.target.id === "part" && event.detail.xhr.responseURL.includes("/session/")) {
+      leave(event.detail.xhr.responseURL);
     }
   });
 });

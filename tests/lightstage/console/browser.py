@@ -105,6 +105,10 @@ class Browser:
             text = {"text": key} if kind == "keyDown" else {}
             self._ask("Input.dispatchKeyEvent", type=kind, key=key, **text)
 
+    def forget_cookies(self) -> None:
+        """As if the page were of another server: its session is known no longer."""
+        self._ask("Network.clearBrowserCookies")
+
     def picture(self, path: Path) -> Path:
         """A PNG of the window."""
         data = self._ask("Page.captureScreenshot", format="png")["data"]

@@ -253,4 +253,26 @@ def test_a_real_browser_runs_a_capture_by_keys(staged, plan, tmp_path) -> None:
             browser.press(key)
             browser.wait(f"location.pathname === '{path}' && document.readyState === 'complete'")
             assert browser.js("document.documentElement.scrollWidth") <= 800, path
+        # A stop while devices are opened is a stop, and no page of its own.
+        wait_until(lambda: not site.desk.running(), "an idle stage")
+        browser.press("1")
+        browser.wait("location.pathname === '/plan' && document.querySelector('[data-key=s]')")
+        browser.press("s")
+        browser.wait('document.body.innerText.includes("COMPLETE")')
+        assert "Stopped by the operator" not in browser.js(
+            "document.querySelector('main').innerText"
+        )
+        browser.wait("document.querySelector('[data-key=s]')")
+        browser.press("s")
+        browser.wait("location.pathname === '/live' && document.querySelector('[data-key=q]')")
+        browser.press("q")
+        browser.wait('document.body.innerText.includes("STOPPED")')
+        assert "no such page" not in browser.js("document.body.innerText")
+        assert "Mend this" not in browser.js("document.body.innerText")
         assert browser.errors == []
+        # A console that was started again does not know this page: what it shows is old.
+        browser.go(f"http://127.0.0.1:{site.port}/session/P1+neutral")
+        assert browser.js("document.getElementById('unknown').hidden")
+        browser.forget_cookies()
+        browser.wait("!document.getElementById('unknown').hidden")
+        assert browser.js("document.body.classList.contains('old')")

@@ -85,7 +85,7 @@ def test_every_key_stands_with_its_words_on_one_line(busy, columns, asked):
     lines = picture(shown(busy.lines), Ask(question, keys), columns, 24)
     assert len(lines) < 24
     assert max(map(len, lines)) <= columns
-    retake = "take it again" if asked else "last pattern again"
+    retake = "take it again" if asked else "this pattern again"
     end = "stop now, go on later" if asked else "stop, dark at once"
     for part in (f" r  {retake}", " a  accept as it is", " p  pause", f" q  {end}"):
         assert sum(part in line for line in lines) == 1, (part, lines)

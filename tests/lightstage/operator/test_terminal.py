@@ -180,9 +180,9 @@ def test_ctrl_z_and_ctrl_backslash_do_not_leave_the_lights_on(capture):
 
 def test_keys_are_wishes_and_what_makes_no_sense_is_said(capture):
     terminal, lights = capture(LOOP)
-    terminal.wait_for("last pattern again")
+    terminal.wait_for("this pattern again")
     terminal.press("r")
-    terminal.wait_for("taken again after this one")
+    terminal.wait_for("taken again once it is done")
     terminal.wait_until(lambda: "retake" in lights.read_text(), "no retake")
     terminal.press("a")
     terminal.wait_for("Not now: nothing waits to be accepted")

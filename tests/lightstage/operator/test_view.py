@@ -242,6 +242,9 @@ def test_what_holds_only_while_a_capture_runs_is_not_said_at_its_end(story):
     assert not any("restarting" in words.text for words in view.news)
     view.told(told.add("aborted", said="Stopped by the operator."))
     assert not any("follow" in words.text for words in view.news)
+    assert any("Stopped" in words.text for words in view.news)
+    view.told(told.add("resume"))
+    assert not any("Stopped" in words.text for words in view.news)
 
 
 def test_while_a_question_waits_it_is_dark_and_waits_for_the_operator(story):
