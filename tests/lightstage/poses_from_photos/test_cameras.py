@@ -177,6 +177,19 @@ def test_photographs_of_a_wall_are_refused(tmp_path: Path) -> None:
         find_cameras(shots, LIGHTS, [base()])
 
 
+def test_cameras_that_show_another_person_are_named(tmp_path: Path) -> None:
+    shots = {}
+    for camera in ball.cameras():
+        other = camera.id in ("cam5", "cam6")
+        picture = ball.photograph(camera, seed=4 if other else 3)
+        shots[camera.id] = put_other(tmp_path / f"{camera.id}.exr", picture)
+    with pytest.raises(LightstageError, match="see each other's subject") as caught:
+        find_cameras(shots, LIGHTS, [base()])
+    assert "camera cam5" in str(caught.value)
+    assert "camera cam6" in str(caught.value)
+    assert "camera cam1:" not in str(caught.value)
+
+
 @given(st.floats(-3, 3), st.floats(0.05, 1.0), st.floats(1e-3, 1e3), st.integers(0, 2**32 - 1))
 def test_a_plane_is_flat_and_a_head_is_not(
     tilt: float, depth: float, size: float, seed: int
