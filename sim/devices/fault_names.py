@@ -52,18 +52,18 @@ NAMES: dict[str, FaultName] = {
     # The LED device's line: `way` is "request" (toward the device) or "answer".
     "drop": _line("the packet never arrives"),
     "corrupt": _line("bits of the packet are flipped", bits=1),
-    "delay": _line("the line stands still before the packet, and all behind it waits", seconds=0.1),
+    "delay": _line("the line stops before the packet, and all later ones wait", seconds=0.1),
     "duplicate": _line("the packet arrives twice"),
     "reorder": _line("the packet arrives after the next one"),
     # The LED device itself.
     "die": FaultName(
-        "leds", "packet", False, "silent, lights as they are, until its port is opened again"
+        "leds", "packet", False, "silent, with unchanged lights, until its port is opened again"
     ),
     "reset": FaultName(
         "leds",
         "packet",
         False,
-        "restarts: dark, another boot id; what comes while it starts is lost",
+        "restarts: dark, another boot id; packets that come while it starts are lost",
         {"seconds": 0.05},
     ),
     "reset-on-open": FaultName(
@@ -74,7 +74,7 @@ NAMES: dict[str, FaultName] = {
         {"seconds": 0.05},
     ),
     "wrong-acknowledgement": FaultName(
-        "leds", "packet", False, "acknowledges levels that nobody asked for"
+        "leds", "packet", False, "acknowledges levels that were not sent"
     ),
     "hang-up": FaultName(
         "leds",
@@ -85,40 +85,44 @@ NAMES: dict[str, FaultName] = {
     "other-id": FaultName(
         "leds", "packet", False, "the answer is that of a request that nobody sent"
     ),
-    "stuck-on": _lamps("these lights stay fully on; the device tells so"),
-    "stuck-on-hidden": _lamps("these lights stay fully on; the device says what it was told"),
-    "dead-light": _lamps("these lights stay dark; the device tells so"),
-    "dead-light-hidden": _lamps("these lights stay dark; the device says what it was told"),
+    "stuck-on": _lamps("these lights stay fully on; the device reports it"),
+    "stuck-on-hidden": _lamps(
+        "these lights stay fully on; the device reports the levels that it was sent"
+    ),
+    "dead-light": _lamps("these lights stay dark; the device reports it"),
+    "dead-light-hidden": _lamps(
+        "these lights stay dark; the device reports the levels that it was sent"
+    ),
     "swapped-bank": FaultName(
         "leds", "packet", True, "the two polarisation banks are plugged in the other way round"
     ),
     # Cameras.
-    "fail": _camera("no picture is taken; the next shot works"),
+    "fail": _camera("no photograph is taken; the next shot works"),
     "hang": _camera("the camera never answers, at the trigger or the download", during="trigger"),
     "busy": _camera("the camera is busy for a time before it triggers (-110)", seconds=0.3),
     "claimed": _camera(
         "another program has the camera for a time (-53)", counted="open", seconds=0.5
     ),
     "io": _camera(
-        "the connection is lost (-7) after the picture was taken, or at its first download",
+        "the connection is lost (-7) after the exposure, or at the first download",
         during="trigger",
     ),
     "port-changes": _camera("unplugged, and plugged in again at another port"),
     "fill-up": _camera("the card is full", lasts=True),
     "disconnect": _camera("unplugged, back after a time", seconds=1.0),
     "battery-empty": _camera("switches itself off, for good"),
-    "stale": _camera("the picture of the shot before is delivered again"),
+    "stale": _camera("the photograph of the shot before is delivered again"),
     "truncated": _camera("the file's first download gives only a part of it", share=0.5),
     "wrong-iso": _camera("the ISO setting drifts, and stays so", value="400"),
     "owner-set": _camera("somebody's name is in the owner field, and stays so", value="A. Person"),
     "drift": _camera("another setting drifts, and stays so", setting="white_balance", value="Auto"),
-    "slow": _camera("the picture comes late", seconds=0.3),
-    "late-file": _camera("no picture comes; it comes with the next shot's, before it"),
+    "slow": _camera("the photograph comes late", seconds=0.3),
+    "late-file": _camera("no photograph comes; it comes with the next shot's, before it"),
     "other-order": _camera(
         "events come in another order: done before the file, of a pair the JPEG first"
     ),
-    "duplicate-serial": _camera("tells another camera's serial number", lasts=True, value="0000"),
-    "event-storm": _camera("many events of no meaning come before the picture", count=200),
+    "duplicate-serial": _camera("reports another camera's serial number", lasts=True, value="0000"),
+    "event-storm": _camera("many meaningless events come before the photograph", count=200),
 }
 
 
