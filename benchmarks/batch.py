@@ -494,6 +494,23 @@ def tables(f: dict[str, Any], show: Callable[..., None]) -> None:
     )
 
 
+def measure(name: str, sizes: Sizes) -> None:
+    """Measure one of `PARTS`, and keep its figures beside those of the same code."""
+    path = _figures(sizes)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    known: dict[str, Any] = read_json(path) if path.exists() else {}
+    if known.get("code") != code_version():
+        # What older code wrote differs from what this writes, whoever is killed.
+        known = {"code": code_version()}
+    known[name] = globals()[f"part_{name}"](path.parent, sizes)
+    print(name, known[name], flush=True)
+    write_json(path, known)
+
+
+def _figures(sizes: Sizes) -> Path:
+    return kept_folder() / ("batch" if sizes == Sizes() else "batch-small") / "figures.json"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all where none is named")
@@ -501,22 +518,16 @@ def main() -> None:
         parser.add_argument("--" + field.name, type=type(field.default), default=field.default)
     asked = parser.parse_args()
     sizes = Sizes(**{field.name: getattr(asked, field.name) for field in dataclasses.fields(Sizes)})
-    whole = sizes == Sizes()
-    at = kept_folder() / ("batch" if whole else "batch-small")
-    at.mkdir(parents=True, exist_ok=True)
-    figures = at / "figures.json"
-    known: dict[str, Any] = read_json(figures) if figures.exists() else {}
-    if known.get("code") != code_version():
-        # What older code wrote differs from what this writes, whoever is killed.
-        known = {"code": code_version()}
     for name in asked.parts or PARTS:
-        known[name] = globals()[f"part_{name}"](at, sizes)
-        print(name, known[name], flush=True)
-        write_json(figures, known)
+        # Each in a process of its own: numba keeps the number of threads that it began with, and
+        # a batch's workers have another.
+        code = f"from benchmarks.batch import Sizes, measure; measure({name!r}, {sizes!r})"
+        subprocess.run([sys.executable, "-c", code], check=True)
+    known = read_json(_figures(sizes))
     if known.keys() >= set(PARTS):
         tables(
             {key: value for part in PARTS for key, value in known[part].items()},
-            record if whole else printed,
+            record if sizes == Sizes() else printed,
         )
 
 
