@@ -2,7 +2,7 @@
 
     python -m benchmarks.batch [run] [batch] [kills] [store] [readers]
 
-All of it takes about half an hour on two cores that do nothing else. Parts keep their figures, so
+All of it takes about eight minutes on two cores that do nothing else. Parts keep their figures, so
 that they can be called one after the other, `run` before `kills`. As soon as all are there, the
 tables are recorded, or printed alone where other sizes than the default were asked for: `--sessions
 4 --kills 3 --scans 100 --seconds 1` takes a few minutes. The sessions are one simulated session
