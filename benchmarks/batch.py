@@ -14,10 +14,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import heapq
-import io
-import itertools
 import json
-import multiprocessing
 import os
 import random
 import resource
@@ -25,16 +22,15 @@ import shutil
 import signal
 import subprocess
 import sys
-import tarfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from benchmarks.dataset import write_scan
+from benchmarks.batch_readers import READ_COLUMNS, READ_ROWS, READERS, SIDE, patches_a_second
 from benchmarks.folders import differences, holder
 from benchmarks.record import record, table
 from benchmarks.reflectance_people import folder as kept_folder
@@ -46,15 +42,11 @@ from lightstage.rig import default_rig, save_rig
 from processing.batch import work
 from processing.batch.needs import SECONDS
 from processing.dataset import (
-    PublishConfig,
     add_scan,
     build_store,
     open_store,
-    publish,
-    read_about,
     verify_store,
 )
-from processing.dataset.release_files import CHANNELS
 from processing.pipeline import PipelineConfig
 from processing.records import RUN_LOCK, code_version, hash_folder
 
@@ -64,11 +56,6 @@ ROWS_PX = 240
 SCANS = 1400
 """Sessions of the year."""
 PARTS = ("run", "batch", "kills", "store", "readers")
-READERS = (1, 2, 4)
-READ_ROWS, READ_COLUMNS = 1536, 1024
-"""Of the scans whose patches are read: a patch has 128 texels."""
-ABOUT = Path(__file__).parents[1] / "demo" / "about.toml"
-Form = Literal["store", "tars", "EXR files"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -300,90 +287,7 @@ def part_store(at: Path, sizes: Sizes) -> dict[str, Any]:
 
 def part_readers(at: Path, sizes: Sizes) -> dict[str, Any]:
     """Patches a second from the store, from tars and from whole EXR files, by so many readers."""
-    place = at / "readers"
-    shutil.rmtree(place, ignore_errors=True)
-    folders = []
-    for index in range(2):
-        folder = ProcessedFolder(place / "people" / f"{index}")
-        write_scan(folder, np.random.default_rng(index), READ_ROWS, READ_COLUMNS)
-        report = {"subject": f"P{index}", "expression": "neutral", "consent": "C-1"}
-        write_json(folder.root / "report.json", report)
-        folders.append(folder.root)
-    store = open_store(build_store(folders, place / "store"))
-    config = PublishConfig(form="webdataset", most_face=1.0)
-    publish(store, place / "tars", 0, config, about=read_about(ABOUT))
-    rates: dict[str, dict[str, float]] = {}
-    context = multiprocessing.get_context("spawn")
-    for form in ("store", "tars", "EXR files"):
-        for count in READERS:
-            ready = context.Barrier(count)
-            counts = context.Queue()
-            asked = [(form, place, sizes.seconds, seed, ready, counts) for seed in range(count)]
-            readers = [context.Process(target=read_on, args=each) for each in asked]
-            for reader in readers:
-                reader.start()
-            rates.setdefault(form, {})[str(count)] = sum(counts.get() for _ in readers)
-            for reader in readers:
-                reader.join()
-    return {"patches_a_second": rates}
-
-
-def read_on(form: Form, place: Path, seconds: float, seed: int, ready: Any, counts: Any) -> None:
-    """One reader: patches a second from when all readers are ready."""
-    source = {"store": store_patches, "tars": tar_patches, "EXR files": exr_patches}[form]
-    patches = source(place, np.random.default_rng(seed))
-    next(patches)
-    ready.wait()
-    began, count = time.perf_counter(), 0
-    while time.perf_counter() - began < seconds:
-        found = next(patches)
-        assert len(found) == len(CHANNELS)
-        count += 1
-    counts.put(count / (time.perf_counter() - began))
-
-
-Patch = dict[str, np.ndarray]
-SIDE = READ_ROWS // 12
-
-
-def somewhere(rng: np.random.Generator) -> tuple[slice, slice]:
-    row, column = (int(rng.integers(size - SIDE)) for size in (READ_ROWS, READ_COLUMNS))
-    return slice(row, row + SIDE), slice(column, column + SIDE)
-
-
-def store_patches(place: Path, rng: np.random.Generator) -> Iterator[Patch]:
-    """Random patches, as training reads them."""
-    store = open_store(place / "store")
-    names = [name if name != "shape" else "position" for name in CHANNELS]
-    while True:
-        scan, where = int(rng.integers(len(store.scans))), somewhere(rng)
-        yield {name: store.read(scan, name, *where) for name in names}
-
-
-def tar_patches(place: Path, rng: np.random.Generator) -> Iterator[Patch]:
-    """All patches in the order of the tars, again and again, as webdataset reads them."""
-    paths = sorted((place / "tars").glob("*.tar"))
-    for path in itertools.cycle(rng.permutation(np.array(paths, object)).tolist()):
-        with tarfile.open(path) as tar:
-            patch: Patch = {}
-            for member in tar:
-                file = tar.extractfile(member)
-                assert file is not None
-                name = member.name.split(".")[1]
-                patch[name] = np.load(io.BytesIO(file.read())).astype(np.float32)
-                if len(patch) == len(CHANNELS):
-                    yield patch
-                    patch = {}
-
-
-def exr_patches(place: Path, rng: np.random.Generator) -> Iterator[Patch]:
-    """Random patches, each cut from whole files that are read for it."""
-    folders = sorted((place / "people").iterdir())
-    names = [name if name != "shape" else "position" for name in CHANNELS]
-    while True:
-        folder = ProcessedFolder(folders[int(rng.integers(len(folders)))])
-        where = somewhere(rng)
-        yield {name: folder.read_atlas(name)[where] for name in names}
+    return {"patches_a_second": patches_a_second(at / "readers", sizes.seconds)}
 
 
 def simulate(machines: int, disk_gb_s: float, sessions: int = SCANS) -> float:

@@ -4,30 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import grimp
-
 from benchmarks.record import RESULTS, git
 from benchmarks.record import table as markdown
 from benchmarks.results_file import Table, read_tables
+from processing.reachable import reachable_files
 
 PACKAGES = ("benchmarks", "lightstage", "processing", "learning", "sim")
+WRITERS = ("benchmarks/record.py", "benchmarks/results_file.py")
 
 
-def measured_files(script: str, graph: grimp.ImportGraph, root: Path) -> list[str]:
-    """Files of this project that a benchmark's module imports, directly or not, and its own.
+def measured_files(script: str, root: Path) -> list[str]:
+    """Files of this project that a benchmark imports, directly or not, and its own; sorted.
 
-    Args:
-        script: name of the benchmark in `benchmarks`.
-        graph: of the imports of `PACKAGES`.
-        root: of the repository.
+    How tables are written is not measured.
     """
-    module = f"benchmarks.{script}"
-    modules = {module, *graph.find_upstream_modules(module)} - {"benchmarks.record"}
-    files = []
-    for name in modules:
-        path = root / name.replace(".", "/")
-        files.append(path / "__init__.py" if path.is_dir() else path.with_suffix(".py"))
-    return sorted(str(path.relative_to(root)) for path in files if path.is_file())
+    files = reachable_files(f"benchmarks.{script}", PACKAGES, root)
+    names = [str(path.relative_to(root)) for path in files]
+    return [name for name in names if name not in WRITERS]
 
 
 def why_stale(table: Table, files: list[str]) -> str:
@@ -43,14 +36,13 @@ def why_stale(table: Table, files: list[str]) -> str:
 
 def main() -> None:
     root = RESULTS.parent.parent
-    graph = grimp.build_graph(*PACKAGES)
     rows = []
     tables = read_tables(RESULTS.read_text())
     for made in tables:
-        if f"benchmarks.{made.script}" not in graph.modules:
+        if not (RESULTS.parent / f"{made.script}.py").is_file():
             rows.append([made.title, made.script, made.date, "its script is gone"])
             continue
-        why = why_stale(made, measured_files(made.script, graph, root))
+        why = why_stale(made, measured_files(made.script, root))
         if why:
             rows.append([made.title, made.script, made.date, why])
     print(markdown(["table", "benchmark", "date", "why"], rows))

@@ -163,9 +163,7 @@ def _process(
 ) -> None:
     from processing import pipeline
 
-    settings = pipeline.read_config(config, atlas_rows, *meshes)
-    if force:
-        settings = settings.as_forced()
+    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force)
     with limited_access(group_of([session])):
         report = pipeline.run(
             session, out, template, settings, until=until, only=only, bar=progress_bar
@@ -196,9 +194,7 @@ def _why(
     """Print which stages would run, and why."""
     from processing import pipeline
 
-    settings = pipeline.read_config(config, atlas_rows, *meshes)
-    if force:
-        settings = settings.as_forced()
+    settings = pipeline.read_config(config, atlas_rows, *meshes, force=force)
     reasons = pipeline.why(pipeline.read_job(session, out, template, settings, until), until)
     lines = [f"{stage}: {reason or 'up to date'}" for stage, reason in reasons.items()]
     finish("\n".join(lines), {"out": str(out), "stages": reasons}, as_json)

@@ -105,6 +105,8 @@ def read_config(
     atlas_rows: int | None = None,
     mesh: Path | None = None,
     occluders: Path | None = None,
+    *,
+    force: bool = False,
 ) -> PipelineConfig:
     """Defaults, overridden by a TOML file, overridden by the command line.
 
@@ -113,12 +115,14 @@ def read_config(
         atlas_rows: height of the atlas in texels.
         mesh: of the head, in place of a reconstructed one.
         occluders: mesh of what else casts shadows.
+        force: go on where photographs contradict each other or their patterns.
 
     Raises:
         ConfigError: an unknown table or key, or a value of another type.
     """
     values = {} if path is None else read_toml(path)
-    return config_of(values, path or "configuration", atlas_rows, mesh, occluders)
+    found = config_of(values, path or "configuration", atlas_rows, mesh, occluders)
+    return found.as_forced() if force else found
 
 
 def config_of(

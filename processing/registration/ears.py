@@ -74,17 +74,19 @@ def find_ears(
     own = _Ear.all_of(vertices, triangles)
     scan = _Ear(target.vertices, target.normals, vertex_areas(target.vertices, target.triangles))
     used = np.unique(target.triangles)
-    for ear in _parts(triangles, ears):
+    for ear in _parts(triangles, ears, 2):
         centre = vertices[ear].mean(axis=0)
         reach = config.reach * np.linalg.norm(vertices[ear] - centre, axis=1).max()
         near = used[np.linalg.norm(target.vertices[used] - centre, axis=1) < reach]
-        found = near[_height(target.vertices[near], skin) > config.stands_off_mm]
-        found = _largest_part(found, target.triangles, len(target.vertices))
-        found = found[:: max(1, len(found) // config.points)]
-        raised = ear[_height(vertices[ear], skin) > config.stands_off_mm]
-        pose = _laid(own.some(raised), scan.some(found), config)
-        if pose is not None:
-            out.append((ear, pose))
+        off = np.zeros(len(target.vertices), bool)
+        off[near] = _height(target.vertices[near], skin) > config.stands_off_mm
+        # The largest part: a shoulder is no ear.
+        for found in _parts(target.triangles, off, 1):
+            raised = ear[_height(vertices[ear], skin) > config.stands_off_mm]
+            place = scan.some(found[:: max(1, len(found) // config.points)])
+            pose = _laid(own.some(raised), place, config)
+            if pose is not None:
+                out.append((ear, pose))
     return out
 
 
@@ -122,13 +124,15 @@ def ears_in_place(
     return vertices + sheet.solve(springs, moved)
 
 
-def _parts(triangles: np.ndarray, ears: np.ndarray) -> list[np.ndarray]:
-    """Vertices of the region's two largest connected parts; isolated crumbs are no ear."""
+def _parts(triangles: np.ndarray, chosen: np.ndarray, most: int) -> list[np.ndarray]:
+    """Vertices of the largest connected parts of (n,) chosen ones; isolated crumbs are no part."""
+    if not chosen.any():
+        return []
     ends = directed_edges(triangles)
-    label = connected(ends[ears[ends].all(axis=1)], len(ears))
-    size = np.bincount(label[ears], minlength=label.max() + 1)
-    largest = np.argsort(-size, kind="stable")[:2]
-    return [np.flatnonzero(ears & (label == k)) for k in largest if size[k] >= LEAST_VERTICES]
+    label = connected(ends[chosen[ends].all(axis=1)], len(chosen))
+    size = np.bincount(label[chosen], minlength=label.max() + 1)
+    largest = np.argsort(-size, kind="stable")[:most]
+    return [np.flatnonzero(chosen & (label == k)) for k in largest if size[k] >= LEAST_VERTICES]
 
 
 def _without(vertices: np.ndarray, triangles: np.ndarray, ears: np.ndarray) -> np.ndarray:
@@ -156,17 +160,6 @@ def _height(points: np.ndarray, skin: Target) -> np.ndarray:
     """(k,) mm that points stand above a surface; negative below it."""
     closest = skin.closest(points)
     return np.einsum("nk,nk->n", points - closest.point, closest.normal)
-
-
-def _largest_part(some: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
-    """Of (k,) vertices those of the largest connected part: a shoulder is no ear."""
-    if not len(some):
-        return some
-    chosen = np.zeros(count, bool)
-    chosen[some] = True
-    ends = directed_edges(triangles)
-    label = connected(ends[chosen[ends].all(axis=1)], count)[some]
-    return some[label == np.argmax(np.bincount(label))]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -185,17 +185,17 @@ def fit_nonrigid(
 
     def pulled(stiffness: float) -> tuple[Springs, Matches]:
         followed = sheet.allowed.copy()
-        followed[both.vertices] &= stiffness > config.both_ways.from_mm
+        hold = stiffness > config.both_ways.from_mm
+        followed[both.vertices] &= hold
         if stiffness < config.intricate_stiffness_mm:
             followed &= ~sheet.stiff
-        hold = stiffness > config.both_ways.from_mm
         if hold:
             followed[held] = False
         matches = sheet.matcher.match(sheet.rest + moved, stiffness)
         springs = _matched(sheet.plate, matches, followed, sheet.rest, moved, stiffness, config)
         both.draw(springs, sheet.rest, moved, stiffness)
         if hold:
-            pull = config.landmark_pull * 8 * stiffness**2 * np.eye(3)
+            pull = _point_stiffness(config.landmark_pull, stiffness) * np.eye(3)
             springs.add(held, np.tile(pull, (len(held), 1, 1)), np.zeros((len(held), 3)))
         if sheet is fine:
             springs.scale(yields)
@@ -296,6 +296,11 @@ def _matched(
     return springs
 
 
+def _point_stiffness(times: float, stiffness_mm: float) -> float:
+    """mm^2 of a spring that pulls a point so many times as hard as the plate resists."""
+    return times * 8 * stiffness_mm**2
+
+
 def _pull_landmarks(
     springs: Springs,
     matches: Matches,
@@ -305,7 +310,7 @@ def _pull_landmarks(
     config: NonrigidConfig,
 ) -> None:
     fine = stiffness_mm < config.fine_mm
-    pull = (config.fine_pull if fine else config.landmark_pull) * 8 * stiffness_mm**2
+    pull = _point_stiffness(config.fine_pull if fine else config.landmark_pull, stiffness_mm)
     matrix = np.tile(pull * np.eye(3), (len(vertices), 1, 1))
     if fine:
         normal = matches.closest.normal[vertices] * matches.follows[vertices, None]

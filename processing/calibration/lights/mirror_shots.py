@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from lightstage.rig import Camera
@@ -12,9 +14,14 @@ from processing.calibration.lights.mirror_ball import MirrorConfig, Seen
 AXES = ("x", "y", "z")
 
 
+def single_lights(levels: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """Patterns that light one lamp, and its place in the rig; (n,) levels by pattern."""
+    return {name: int(v.argmax()) for name, v in levels.items() if np.count_nonzero(v) == 1}
+
+
 def see_highlights(shots: BallShots, pose: int, config: MirrorConfig, steps: Steps) -> list[Seen]:
     """Highlights of one pose in every camera."""
-    singles = {n: int(v.argmax()) for n, v in shots.levels.items() if np.count_nonzero(v) == 1}
+    singles = single_lights(shots.levels)
     out = []
     for camera_id in shots.cameras:
         if singles:

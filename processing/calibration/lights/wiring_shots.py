@@ -13,7 +13,7 @@ from lightstage.rig import Light, Rig
 from processing.calibration.ball import Steps, ball_shots
 from processing.calibration.folder import Pose, Source
 from processing.calibration.lights.mirror_ball import MirrorConfig, Seen
-from processing.calibration.lights.mirror_shots import see_highlights
+from processing.calibration.lights.mirror_shots import see_highlights, single_lights
 from processing.calibration.lights.wiring import Wiring, find_wiring
 from processing.errors import ProcessingError
 
@@ -124,9 +124,8 @@ def _seen(poses: Sequence[Pose], config: MirrorConfig, progress: ProgressCallbac
     total = sum(len(pose.session.camera_ids()) * len(pose.patterns) for pose in poses)
     steps = Steps(progress, total)
     for number, pose in enumerate(poses):
-        levels = {name: pose.session.levels(name) for name in pose.patterns}
-        singles = tuple(name for name in levels if np.count_nonzero(levels[name]) == 1)
-        lit = {int(np.argmax(levels[name])) for name in singles}
+        singles = single_lights({name: pose.session.levels(name) for name in pose.patterns})
+        lit = set(singles.values())
         dark = [light for i, light in enumerate(pose.session.rig.lights) if i not in lit]
         if dark:
             raise ProcessingError(
@@ -136,7 +135,9 @@ def _seen(poses: Sequence[Pose], config: MirrorConfig, progress: ProgressCallbac
                 expected="a photograph under each light alone",
                 hint="Take them: `lightstage calibrate mirror --every-light --out LAB`.",
             )
-        seen += see_highlights(ball_shots(pose.session, None, singles), number, config, steps)
+        seen += see_highlights(
+            ball_shots(pose.session, None, tuple(singles)), number, config, steps
+        )
     return seen
 
 
