@@ -2,8 +2,9 @@
 
 `python -m benchmarks.photo` photographs heads that the fit knows nothing of (simulated people,
 people of ICT's model, the scanned head) under lights of the simulator, finds their faces and fits
-them. The error of a shape is the mean distance of corresponding vertices of the face after the best
-similarity; ICT's people and the scan correspond as far as their registration does.
+them, by their landmarks alone and by their pixels too. The error of a shape is the mean distance of
+corresponding vertices of the face after the best similarity; ICT's people and the scan correspond
+as far as their registration does. Along the normal no correspondence is needed.
 """
 
 from __future__ import annotations
@@ -45,13 +46,13 @@ NUMBER = 3
 """Of the lights' draw."""
 
 
-def camera_at(head: Head, yaw_deg: float) -> Camera:
-    """A camera that looks at a head's face from a side."""
+def camera_at(head: Head, yaw_deg: float, scale: float = 1.0) -> Camera:
+    """A camera that looks at a head's face from a side, its picture made smaller or larger."""
     turn = np.radians(yaw_deg)
     place = AIM_MM + DISTANCE_MM * np.array([np.sin(turn), 0.0, np.cos(turn)])
     from_head = look_at(place, AIM_MM)
     pose = from_head @ np.vstack([head.head_from_world, [0, 0, 0, 1]])
-    return Camera(
+    camera = Camera(
         "photo",
         "",
         "",
@@ -64,9 +65,12 @@ def camera_at(head: Head, yaw_deg: float) -> Camera:
         (0.0,) * 5,
         pose,
     )
+    return camera if scale == 1.0 else camera.scaled(scale)
 
 
-def photograph(head: Head, texture: np.ndarray, yaw_deg: float, there: np.ndarray) -> Photograph:
+def photograph(
+    head: Head, texture: np.ndarray, yaw_deg: float, there: np.ndarray, scale: float
+) -> Photograph:
     """An 8-bit photograph of a lit head, its face found.
 
     Args:
@@ -74,13 +78,15 @@ def photograph(head: Head, texture: np.ndarray, yaw_deg: float, there: np.ndarra
         texture: (rows, columns, 3) lit.
         yaw_deg: of the camera, to the head's left.
         there: (468,) bool, points that the template knows.
+        scale: of the photograph's size.
     """
-    rgb, _ = render_view(texture, head.shown, head.mesh, camera_at(head, yaw_deg), GREY)
+    camera = camera_at(head, yaw_deg, scale)
+    rgb, _ = render_view(texture, head.shown, head.mesh, camera, GREY)
     codes = np.round(255 * srgb_from_linear(rgb)).astype(np.uint8)
     faces = detect_faces(codes)
     points = np.full((468, 2), np.nan) if not faces else seen_points(faces[0], FACE_MESH)
     linear = linear_from_srgb(codes / 255.0).astype(np.float32)
-    return Photograph(f"{yaw_deg}", linear, points[there], FOCAL_PX)
+    return Photograph(f"{yaw_deg}", linear, points[there], camera.fx_px)
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -126,14 +132,19 @@ def over_photograph(taken: Photograph, fitted: FittedHead) -> float:
     return float(-10 * np.log10(max(float((off**2).mean()), 1e-12)))
 
 
+Off = tuple[float, float]
+"""Mean distance of corresponding vertices, and of that its part along the true normals, mm."""
+
+
 @dataclasses.dataclass
 class Scores:
     """Errors of one kind of heads."""
 
-    mean: list[float] = dataclasses.field(default_factory=list)
-    one: list[float] = dataclasses.field(default_factory=list)
-    along: list[float] = dataclasses.field(default_factory=list)
-    three: list[float] = dataclasses.field(default_factory=list)
+    mean: list[Off] = dataclasses.field(default_factory=list)
+    one_alone: list[Off] = dataclasses.field(default_factory=list)
+    one: list[Off] = dataclasses.field(default_factory=list)
+    three_alone: list[Off] = dataclasses.field(default_factory=list)
+    three: list[Off] = dataclasses.field(default_factory=list)
     between: list[float] = dataclasses.field(default_factory=list)
     light: list[float] = dataclasses.field(default_factory=list)
     psnr: list[float] = dataclasses.field(default_factory=list)
@@ -142,7 +153,9 @@ class Scores:
     lost: int = 0
 
 
-def measure(head: Head, template: Template, rows: int, whole: bool, scores: Scores) -> None:
+def measure(
+    head: Head, template: Template, rows: int, whole: bool, scale: float, scores: Scores
+) -> None:
     """Fit one head under each light, and add up its errors."""
     config = dataclasses.replace(FitConfig(), rows=rows)
     model = shape_model(template, config)
@@ -153,29 +166,38 @@ def measure(head: Head, template: Template, rows: int, whole: bool, scores: Scor
     face = scored(template)
     truth = in_head(head, head.mesh.vertices)
     normals = vertex_normals(truth, template.mesh.triangles())[face]
-    scores.mean.append(_mean(apart(template.mesh.vertices[face], truth[face])))
     network, _ = load_whole_face(shipped_weights())
+    alone = dataclasses.replace(config, pixel_rounds=0)
+
+    def off(vertices: np.ndarray) -> Off:
+        beside = apart(vertices[face], truth[face])
+        return _mean(beside), float(np.abs((beside * normals).sum(axis=1)).mean())
+
+    scores.mean.append(off(template.mesh.vertices))
     shapes = []
     for name in LIGHTS:
         light = light_of(name, NUMBER)
         texture = head.image(head.lit.under(light)).astype(np.float32)
-        shots = {yaw: photograph(head, texture, yaw, there) for yaw in THREE_DEG}
+        shots = {yaw: photograph(head, texture, yaw, there, scale) for yaw in THREE_DEG}
         lost = [yaw for yaw, shot in shots.items() if not np.isfinite(shot.landmarks_px).any()]
         scores.lost += len(lost)
         for yaw in YAWS_DEG:
             if yaw in lost:
                 continue
+            shape = fit_shape([shots[yaw]], template, places, alone, model)
+            scores.one_alone.append(off(shape.meshes[0].vertices))
             began = time.perf_counter()
-            shape = fit_shape([shots[yaw]], template, places, config, model)
+            shape = fit_shape([shots[yaw]], template, places, config, model, network)
             scores.shape_s.append(time.perf_counter() - began)
-            off = apart(shape.meshes[0].vertices[face], truth[face])
-            scores.one.append(_mean(off))
-            scores.along.append(float(np.abs((off * normals).sum(axis=1)).mean()))
+            scores.one.append(off(shape.meshes[0].vertices))
             if yaw == 0:
                 shapes.append(shape.neutral.vertices[face])
         if not lost:
-            shape = fit_shape(list(shots.values()), template, places, config, model)
-            scores.three.append(_mean(apart(shape.meshes[0].vertices[face], truth[face])))
+            photographs = list(shots.values())
+            shape = fit_shape(photographs, template, places, alone, model)
+            scores.three_alone.append(off(shape.meshes[0].vertices))
+            shape = fit_shape(photographs, template, places, config, model, network)
+            scores.three.append(off(shape.meshes[0].vertices))
         if whole and THREE_DEG[1] not in lost:
             began = time.perf_counter()
             fitted = fit_head([shots[THREE_DEG[1]]], template, places, network, config)
@@ -196,6 +218,7 @@ def main() -> None:
     parser.add_argument("--people", default=",".join(KINDS), help="kinds of heads, with commas")
     parser.add_argument("--count", type=int, default=2, help="simulated people, and ICT's")
     parser.add_argument("--rows", type=int, default=384, help="of the texture")
+    parser.add_argument("--scale", type=float, default=1.0, help="of the photographs' size")
     parser.add_argument("--unseen", action="store_true", help="the half of ICT's people kept apart")
     parser.add_argument("--shape-alone", action="store_true", help="without light and texture")
     asked = parser.parse_args()
@@ -204,15 +227,17 @@ def main() -> None:
     for kind in asked.people.split(","):
         scores = Scores()
         for who in chosen([kind], asked.count, asked.unseen):
-            measure(make(who, asked.rows), template, asked.rows, not asked.shape_alone, scores)
+            head = make(who, asked.rows)
+            measure(head, template, asked.rows, not asked.shape_alone, asked.scale, scores)
         name = f"{kind}, unseen half" if asked.unseen and kind == "ict" else kind
         rows.append(_row(name, scores))
     header = [
         "heads",
-        "mean shape mm",
-        "one photo mm (of mean)",
-        "along the normal mm",
-        "three photos mm (of mean)",
+        "mean shape mm (along the normal)",
+        "one photo, landmarks alone",
+        "one photo",
+        "three photos, landmarks alone",
+        "three photos",
         "under other lights mm",
         "strongest lamp deg, median",
         "over the photo dB",
@@ -220,7 +245,7 @@ def main() -> None:
         "whole s",
         "faces not found",
     ]
-    if asked.people != ",".join(KINDS) and not asked.unseen:
+    if asked.scale != 1.0 or (asked.people != ",".join(KINDS) and not asked.unseen):
         print(table(header, rows))
         return
     title = "Heads from photographs" + (", the unseen half" if asked.unseen else "")
@@ -228,26 +253,29 @@ def main() -> None:
         f"`python -m benchmarks.photo`: photographs of {WIDTH_PX} x {HEIGHT_PX} px, a face about "
         f"{round(200 * FOCAL_PX / DISTANCE_MM)} px high, yaw 0 and 30 degrees, focal length told, "
         f"lights {', '.join(LIGHTS)}; {asked.count} people of a kind, textures of {asked.rows} "
-        "rows. Shape: vertices of the face after the best similarity."
+        "rows. Shape: mean distance of the face's vertices after the best similarity, mm, and its "
+        "part along the normal."
     )
     record(title, header, rows, note)
 
 
 def _row(name: str, scores: Scores) -> list[str]:
-    mean = float(np.mean(scores.mean))
-
-    def of_mean(values: list[float]) -> str:
-        return f"{np.mean(values):.2f} ({np.mean(values) / mean:.2f})" if values else "-"
+    def both(values: list[Off]) -> str:
+        if not values:
+            return "-"
+        distance, along = np.mean(values, axis=0)
+        return f"{distance:.2f} ({along:.2f})"
 
     def plain(values: list[float], digits: int = 1) -> str:
         return f"{np.mean(values):.{digits}f}" if values else "-"
 
     return [
         name,
-        f"{mean:.2f}",
-        of_mean(scores.one),
-        plain(scores.along, 2),
-        of_mean(scores.three),
+        both(scores.mean),
+        both(scores.one_alone),
+        both(scores.one),
+        both(scores.three_alone),
+        both(scores.three),
         plain(scores.between, 2),
         f"{np.nanmedian(scores.light):.0f}" if scores.light else "-",
         plain(scores.psnr),

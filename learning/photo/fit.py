@@ -1,8 +1,9 @@
 """One photograph, or several of one person, to a head: shape, camera, light and texture.
 
-Landmarks tell the camera and the shape. The first photograph is then brought into the template's
-texture; the whole-face network and refinement (`learning.whole`) find its light and the skin under
-it, which also fills what the photograph does not show: the skin there, under the same light.
+Landmarks tell the camera and a first shape, which pixels and outlines refine. The first photograph
+is then brought into the template's texture; the whole-face network and refinement
+(`learning.whole`) find its light and the skin under it, which also fills what the photograph does
+not show: the skin there, under the same light.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
-from learning.photo.landmark_fit import LandmarkFit, Sighting, Taken, fit_landmarks
+from learning.photo.landmark_fit import LandmarkFit, Problem, Sighting, camera_of
 from learning.photo.model import ShapeModel, shape_model
+from learning.photo.pixel_fit import PixelFit
 from learning.photo.unwrap import Unwrapped, unwrap
 from learning.relight import lit_texture, shadows_of
 from learning.render.uv import UvRaster, rasterise
@@ -147,6 +149,7 @@ def fit_shape(
     places: Places,
     config: FitConfig,
     model: ShapeModel | None = None,
+    network: WholeFaceNetwork | None = None,
 ) -> Shape:
     """Find the shape of the person, the cameras and the expressions.
 
@@ -156,6 +159,8 @@ def fit_shape(
         places: of the landmarks on it.
         config: what is known before.
         model: of the template, where it was made already.
+        network: knows the albedo of the mean person and how others differ; without it, or without
+            rounds for pixels in the configuration, landmarks alone tell the shape.
 
     Raises:
         MapsError: a photograph with too few landmarks, or none that agree with a face.
@@ -177,7 +182,9 @@ def fit_shape(
             )
         sightings.append(Sighting(photograph.landmarks_px, width, height, photograph.focal_px))
     trust = 1 / (1 + (places.spread_mm / STEADY_MM) ** 2)
-    found = fit_landmarks(there, sightings, config, facing, trust)
+    problem = Problem(there, sightings, config, facing, trust)
+    at, covariance = problem.solved()
+    found = problem.answer(at, covariance)
     for photograph, taken in zip(photographs, found.photographs, strict=True):
         if not (taken.used > 0.25).sum() >= 8:
             raise MapsError(
@@ -186,9 +193,15 @@ def fit_shape(
                 found="landmarks that fit no head",
                 expected="those of one face, in the scheme's order",
             )
+    if network is not None and config.pixel_rounds:
+        pictures = [photograph.rgb_linear for photograph in photographs]
+        search = PixelFit(problem, model, template, network, pictures, config)
+        at, covariance = search.run(at)
+        found = problem.answer(at, covariance)
     cameras, meshes = [], []
-    for photograph, taken in zip(photographs, found.photographs, strict=True):
-        cameras.append(_camera(photograph, taken))
+    for index, (photograph, taken) in enumerate(zip(photographs, found.photographs, strict=True)):
+        height, width = photograph.rgb_linear.shape[:2]
+        cameras.append(camera_of(at, index, width, height, photograph.name))
         meshes.append(template.mesh.with_vertices(model.vertices(found.identity, taken.expression)))
     neutral = model.vertices(found.identity, np.zeros(len(model.expression)))
     shapes = without_similarity(model.identity, model.mean, model.face)
@@ -248,7 +261,7 @@ def fit_head(
         MapsError: see `fit_shape`; a photograph that shows too little of the face.
     """
     steps = config.rounds + 2
-    shape = fit_shape(photographs, template, places, config)
+    shape = fit_shape(photographs, template, places, config, network=network)
     progress(1, steps)
     photograph, mesh, camera = photographs[0], shape.meshes[0], shape.cameras[0]
     coarse = _Texels(photograph, mesh, camera, COARSE_ROWS)
@@ -415,22 +428,3 @@ def _misfit(photographed: np.ndarray, model: np.ndarray, seen: np.ndarray) -> fl
         return float("nan")
     off = np.log((np.maximum(photographed[seen], 0) + DARK) / (np.maximum(model[seen], 0) + DARK))
     return float(np.sqrt((off**2).mean()))
-
-
-def _camera(photograph: Photograph, taken: Taken) -> Camera:
-    """The photograph's camera; its world is the head frame."""
-    height, width = photograph.rgb_linear.shape[:2]
-    pose = np.column_stack([taken.rotation, taken.offset_mm])
-    return Camera(
-        id=photograph.name,
-        serial="",
-        model="",
-        width_px=width,
-        height_px=height,
-        fx_px=taken.focal_px,
-        fy_px=taken.focal_px,
-        cx_px=width / 2,
-        cy_px=height / 2,
-        dist=(0.0, 0.0, 0.0, 0.0, 0.0),
-        cam_from_world=pose,
-    )

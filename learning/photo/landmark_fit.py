@@ -9,12 +9,15 @@ normal matrix is the covariance of the answer: it says what the photographs do n
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from learning.photo.config import FitConfig
 from learning.photo.model import ShapeModel
+from lightstage.rig import Camera
 
 ROUNDS = 60
 SETTLED = 1e-6
@@ -101,7 +104,7 @@ class LandmarkFit:
 
 
 @dataclasses.dataclass
-class _Unknowns:
+class Unknowns:
     """Where the search stands."""
 
     identity: np.ndarray
@@ -111,11 +114,11 @@ class _Unknowns:
     log_depth: np.ndarray
     expression: np.ndarray
 
-    def moved(self, step: np.ndarray) -> _Unknowns:
+    def moved(self, step: np.ndarray) -> Unknowns:
         """After a step in the order of the normal equations."""
         kept = len(self.identity)
         each = step[kept:].reshape(len(self.log_focal), -1)
-        return _Unknowns(
+        return Unknowns(
             self.identity + step[:kept],
             self.log_focal + each[:, 0],
             [
@@ -128,37 +131,34 @@ class _Unknowns:
         )
 
 
-def fit_landmarks(
-    model: ShapeModel,
-    sightings: list[Sighting],
-    config: FitConfig,
-    normals: np.ndarray | None = None,
-    trust: np.ndarray | None = None,
-) -> LandmarkFit:
-    """Fit a person to the landmarks of one or several photographs.
+Place = TypeVar("Place")
+
+
+def descended(
+    here: Place,
+    equations: Callable[[Place], tuple[float, np.ndarray, np.ndarray]],
+    moved: Callable[[Place, np.ndarray], Place],
+    steps: int = ROUNDS,
+    settled: float = SETTLED,
+) -> tuple[Place, np.ndarray]:
+    """Damped Gauss-Newton steps as long as the cost falls [Marquardt1963].
 
     Args:
-        model: of the p landmarks (`ShapeModel.at`).
-        sightings: of the photographs.
-        config: what is known before.
-        normals: (p, 3) of the mean surface there, head frame: landmarks turned away from the
-            camera do not count.
-        trust: (p,) 0..1, how much each landmark counts; all the same where None.
+        here: where to begin.
+        equations: cost, normal matrix and half the gradient at a place.
+        moved: a place after a step.
+        steps: at most.
+        settled: a step that lowers the cost by less than this share is the last.
 
-    Raises:
-        ValueError: a photograph with fewer than 8 landmarks.
+    Returns:
+        The place, and the normal matrix there.
     """
-    for sighting in sightings:
-        if np.isfinite(sighting.points_px).all(axis=1).sum() < 8:
-            raise ValueError("a fit needs 8 landmarks at least")
-    problem = _Problem(model, sightings, config, normals, trust)
-    here = problem.begin()
     damping = 1e-3
-    cost, matrix, right = problem.equations(here)
-    for _ in range(ROUNDS):
+    cost, matrix, right = equations(here)
+    for _ in range(steps):
         step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), -right)
-        there = here.moved(step)
-        new_cost, new_matrix, new_right = problem.equations(there)
+        there = moved(here, step)
+        new_cost, new_matrix, new_right = equations(there)
         if not new_cost < cost:
             damping *= 8
             if damping > 1e6:
@@ -167,22 +167,32 @@ def fit_landmarks(
         gain = (cost - new_cost) / max(cost, 1e-12)
         here, cost, matrix, right = there, new_cost, new_matrix, new_right
         damping = max(damping / 5, 1e-9)
-        if gain < SETTLED:
+        if gain < settled:
             break
-    return problem.answer(here, np.linalg.inv(matrix))
+    return here, matrix
 
 
-class _Problem:
-    """The equations of one fit."""
+class Problem:
+    """The equations of a person and the landmarks of one or several photographs."""
 
     def __init__(
         self,
         model: ShapeModel,
         sightings: list[Sighting],
         config: FitConfig,
-        normals: np.ndarray | None,
-        trust: np.ndarray | None,
+        normals: np.ndarray | None = None,
+        trust: np.ndarray | None = None,
     ) -> None:
+        """What is known.
+
+        Args:
+            model: of the p landmarks (`ShapeModel.at`).
+            sightings: of the photographs, each with 8 landmarks or more.
+            config: what is known before.
+            normals: (p, 3) of the mean surface there, head frame: landmarks turned away from the
+                camera do not count.
+            trust: (p,) 0..1, how much each landmark counts; all the same where None.
+        """
         self.trust = np.ones(len(model.mean)) if trust is None else trust
         self.model, self.sightings, self.config = model, sightings, config
         self.normals = normals
@@ -198,7 +208,23 @@ class _Problem:
             for s in sightings
         ]
 
-    def begin(self) -> _Unknowns:
+    @property
+    def size(self) -> int:
+        """How many unknowns there are."""
+        each = _PER_PHOTO + len(self.model.expression)
+        return len(self.model.identity) + each * len(self.sightings)
+
+    def columns(self, index: int) -> np.ndarray:
+        """Where the identity and a photograph's unknowns are among all."""
+        k, per = len(self.model.identity), _PER_PHOTO + len(self.model.expression)
+        return np.r_[0:k, k + per * index : k + per * (index + 1)]
+
+    def solved(self) -> tuple[Unknowns, np.ndarray]:
+        """What the landmarks tell: the unknowns, and their covariance."""
+        here, matrix = descended(self.begin(), self.equations, Unknowns.moved)
+        return here, np.linalg.inv(matrix)
+
+    def begin(self) -> Unknowns:
         """The mean person at rest, turned and moved onto each photograph's landmarks."""
         count, m = len(self.sightings), len(self.model.expression)
         rotations, images, depths, focals = [], [], [], []
@@ -210,9 +236,9 @@ class _Problem:
             )
             rotations.append(rotation)
             depths.append(np.log(np.clip(focal / scale, NEAREST_MM, FARTHEST_MM)))
-            images.append((offset - self._centre(index)) / focal)
+            images.append((offset - self.centre(index)) / focal)
             focals.append(np.log(focal))
-        return _Unknowns(
+        return Unknowns(
             np.zeros(len(self.model.identity)),
             np.array(focals),
             rotations,
@@ -221,18 +247,16 @@ class _Problem:
             np.zeros((count, m)),
         )
 
-    def equations(self, at: _Unknowns) -> tuple[float, np.ndarray, np.ndarray]:
+    def equations(self, at: Unknowns) -> tuple[float, np.ndarray, np.ndarray]:
         """Cost, normal matrix and gradient at a place."""
-        k, m = len(at.identity), len(self.model.expression)
-        per = _PER_PHOTO + m
-        size = k + per * len(self.sightings)
+        k, size = len(at.identity), self.size
         matrix, right = np.zeros((size, size)), np.zeros(size)
         matrix[range(k), range(k)] += 1.0
         right[:k] += at.identity
         cost = float((at.identity**2).sum())
         for index in range(len(self.sightings)):
             off, jacobian, weight = self._photo(at, index)
-            columns = np.r_[0:k, k + per * index : k + per * (index + 1)]
+            columns = self.columns(index)
             # Geman and McClure's function weighs by (c / (c + r^2))^2.
             squared = (off**2).sum(axis=1)
             cut = CUT_OFF**2
@@ -249,7 +273,7 @@ class _Problem:
                 cost += value**2 / spread**2
         return cost, matrix, right
 
-    def answer(self, at: _Unknowns, covariance: np.ndarray) -> LandmarkFit:
+    def answer(self, at: Unknowns, covariance: np.ndarray) -> LandmarkFit:
         """What was found."""
         taken = []
         for index in range(len(self.sightings)):
@@ -270,49 +294,28 @@ class _Problem:
             )
         return LandmarkFit(at.identity, tuple(taken), covariance)
 
-    def _centre(self, index: int) -> np.ndarray:
+    def centre(self, index: int) -> np.ndarray:
+        """(2,) the middle of a photograph, through which the lens's axis is taken to go."""
         sighting = self.sightings[index]
         return np.array([sighting.width_px, sighting.height_px]) / 2
 
-    def _photo(self, at: _Unknowns, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _photo(self, at: Unknowns, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(p, 2) residuals over their deviation, (p, 2, u) their slopes, (p,) weights."""
-        model, sighting = self.model, self.sightings[index]
-        rotation = at.rotation[index].as_matrix()
-        shape = model.vertices(at.identity, at.expression[index])
-        turned = shape @ rotation.T
-        offset = _offset(at, index)
-        local = turned + offset
-        focal = float(np.exp(at.log_focal[index]))
-        depth = np.maximum(local[:, 2], 1.0)
-        image = local[:, :2] / depth[:, None]
-        found = focal * image + self._centre(index)
+        sighting = self.sightings[index]
+        here = projected(self.model, at, index, self.centre(index))
+        local = here.local
         seen = self.seen[index] & (local[:, 2] > 1.0)
         weight = seen * self.trust
         if self.normals is not None:
             toward = -local / np.linalg.norm(local, axis=1, keepdims=True)
+            rotation = at.rotation[index].as_matrix()
             cosine = ((self.normals @ rotation.T) * toward).sum(axis=1)
             weight *= np.clip((cosine - STEEPEST) / 0.25, 0, 1)
         sigma = self.sigma[index]
-        off = np.where(seen[:, None], (found - sighting.points_px) / sigma, 0.0)
-        # Slope of the picture's place by the place in the camera's axes: (p, 2, 3).
-        by_local = np.zeros((len(shape), 2, 3))
-        by_local[:, 0, 0] = by_local[:, 1, 1] = focal / depth
-        by_local[:, :, 2] = -focal * image / depth[:, None]
-        modes = np.concatenate([model.identity, model.expression]) @ rotation.T
-        by_modes = np.einsum("pij,kpj->pik", by_local, modes)
-        k = len(model.identity)
-        by_turn = np.einsum("pij,pjk->pik", by_local, _cross(-turned))
-        own_depth = float(np.exp(at.log_depth[index]))
-        by_offset = np.einsum(
-            "pij,jk->pik",
-            by_local,
-            np.column_stack([own_depth * np.eye(3)[:, 0], own_depth * np.eye(3)[:, 1], offset]),
-        )
-        by_focal = (focal * image)[:, :, None]
-        slopes = [by_modes[:, :, :k], by_focal, by_turn, by_offset, by_modes[:, :, k:]]
-        return off, np.concatenate(slopes, axis=2) / sigma, weight
+        off = np.where(seen[:, None], (here.found - sighting.points_px) / sigma, 0.0)
+        return off, here.slopes / sigma, weight
 
-    def _priors(self, at: _Unknowns, index: int) -> list[tuple[float, float]]:
+    def _priors(self, at: Unknowns, index: int) -> list[tuple[float, float]]:
         """What is known before of a photograph's unknowns: how far off, and the deviation."""
         mean, spread = self.focal[index]
         free = [(0.0, 1e6)] * 5
@@ -321,13 +324,71 @@ class _Problem:
         return [(float(at.log_focal[index] - mean), spread), *free, depth, *expression]
 
 
-def _offset(at: _Unknowns, index: int) -> np.ndarray:
+@dataclasses.dataclass(frozen=True)
+class Projected:
+    """Places of a model as a photograph shows them.
+
+    Attributes:
+        local: (p, 3) in the camera's axes, mm.
+        found: (p, 2) in the picture, px.
+        slopes: (p, 2, u) of `found` by the identity and the photograph's unknowns.
+    """
+
+    local: np.ndarray
+    found: np.ndarray
+    slopes: np.ndarray
+
+
+def projected(model: ShapeModel, at: Unknowns, index: int, centre_px: np.ndarray) -> Projected:
+    """Places of a model in one photograph, and how they move with the unknowns."""
+    rotation = at.rotation[index].as_matrix()
+    turned = model.vertices(at.identity, at.expression[index]) @ rotation.T
+    offset = _offset(at, index)
+    local = turned + offset
+    focal = float(np.exp(at.log_focal[index]))
+    depth = np.maximum(local[:, 2], 1.0)
+    image = local[:, :2] / depth[:, None]
+    # Slope of the picture's place by the place in the camera's axes: (p, 2, 3).
+    by_local = np.zeros((len(local), 2, 3))
+    by_local[:, 0, 0] = by_local[:, 1, 1] = focal / depth
+    by_local[:, :, 2] = -focal * image / depth[:, None]
+    modes = np.concatenate([model.identity, model.expression]) @ rotation.T
+    by_modes = np.einsum("pij,kpj->pik", by_local, modes)
+    k = len(model.identity)
+    by_turn = np.einsum("pij,pjk->pik", by_local, cross_matrices(-turned))
+    own_depth = float(np.exp(at.log_depth[index]))
+    axes = np.eye(3)
+    by_offset = by_local @ np.column_stack([own_depth * axes[0], own_depth * axes[1], offset])
+    by_focal = (focal * image)[:, :, None]
+    slopes = [by_modes[:, :, :k], by_focal, by_turn, by_offset, by_modes[:, :, k:]]
+    return Projected(local, focal * image + centre_px, np.concatenate(slopes, axis=2))
+
+
+def camera_of(at: Unknowns, index: int, width_px: int, height_px: int, name: str) -> Camera:
+    """A photograph's camera; its world is the head frame."""
+    focal = float(np.exp(at.log_focal[index]))
+    return Camera(
+        id=name,
+        serial="",
+        model="",
+        width_px=width_px,
+        height_px=height_px,
+        fx_px=focal,
+        fy_px=focal,
+        cx_px=width_px / 2,
+        cy_px=height_px / 2,
+        dist=(0.0, 0.0, 0.0, 0.0, 0.0),
+        cam_from_world=np.column_stack([at.rotation[index].as_matrix(), _offset(at, index)]),
+    )
+
+
+def _offset(at: Unknowns, index: int) -> np.ndarray:
     """(3,) of cam_from_head in mm."""
     depth = float(np.exp(at.log_depth[index]))
     return np.array([*(at.image[index] * depth), depth])
 
 
-def _cross(vectors: np.ndarray) -> np.ndarray:
+def cross_matrices(vectors: np.ndarray) -> np.ndarray:
     """(p, 3, 3) matrices of the cross product with (p, 3) vectors."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)

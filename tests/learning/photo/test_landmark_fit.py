@@ -14,7 +14,7 @@ from learning.errors import MapsError
 from learning.limits import require_within
 from learning.photo.config import FitConfig
 from learning.photo.fit import Photograph, Places, Shape, fit_shape, without_similarity
-from learning.photo.landmark_fit import Sighting, _Problem, _Unknowns
+from learning.photo.landmark_fit import Problem, Sighting, Unknowns
 from learning.photo.model import ShapeModel, shape_model, smooth_changes
 from lightstage.errors import ConfigError
 from lightstage.formats.config import make_config
@@ -50,10 +50,10 @@ def off_mm(found: np.ndarray, true: np.ndarray) -> float:
 def test_slopes_are_those_of_differences(model: ShapeModel, places: Places) -> None:
     there = model.at(places.triangles, places.weights)
     points = seen(model.mean, places, 20.0).landmarks_px
-    problem = _Problem(there, [Sighting(points, WIDTH_PX, HEIGHT_PX)], FitConfig(), None, None)
+    problem = Problem(there, [Sighting(points, WIDTH_PX, HEIGHT_PX)], FitConfig(), None, None)
     rng = np.random.default_rng(3)
     size = len(model.identity) + 13
-    here: _Unknowns = problem.begin().moved(0.01 * rng.normal(size=size))
+    here: Unknowns = problem.begin().moved(0.01 * rng.normal(size=size))
     _, slopes, _ = problem._photo(here, 0)
     step = 1e-6
     for index in range(0, size, 7):
