@@ -145,7 +145,7 @@ class PixelFit:
         """The landmarks' problem, the model of all vertices, and (h, w, 3) linear pictures."""
         self.problem, self.model, self.template, self.config = problem, model, template, config
         self.places = face_places(template, model, network, config)
-        self.rgb = pictures
+        self.rgb = [np.nan_to_num(p, nan=0.0, posinf=0.0, neginf=0.0) for p in pictures]
         size = network.config.rows // 2, network.config.columns // 2
         self._raster = rasterise(template.mesh, *size)
         covered = self._raster.covered
