@@ -178,7 +178,8 @@ class Faces:
         self.faces: list[Face] = []
         for done, scan in enumerate(self._scans):
             maps, skin = read_small(store, scan.index, FINER * size.rows, FINER * size.columns)
-            self.faces.append(self._face(maps, skin, rng))
+            name = scan.sha256 and f"{scan.sha256} of the surface"
+            self.faces.append(self._face(maps, skin, rng, name))
             progress(done + 1, len(self._scans))
 
     @property
@@ -333,11 +334,11 @@ class Faces:
         return ((normal * toward).sum(dim=1, keepdim=True) > reach).to(normal)
 
     def _face(
-        self, maps: dict[str, np.ndarray], skin: np.ndarray, rng: np.random.Generator
+        self, maps: dict[str, np.ndarray], skin: np.ndarray, rng: np.random.Generator, name: str
     ) -> Face:
         tensors, texel_mm, surface = _tensors(maps)
         covered = (maps["position"] != 0).any(axis=2)
-        grid = PositionGrid(maps["position"], surface.normal, covered)
+        grid = PositionGrid(maps["position"], surface.normal, covered, name)
         sets = [random_lights(rng, self._lights) for _ in range(self._config.shadow_sets)]
         # All lights at once: the tree of the surface's triangles is built once.
         baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
