@@ -136,8 +136,9 @@ def experiment_command(
             tell(left_line(orders, [o for o in orders if not o.finished], request.jobs, config))
             reported = time.monotonic()
 
-    if choose_device(request.device).type == "cuda" and request.name == "ladder":
-        measure_full_size(request.out, choose_device(request.device), store)
+    device = choose_device(request.device)
+    if device.type == "cuda" and request.name == "ladder":
+        tell(measure_full_size(request.out, device, store))
     failed = run_all(left, request.jobs, request.scheduler, one_ended, one_run)
     _write(request, orders[0].runs, experiment, config, notes)
     if failed:
@@ -280,7 +281,11 @@ def _require_same(path: Path, about: dict[str, Any]) -> None:
     hint = "An experiment has a folder of its own; choose another --out."
     if then.get("name") != about["name"]:
         raise ConfigError(
-            path, field="name", found=repr(about["name"]), expected=repr(then.get("name")), hint=hint
+            path,
+            field="name",
+            found=repr(about["name"]),
+            expected=repr(then.get("name")),
+            hint=hint,
         )
     if then.get("data_fingerprint") != about["data_fingerprint"]:
         raise ConfigError(

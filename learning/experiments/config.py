@@ -50,14 +50,14 @@ class ExperimentConfig:
     held_out_names: tuple[str, ...] = ()
     train_names: tuple[str, ...] = ()
     environments: int = 10
-    patch_px: int = 128
+    patch_px: int = 64
     width: int = 16
     discriminator_width: int = 8
     batch: int = 2
     whole_width: int = 16
     whole_batch: int = 4
     shadow_sets: int = 16
-    shadow_rows: int = 192
+    shadow_rows: int = 96
     render_weight: float = 0.3
     refine_seconds: float = 20.0
     save_seconds: float = 20.0
@@ -106,9 +106,7 @@ SIZES: dict[str, dict[str, Any]] = {
         "seeds": 1,
         "held_out": 2,
         "environments": 4,
-        "patch_px": 64,
         "shadow_sets": 8,
-        "shadow_rows": 96,
     },
     "small": {},
     "full": {"published": True, "steps": 1, "seconds": 0.0},

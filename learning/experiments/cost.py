@@ -16,12 +16,11 @@ from torch import Tensor
 from learning.data import Batch
 from learning.devices import moved
 from learning.encoding import absolute_reference, covered_channels, encode_maps, network_input
-from learning.four.train import FourTrainer
-from learning.patch_config import PatchConfig, TrainConfig
+from learning.patch_config import PatchConfig
 from learning.patch_light import Scene, target_environment
-from learning.patch_train import PatchTrainer
 from learning.presets import preset
 from learning.render.shading import ShadeOptions, SkinMaps, unit
+from learning.train import TRAINERS
 from lightstage.errors import LightstageError
 from lightstage.formats.files import read_json, write_json
 from processing.dataset import Store
@@ -34,17 +33,26 @@ SCANS = 200 * 7
 ROWS, PATCH_PX, STRIDE_PX, EPOCHS = 6144, 512, 256, 200
 
 
-def measure_full_size(out: Path, device: torch.device, store: Store) -> None:
-    """Measure steps of the published networks on a device, unless they were measured before."""
-    if (out / FILE).exists():
-        return
-    found: dict[str, Any] = {
-        "schema": SCHEMA,
-        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else str(device),
-        "patches_a_scan": patches_a_scan(store),
-        "seconds_a_step": {name: step_seconds(name, device) for name in PRESETS},
-    }
-    write_json(out / FILE, found)
+def measure_full_size(out: Path, device: torch.device, store: Store) -> str:
+    """Measure steps of the published networks on a device, unless they were measured before.
+
+    Returns:
+        What to tell of it.
+    """
+    if not (out / FILE).exists():
+        try:
+            seconds = {name: step_seconds(name, device) for name in PRESETS}
+        except RuntimeError as error:
+            # The experiment itself needs far less memory.
+            return f"the published size was not measured: {' '.join(str(error).split())[:200]}"
+        found: dict[str, Any] = {
+            "schema": SCHEMA,
+            "device": torch.cuda.get_device_name(device) if device.type == "cuda" else str(device),
+            "patches_a_scan": patches_a_scan(store),
+            "seconds_a_step": seconds,
+        }
+        write_json(out / FILE, found)
+    return full_size_line(out)
 
 
 def full_size_line(out: Path) -> str:
@@ -73,7 +81,9 @@ def patches_a_scan(store: Store) -> float:
     return float(len(store.patch_origins(info.index, max(1, size), max(1, stride), 0.5)))
 
 
-def step_seconds(name: str, device: torch.device, patch_px: int = PATCH_PX, width: int = 0) -> float:
+def step_seconds(
+    name: str, device: torch.device, patch_px: int = PATCH_PX, width: int = 0
+) -> float:
     """Median seconds of a step of a published preset on one patch.
 
     Args:
@@ -85,8 +95,7 @@ def step_seconds(name: str, device: torch.device, patch_px: int = PATCH_PX, widt
     sizes = {"generator": {"width": width}, "discriminator": {"width": width}} if width else {}
     config = preset(name, {**sizes, "compile": "off", "data": {"patch_px": patch_px}}, "full size")
     assert isinstance(config, PatchConfig)
-    single = isinstance(config, TrainConfig)
-    trainer: Any = PatchTrainer(config, device) if single else FourTrainer(config, device)
+    trainer = TRAINERS[config.family][0](config, device)
     batch = moved(random_batch(config), device)
     seconds = []
     for number in range(WARM + STEPS):
@@ -95,8 +104,6 @@ def step_seconds(name: str, device: torch.device, patch_px: int = PATCH_PX, widt
         trainer.step(batch, number)
         seconds.append(time.perf_counter() - began)
     return sorted(seconds[WARM:])[STEPS // 2]
-
-
 
 
 def random_batch(config: PatchConfig) -> Batch:

@@ -17,7 +17,7 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any, TypeVar
 
-from learning.experiments.work import STOPPED, Order, one_run
+from learning.experiments.work import Order, one_run
 from lightstage.errors import ConfigError, LightstageError
 from lightstage.interrupts import raise_on_signals
 
@@ -110,9 +110,7 @@ def _executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
 class Here(Executor):
     """Does each run at once, in this process."""
 
-    def submit(
-        self, fn: Callable[..., ResultT], /, *args: Any, **kwargs: Any
-    ) -> Future[ResultT]:
+    def submit(self, fn: Callable[..., ResultT], /, *args: Any, **kwargs: Any) -> Future[ResultT]:
         """A future that is over."""
         future: Future[ResultT] = Future()
         try:

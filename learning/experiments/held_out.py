@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -248,7 +249,7 @@ def _lit(skin: SkinMaps, light: Environment, visibility: Tensor) -> Tensor:
 
 def _with(skin: SkinMaps, found: dict[str, np.ndarray]) -> SkinMaps:
     """The true surface with found maps."""
-    tensors = {name: to_batch(found[name]) for name in MAPS}
+    tensors: dict[str, Any] = {name: to_batch(found[name]) for name in MAPS}
     # Where nothing was found the surface's own normal stays: a picture needs one.
     for name in ("diffuse_normal", "specular_normal"):
         known = tensors[name].norm(dim=1, keepdim=True) > 1e-3

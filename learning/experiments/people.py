@@ -126,9 +126,7 @@ def tones_of(store: Store, names: tuple[str, ...]) -> dict[str, float]:
     return found
 
 
-def _require_known(
-    store: Store, everyone: list[str], field: str, asked: tuple[str, ...]
-) -> None:
+def _require_known(store: Store, everyone: list[str], field: str, asked: tuple[str, ...]) -> None:
     unknown = sorted(set(asked) - set(everyone))
     if unknown:
         raise TrainingError(

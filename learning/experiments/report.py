@@ -1,9 +1,7 @@
 """The report of an experiment, from whatever runs are finished: Markdown, JSON, plots, pictures.
 
-    OUT/report.md      tables, sentences, plots
-    OUT/report.json    the same figures
-    OUT/*.svg          plots
-    OUT/albedo.png     albedos found, a column a setting, a row a light
+It is report.md with tables, sentences and plots (`.svg`), report.json with the same figures, and
+albedo.png, albedos found: a column a setting, a row a light.
 """
 
 from __future__ import annotations
@@ -199,9 +197,7 @@ def _at(
     lines += [f"![{title}]({plot})", ""]
     numbers = {
         "settings": [_numbers(setting) for setting in settings],
-        "compared": [
-            {**p, **{n: dataclasses.asdict(p[n]) for n in _COMPARED}} for p in pairs
-        ],
+        "compared": [{**p, **{n: dataclasses.asdict(p[n]) for n in _COMPARED}} for p in pairs],
     }
     return lines, numbers
 

@@ -237,8 +237,10 @@ def _trained(
     order: Order, store: Store, config: TrainingConfig, device: torch.device
 ) -> dict[str, Any]:
     """Train to the end; the figures of the training itself."""
+    ticks: list[float] = []
 
     def progress(_: int, __: int) -> None:
+        ticks.append(time.perf_counter())
         if order.over():
             raise KeyboardInterrupt
 
@@ -249,12 +251,13 @@ def _trained(
         left = config.seconds - read_checkpoint(folder).step_seconds
         config = dataclasses.replace(config, seconds=max(left, LEAST_SECONDS))
     result: TrainResult[Any] = train(store, folder, config, resume, progress, device)
-    # Of all calls: one that only scored took no step.
-    spent = read_checkpoint(folder).step_seconds
+    # The first step compiles loops, which is no part of a training's time.
+    some = len(ticks) > 1
+    each = (ticks[-1] - ticks[0]) / (len(ticks) - 1) if some else result.step_seconds
     return {
         "steps": result.steps,
-        "step_seconds": spent,
-        "steps_a_second": result.steps / spent if spent > 0 else None,
+        "step_seconds": each * result.steps,
+        "steps_a_second": 1 / each if each > 0 else None,
         "shares": result.shares,
         "examples": result.examples,
         "score": dataclasses.asdict(result.score),
@@ -268,7 +271,8 @@ def _measured(
     ask = _asked(order, order.source / TRAINING, device)
     originals = open_store(order.data)
     tones = tones_of(originals, tuple(map(subject_of, held_out)))
-    people, seconds = [], []
+    people: list[dict[str, Any]] = []
+    seconds: list[float] = []
     for index, subject in enumerate(read_subjects(store, held_out, order.config.shadow_rows)):
         if order.over():
             raise KeyboardInterrupt
@@ -307,7 +311,8 @@ def _asked(order: Order, run: Path, device: torch.device) -> Infer:
 
 def _write_picture(folder: Path, found: Measured, true: np.ndarray) -> None:
     """Texture, albedo found and true albedo, side by side, sRGB-encoded."""
-    parts = [found.texture, found.found["diffuse_albedo"], true]
+    here = found.texture.any(axis=2, keepdims=True)
+    parts = [found.texture, found.found["diffuse_albedo"] * here, true * here]
     step = slice(None, None, -(-len(true) // PICTURE_ROWS))
     encoded = [srgb_from_linear(np.clip(part[step, step], 0, 1)) for part in parts]
     write_png(
