@@ -164,7 +164,8 @@ def prepare(order: Order) -> None:
     with shadows_kept_in(order.shadows):
         store, trained_on, held_out = _people(order)
         config = _config(order, held_out)
-        if not order.variant.refines:
+        shadowless = isinstance(config, PatchConfig) and not config.data.shadow_rows
+        if not order.variant.refines and not shadowless:
             make, task_of = TRAINERS[config.family]
             run = Run(order.folder, config, {}, 0, time.monotonic())
             task_of(make(config), store, trained_on, held_out, run)
