@@ -354,7 +354,7 @@ def test_workers_of_a_scheduler_do_the_runs(store_path: Path, tmp_path: Path) ->
     order = order_of(store_path, tmp_path, deadline=0.0)
     ends: list[str] = []
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, host="127.0.0.1"
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
     ) as cluster:
         address = str(cluster.scheduler_address)
         run_all([order], 1, address, lambda _, figures: ends.append(figures["state"]), one_run)
