@@ -122,6 +122,19 @@ def test_a_run_that_is_stopped_goes_on_and_gives_the_same_figures(
     assert again["people"] == whole["people"]
 
 
+def test_a_training_whose_files_are_gone_begins_again(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = order_of(store_path, tmp_path)
+    asks = iter([False, False, True])
+    monkeypatch.setattr(Order, "over", lambda _: next(asks, True))
+    one_run(order)
+    monkeypatch.undo()
+    (lost,) = (order.folder / "training").glob("training-*.safetensors")
+    lost.unlink()
+    assert one_run(order)["steps"] == 4
+
+
 def test_a_deadline_and_a_stop_file_keep_a_run_from_beginning(
     store_path: Path, tmp_path: Path
 ) -> None:
