@@ -119,10 +119,14 @@ def experiment_command(
     left = [order for order in orders if not order.finished]
     ended: list[str] = []
     if request.prepare:
-        for done, order in enumerate(_differing(left)):
-            prepare(order)
-            progress(done + 1, len(left))
-        return {"prepared": len(left), "seconds": time.monotonic() - began}
+        differing = _differing(left)
+        done = 0
+        while done < len(differing) and not differing[done].over():
+            prepare(differing[done])
+            done += 1
+            progress(done, len(differing))
+        seconds = time.monotonic() - began
+        return {"prepared": done, "to_prepare": len(differing), "seconds": seconds}
     tell(left_line(orders, left, request.jobs, config))
     reported = time.monotonic()
 
