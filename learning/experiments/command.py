@@ -29,7 +29,7 @@ from learning.experiments.work import (
 )
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
-from lightstage.errors import ConfigError, one_error
+from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.consents import require_consents
 from lightstage.formats.files import others_in, read_json, write_json
@@ -146,8 +146,16 @@ def experiment_command(
     failed = run_all(left, request.jobs, request.scheduler, one_ended, one_run)
     _write(request, orders[0].runs, experiment, config, notes)
     if failed:
-        raise one_error([error for _, error in failed])
+        raise _failure([error for _, error in failed])
     return _facts(orders, len(ended), began, request.out)
+
+
+def _failure(errors: list[Exception]) -> Exception:
+    """What a command whose runs failed ends with: a mistake of this software goes first."""
+    ours = [error for error in errors if not isinstance(error, LightstageError)]
+    # The same fault in fifty runs is told once.
+    told = {str(error): error for error in errors if isinstance(error, LightstageError)}
+    return ours[0] if ours else one_error(list(told.values()))
 
 
 def left_line(orders: list[Order], left: list[Order], jobs: int, config: ExperimentConfig) -> str:
