@@ -63,7 +63,7 @@ class ExperimentRequest:
         device: where networks run.
         stop_after: seconds after which no step is begun.
         scheduler: address of Dask's.
-        keep_weights: keep each run's network.
+        keep_weights: keep each run's network; those that are refined later are always kept.
         report: only write the report.
         prepare: only bake the shadows that the runs share.
         consents: registry.
@@ -326,6 +326,7 @@ def _orders(
     assert request.data is not None
     deadline = math.inf if request.stop_after is None else time.time() + request.stop_after
     stop = stop_file(request.out.resolve())
+    refined = {variant.refines for variant in EXPERIMENTS[request.name](config).variants}
     return [
         Order(
             request.data.resolve(),
@@ -337,7 +338,7 @@ def _orders(
             config,
             halves,
             request.device,
-            request.keep_weights,
+            request.keep_weights or variant.name in refined,
             deadline,
             stop,
         )
