@@ -4,11 +4,13 @@ Each case trains in a process of its own, so that its peak memory is its own. At
 have 512 texels, as published; at reduced width 128, with the published losses and rates.
 `--full-presets` names those that are run at full width, which takes minutes a step on two cores,
 and for `avatarme` the memory of four networks; `--store` takes a store that is there already.
+`--device cuda` trains on a GPU: its seconds are those of the clock, its memory the GPU's.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import resource
@@ -26,15 +28,16 @@ PEOPLE = 2
 PRESETS = ("paper", "avatarme")
 HEADER = (
     "preset",
+    "device",
     "weights",
     "steps",
-    "processor s a step",
+    "s a step",
     "peak GiB",
     "first losses",
     "last losses",
 )
 LAST = 20
-"""Steps at the end whose mean is told, where there are so many."""
+"""Steps at the end whose mean is printed, where there are so many."""
 FULL = {"data": {"shadow_sets": 8}}
 """Fewer shadows than published are baked before the first step; the steps are as published."""
 REDUCED = {
@@ -55,11 +58,15 @@ def store_of(root: Path) -> Path:
     return build_store(processed, root / "store")
 
 
-def measured(store_path: Path, name: str, full: bool, steps: int) -> dict[str, Any]:
+def measured(
+    store_path: Path, name: str, full: bool, steps: int, device_name: str
+) -> dict[str, Any]:
     """Train some steps in this process; the facts."""
     import numpy as np
+    import torch
 
     from learning.data import PatchData
+    from learning.devices import choose_device, devices_here
     from learning.four.train import FourTrainer
     from learning.patch_config import PatchConfig, TrainConfig
     from learning.presets import preset
@@ -76,24 +83,31 @@ def measured(store_path: Path, name: str, full: bool, steps: int) -> dict[str, A
     people = set(sorted(trained_on)[: PEOPLE - 1])
     how = (config.data, config.lights, config.augment, np.random.default_rng([config.seed, 1]))
     data = PatchData(store, people, *how, config.shading, draws=config.draws, seed=config.seed)
-    trainer: Any = TRAINERS[config.family][0](config)
+    device = choose_device(device_name)
+    trainer: Any = TRAINERS[config.family][0](config, device)
     parts = trainer.trainers.values() if isinstance(trainer, FourTrainer) else [trainer]
     learner, networks = FedTrainer(trainer, data.draw), [part.generator for part in parts]
     seconds, lines = [], []
-    for number in range(steps):
-        # On a machine with other work the clock tells of that.
-        began = time.process_time()
-        lines.append(learner.step(number, 0.0))
-        seconds.append(time.process_time() - began)
+    on_gpu = device.type == "cuda"
+    # On processors with other work the clock measures that work too.
+    now = time.perf_counter if on_gpu else time.process_time
+    with learner.ahead() if on_gpu else contextlib.nullcontext():
+        for number in range(steps):
+            # A step ends with its losses as numbers, so that the GPU has done it.
+            began = now()
+            lines.append(learner.step(number, 0.0))
+            seconds.append(now() - began)
+    peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     found: dict[str, Any] = {
         "steps": steps,
         "weights": sum(p.numel() for network in networks for p in network.parameters()),
         "seconds": statistics.median(seconds[1:] or seconds),
-        "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "device": devices_here()[str(device)],
+        "peak_gib": torch.cuda.max_memory_allocated() / 2**30 if on_gpu else peak_kib / 2**20,
         "first": lines[0],
         "last": {k: statistics.fmean(line[k] for line in lines[-LAST:]) for k in lines[0]},
     }
-    if isinstance(config, TrainConfig):
+    if isinstance(config, TrainConfig) and not on_gpu:
         found["shares"] = shares(config, data, lines[0])
     return found
 
@@ -117,9 +131,9 @@ def shares(config: Any, data: Any, first: dict[str, float]) -> dict[str, float]:
     return {norm: value / (value + others) for norm, value in weighted.items()}
 
 
-def in_a_child(store: Path, name: str, full: bool, steps: int) -> dict[str, Any]:
+def in_a_child(store: Path, name: str, full: bool, steps: int, device: str) -> dict[str, Any]:
     """`measured` in a process of its own."""
-    words = ["--store", str(store), "--case", name, "--steps", str(steps)]
+    words = ["--store", str(store), "--case", name, "--steps", str(steps), "--device", device]
     words += ["--full"] if full else []
     ran = subprocess.run(
         [sys.executable, "-m", "benchmarks.paper_steps", *words],
@@ -149,6 +163,7 @@ def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
         rows.append(
             [
                 f"{name}, {width}",
+                found["device"],
                 f"{found['weights']:,}",
                 found["steps"],
                 f"{found['seconds']:.2f}",
@@ -161,15 +176,20 @@ def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
             each = (f"{n} {100 * share:.3g} %" for n, share in found["shares"].items())
             told.append(f"{width}: {', '.join(each)}")
     record(
-        "Learning, first steps of the published networks",
+        "Learning, first steps of the published networks"
+        + ("" if cases[0][2]["device"] == "cpu" else ", on a GPU"),
         HEADER,
         rows,
-        "Processor seconds over all cores. One patch a step, of 512 texels at full and 128 at "
-        "reduced width; published losses and rates, weights counted in; `error` is the maps' L1, "
-        f"which is not trained on. Last losses are means of at most the last {LAST} steps. Of four "
-        "networks sums. Share of the rendering loss in the untrained generator's, by its norm: "
-        + "; ".join(told)
-        + ".",
+        "Seconds of a processor over all cores, of a GPU by the clock. One patch a step, of 512 "
+        "texels at full and 128 at reduced width; published losses and rates, weights counted in; "
+        "`error` is the maps' L1, which is not trained on. Last losses are means of at most the "
+        f"last {LAST} steps. Of four networks sums."
+        + (
+            " Share of the rendering loss in the untrained generator's, by its norm: "
+            f"{'; '.join(told)}."
+            if told
+            else ""
+        ),
     )
 
 
@@ -180,18 +200,23 @@ def main() -> None:
     parser.add_argument("--full-steps", type=int, default=3)
     parser.add_argument("--full-presets", nargs="*", default=PRESETS, choices=PRESETS)
     parser.add_argument("--store", type=Path, help="made anew where not given")
+    parser.add_argument("--device", default="cpu", help="cpu, or cuda")
     parser.add_argument("--case", help="print one case's facts as JSON")
     parser.add_argument("--full", action="store_true", help="of --case")
     chosen = parser.parse_args()
     if chosen.case:
-        print(json.dumps(measured(chosen.store, chosen.case, chosen.full, chosen.steps)))
+        print(
+            json.dumps(
+                measured(chosen.store, chosen.case, chosen.full, chosen.steps, chosen.device)
+            )
+        )
         return
     cases = []
     with tempfile.TemporaryDirectory() as folder:
         store = chosen.store or store_of(Path(folder))
         for full, steps in ((False, chosen.steps), (True, chosen.full_steps)):
             for name in chosen.full_presets if full else PRESETS:
-                cases.append((name, full, in_a_child(store, name, full, steps)))
+                cases.append((name, full, in_a_child(store, name, full, steps, chosen.device)))
     tell(cases)
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from learning import augment
 from learning.clock import RENDERING, Clock
+from learning.devices import CPU, moved
 from learning.encoding import shrink
 from learning.maps import from_batch, to_batch, typical_texel_mm
 from learning.networks.whole_face import KnownPeople, WholeFaceConfig, face_input
@@ -164,10 +165,12 @@ class Faces:
         mode: Mode = "physical",
         progress: ProgressCallback = quiet,
         clock: Clock | None = None,
+        lit_on: torch.device = CPU,
     ) -> None:
         """Read and shrink the scans, and bake the shadows of random sets of lights.
 
-        What is drawn counts on `clock` as data and rendering.
+        What is drawn counts on `clock` as data and rendering. `draw` lights its batches on the
+        device `lit_on`, and leaves them there; a copy of all scans is kept in its memory.
         """
         self._clock = clock or Clock()
         self._store, self._config = store, config
@@ -180,6 +183,7 @@ class Faces:
             maps, skin = read_small(store, scan.index, FINER * size.rows, FINER * size.columns)
             self.faces.append(self._face(maps, skin, rng))
             progress(done + 1, len(self._scans))
+        self._placed = [moved(face, lit_on) for face in self.faces]
 
     @property
     def names(self) -> list[str]:
@@ -211,12 +215,15 @@ class Faces:
         )
 
     def draw(self, count: int, rng: np.random.Generator, share: slice = slice(None)) -> FaceBatch:
-        """A batch of random scans, or a share of it: what is drawn is the whole batch's."""
-        faces = [self.faces[int(index)] for index in rng.integers(0, len(self.faces), count)]
+        """A batch of random scans, or a share of it: what is drawn is the whole batch's.
+
+        It is on the device that it is lit on.
+        """
+        faces = [self._placed[int(index)] for index in rng.integers(0, len(self._placed), count)]
         return self._batch(faces[share], rng.spawn(count)[share], _mean_texel_mm(faces))
 
     def batch(self, chosen: list[int], rng: np.random.Generator) -> FaceBatch:
-        """Light some scans at random; the same scan gives another pair each time."""
+        """Light some scans at random, on the processor; a scan gives another pair each time."""
         faces = [self.faces[index] for index in chosen]
         return self._batch(faces, rng.spawn(len(faces)), _mean_texel_mm(faces))
 
@@ -284,7 +291,7 @@ class Faces:
         texture = torch.empty_like(skin.diffuse_albedo)
         for mode in dict.fromkeys(modes):
             here = [index for index, own in enumerate(modes) if own == mode]
-            light = stack([environments[index] for index in here])
+            light = moved(stack([environments[index] for index in here]), texture.device)
             seen = torch.cat([_padded(shadows[index], light.rgb.shape[1]) for index in here])
             some = skin if len(here) == len(faces) else _joined([skins[i] for i in here], texel_mm)
             with torch.no_grad(), self._clock.part(RENDERING):
@@ -309,7 +316,7 @@ class Faces:
             balance = np.exp(rng.normal(0, config.white_balance, (3, 1, 1)))
             flaws.append(balance * np.exp(rng.normal(0, config.noise, tuple(small.shape[1:]))))
             shown.append(self._shown(own, rng))
-        small = small * torch.from_numpy(np.stack(flaws).astype(np.float32))
+        small = small * torch.from_numpy(np.stack(flaws).astype(np.float32)).to(small)
         seen = surface * torch.cat(shown)
         small = small * seen
         share = shrink(captured, size)
