@@ -33,9 +33,11 @@ HEADER = (
     "steps",
     "s a step",
     "peak GiB",
+    "s a texture",
     "first losses",
     "last losses",
 )
+TEXTURE = (1536, 1024)
 LAST = 20
 """Steps at the end whose mean is printed, where there are so many."""
 FULL = {"data": {"shadow_sets": 8}}
@@ -107,9 +109,26 @@ def measured(
         "first": lines[0],
         "last": {k: statistics.fmean(line[k] for line in lines[-LAST:]) for k in lines[0]},
     }
-    if isinstance(config, TrainConfig) and not on_gpu:
-        found["shares"] = shares(config, data, lines[0])
+    if isinstance(config, TrainConfig):
+        if on_gpu:
+            found["texture_seconds"] = texture_seconds(trainer.generator, config.data.patch_px)
+        else:
+            found["shares"] = shares(config, data, lines[0])
     return found
+
+
+def texture_seconds(generator: Any, patch_px: int) -> float:
+    """Time of a network over one texture in tiles, after a first one."""
+    import torch
+
+    from learning.infer import run_tiles
+
+    generator.eval()
+    inputs, context = torch.rand(1, 6, *TEXTURE), torch.rand(1, 3, patch_px, patch_px)
+    for _ in range(2):
+        began = time.perf_counter()
+        run_tiles(generator, inputs, context, patch_px)
+    return time.perf_counter() - began
 
 
 def shares(config: Any, data: Any, first: dict[str, float]) -> dict[str, float]:
@@ -168,6 +187,7 @@ def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
                 found["steps"],
                 f"{found['seconds']:.2f}",
                 f"{found['peak_gib']:.1f}",
+                f"{found['texture_seconds']:.2f}" if "texture_seconds" in found else "-",
                 losses(found["first"]),
                 losses(found["last"]),
             ]
@@ -183,7 +203,8 @@ def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
         "Seconds of a processor over all cores, of a GPU by the clock. One patch a step, of 512 "
         "texels at full and 128 at reduced width; published losses and rates, weights counted in; "
         "`error` is the maps' L1, which is not trained on. Last losses are means of at most the "
-        f"last {LAST} steps. Of four networks sums."
+        f"last {LAST} steps. Of four networks sums. A texture has {TEXTURE[0]} x {TEXTURE[1]} texels "
+        "and goes through the network in tiles, each twice."
         + (
             " Share of the rendering loss in the untrained generator's, by its norm: "
             f"{'; '.join(told)}."

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import torch
@@ -178,11 +180,24 @@ class Faces:
         self._size = (size.rows, size.columns)
         self._options = ShadeOptions(mode)
         self._scans = [scan for scan in store.scans if scan.subject in subjects]
-        self.faces: list[Face] = []
-        for done, scan in enumerate(self._scans):
-            maps, skin = read_small(store, scan.index, FINER * size.rows, FINER * size.columns)
-            self.faces.append(self._face(maps, skin, rng))
-            progress(done + 1, len(self._scans))
+        size_px = (FINER * size.rows, FINER * size.columns)
+        # Rays are cast outside Python's lock: a person in each thread.
+        threads = ThreadPoolExecutor(len(os.sched_getaffinity(0)))
+        try:
+            baked = [
+                threads.submit(
+                    _face,
+                    *read_small(store, scan.index, *size_px),
+                    [random_lights(rng, lights) for _ in range(config.shadow_sets)],
+                )
+                for scan in self._scans
+            ]
+            self.faces: list[Face] = []
+            for done, face in enumerate(baked):
+                self.faces.append(face.result())
+                progress(done + 1, len(self._scans))
+        finally:
+            threads.shutdown(cancel_futures=True)
         self._placed = [moved(face, lit_on) for face in self.faces]
 
     @property
@@ -339,20 +354,6 @@ class Faces:
         toward = normal.new_tensor(direction / np.linalg.norm(direction)).view(1, 3, 1, 1)
         return ((normal * toward).sum(dim=1, keepdim=True) > reach).to(normal)
 
-    def _face(
-        self, maps: dict[str, np.ndarray], skin: np.ndarray, rng: np.random.Generator
-    ) -> Face:
-        tensors, texel_mm, surface = _tensors(maps)
-        covered = (maps["position"] != 0).any(axis=2)
-        grid = PositionGrid(maps["position"], surface.normal, covered)
-        sets = [random_lights(rng, self._lights) for _ in range(self._config.shadow_sets)]
-        # All lights at once: the tree of the surface's triangles is built once.
-        baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
-        *parts, dome = np.split(baked, np.cumsum([len(at) for at in sets]))
-        seen = [torch.from_numpy(part) for part in parts]
-        tensors["ambient_occlusion"] = to_batch(openness(surface.normal, dome / 255))
-        return Face(tensors, to_batch(skin), texel_mm, sets, seen)
-
 
 def read_small(
     store: Store, scan: int, rows: int, columns: int
@@ -399,6 +400,19 @@ def _enlarged_shadows(visibility: Tensor, size: tuple[int, int]) -> Tensor:
     """(n, h, w) uint8 of a coarser grid at another size, with edges as sharp as small lamps'."""
     seen = functional.interpolate(visibility[None].float() / 255, size, mode="bilinear")[0]
     return (255 * ((seen - 0.5) * SHARPER + 0.5).clamp(0, 1)).to(torch.uint8)
+
+
+def _face(maps: dict[str, np.ndarray], skin: np.ndarray, sets: list[np.ndarray]) -> Face:
+    """A scan whose shadows of sets of (n, 3) lights are baked."""
+    tensors, texel_mm, surface = _tensors(maps)
+    covered = (maps["position"] != 0).any(axis=2)
+    grid = PositionGrid(maps["position"], surface.normal, covered)
+    # All lights at once: the tree of the surface's triangles is built once.
+    baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
+    *parts, dome = np.split(baked, np.cumsum([len(at) for at in sets]))
+    seen = [torch.from_numpy(part) for part in parts]
+    tensors["ambient_occlusion"] = to_batch(openness(surface.normal, dome / 255))
+    return Face(tensors, to_batch(skin), texel_mm, sets, seen)
 
 
 def _skin_maps(face: Face, variation: augment.Variation) -> SkinMaps:
