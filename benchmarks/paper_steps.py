@@ -203,8 +203,8 @@ def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
         "Seconds of a processor over all cores, of a GPU by the clock. One patch a step, of 512 "
         "texels at full and 128 at reduced width; published losses and rates, weights counted in; "
         "`error` is the maps' L1, which is not trained on. Last losses are means of at most the "
-        f"last {LAST} steps. Of four networks sums. A texture has {TEXTURE[0]} x {TEXTURE[1]} texels "
-        "and goes through the network in tiles, each twice."
+        f"last {LAST} steps. Of four networks sums. A texture has {TEXTURE[0]} x {TEXTURE[1]} "
+        "texels and goes through the network in tiles, each twice."
         + (
             " Share of the rendering loss in the untrained generator's, by its norm: "
             f"{'; '.join(told)}."
