@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from learning.devices import CPU, memory_of, moved
+from learning.devices import CPU, choose_device, memory_of, moved
 from learning.errors import DeviceMemoryError
 from learning.render.shading import Mode, ShadeOptions, shade
 from learning.train import train
@@ -105,3 +105,13 @@ def test_a_texture_gives_the_same_maps_on_a_gpu(
 def test_a_full_gpu_is_one_message(tmp_path: Path) -> None:
     with pytest.raises(DeviceMemoryError, match="memory of cuda:0"), memory_of(CUDA, tmp_path, "x"):
         torch.empty(1 << 44, device=CUDA)
+
+
+def test_float32_keeps_its_bits_on_a_gpu() -> None:
+    rng = np.random.default_rng(0)
+    weights = torch.from_numpy(rng.normal(size=(64, 64, 3, 3)).astype(np.float32))
+    image = torch.from_numpy(rng.normal(size=(1, 64, 32, 32)).astype(np.float32))
+    expected = torch.nn.functional.conv2d(image.double(), weights.double())
+    there = choose_device("cuda")
+    found = torch.nn.functional.conv2d(image.to(there), weights.to(there)).cpu()
+    assert float((found - expected).abs().max() / expected.abs().max()) < 1e-5
