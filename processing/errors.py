@@ -18,7 +18,7 @@ class AtlasError(ProcessingError):
 
 
 class PoseError(ProcessingError):
-    """A camera that does not stand where the rig says."""
+    """A camera that is not where the rig has it."""
 
 
 class ReconstructionError(ProcessingError):

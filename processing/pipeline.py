@@ -87,7 +87,7 @@ class Job:
     template: Template | None
     template_hash: str
     normals: bool = True
-    """Whether the photographs tell normals."""
+    """Whether the photographs determine normals."""
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -96,7 +96,7 @@ class Job:
 
     @property
     def made_from(self) -> MadeFrom:
-        """What the folder's records say of the session."""
+        """The session as the folder's records have it."""
         return MadeFrom(self.session.file.id, self.session.file.subject)
 
 
@@ -240,14 +240,14 @@ def read_job(
     if STAGES.index(last) >= STAGES.index(WITH_TEMPLATE[0]):
         template_hash = hash_folder(template_path)
         template = _template(template_path, template_hash)
-        # Registration needs them an hour later at full size: said now.
+        # Registration needs them an hour later at full size: reported now.
         require_landmarks(session, config.register)
     return Job(session, out, config, template, template_hash, normals)
 
 
 @functools.lru_cache(maxsize=1)
 def _template(path: Path, content: str) -> Template:
-    """A template that was read once; `content`, the hash of its files, tells whether it changed."""
+    """A template that was read once; `content`, the hash of its files, shows whether it changed."""
     del content
     return load_template(path)
 
@@ -304,7 +304,7 @@ class BusyError(ProcessingError):
 
 
 def busy(out: Path) -> BusyError:
-    """What is said of a folder that another process holds."""
+    """The message about a folder that another process holds."""
     return BusyError(
         out,
         field="--out",
@@ -384,7 +384,7 @@ def _run_stage(
 ) -> dict[str, Record]:
     """Run one stage and record it; it and all after it count as not done while it runs."""
     kept = {name: records[name] for name in STAGES[: STAGES.index(stage)] if name in records}
-    # Before the stage's first file: a folder says whose it is however early the stage ends.
+    # Before the stage's first file: a folder names its session however early the stage ends.
     write_records(job.out, job.made_from, kept)
     before = files_in(job.out)
     facts: dict[str, Any] = {}
@@ -418,7 +418,9 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
     """Write OUT/report.json from the finished stages; returns its content."""
     stages = {name: dict(records[name].facts) for name in STAGES if name in records}
     warnings = [
-        f"{name}: {said}" for name, facts in stages.items() for said in facts.pop("warnings", [])
+        f"{name}: {warning}"
+        for name, facts in stages.items()
+        for warning in facts.pop("warnings", [])
     ]
     report = {
         "schema": REPORT_SCHEMA,

@@ -35,7 +35,7 @@ def make_calibration(
     All of it appears at once; a calibration that is there already is replaced.
 
     Raises:
-        FormatError: `out` is something else (said before anything is measured).
+        FormatError: `out` is something else (refused before anything is measured).
         ProcessingError: see `stage.calibrate`.
     """
     with atomic_folder(out, NAME) as folder:
@@ -70,29 +70,31 @@ def make_calibration(
 
 def headline(found: Calibration) -> str:
     """The figures of a calibration on one line."""
-    said = []
+    parts = []
     if found.fits:
         facts = [fit.facts for fit in found.fits.values()]
         before = np.mean([each["delta_e"]["white_balance_alone"] for each in facts])
         after = np.mean([each["delta_e"]["mean"] for each in facts])
         bent = sum(each["used"] == "root_polynomial" for each in facts)
-        said.append(
+        parts.append(
             f"colours of {counted(len(facts), 'camera')} ({bent} by root-polynomial), Delta E 2000 "
             f"{before:.2f} by white balance alone, {after:.2f} now"
         )
     if "grey" in found.facts:
-        said.append(f"grey ball within {100 * found.facts['grey']['largest_error']:.2f} %")
+        parts.append(f"grey ball within {100 * found.facts['grey']['largest_error']:.2f} %")
     if "flat" in found.facts:
         corners = [each["light_at_the_corner"] for each in found.facts["flat"].values()]
-        said.append(
+        parts.append(
             f"flats of {counted(len(corners), 'camera')}, corners at {100 * min(corners):.1f} %"
         )
     if "dark" in found.facts:
         hot = sum(each["hot_pixels"] for each in found.facts["dark"].values())
-        said.append(f"{counted(hot, 'hot pixel')} in {counted(len(found.facts['dark']), 'camera')}")
+        parts.append(
+            f"{counted(hot, 'hot pixel')} in {counted(len(found.facts['dark']), 'camera')}"
+        )
     if found.lights is not None:
-        said.append(counted(len(found.lights[1].lights), "lamp"))
-    return ", ".join(said)
+        parts.append(counted(len(found.lights[1].lights), "lamp"))
+    return ", ".join(parts)
 
 
 def _colour_entry(correction: ColourCorrection, fit: ColourFit) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Errors of maps at scored places: albedos, normals, pictures.
 
-Only pixels and texels are scored that are skin in the truth and of which the result claims to know
-something (confidence above 0); the share of the skin that is so covered stands beside each error,
+Only pixels and texels are scored that are skin in the truth and that the result claims to know
+(confidence above 0); the share of the skin that is so covered is printed beside each error,
 since a method may not shine by leaving out what is hard.
 """
 

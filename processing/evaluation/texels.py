@@ -46,7 +46,7 @@ def truth_in_atlas(out: Path, truth: Path) -> dict[str, np.ndarray]:
 
     Returns:
         The truth's map names, (rows, columns[, 3]) float32, in world axes; `confidence` is 1 where
-        the texel is covered and lies on true skin; `position` is the true point; `distance_mm` how
+        the texel is covered and is on true skin; `position` is the true point; `distance_mm` how
         far OUT's point was from it. Zero where the atlas is not covered.
     """
     found, true = ProcessedFolder(out), ProcessedFolder(truth)

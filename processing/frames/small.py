@@ -12,7 +12,7 @@ from numba import njit
 from lightstage.formats.half import as_float
 
 BRIGHT_PX = 2_000_000
-"""What was lit is looked for in about this many pixels, and in means of squares where there are
+"""What was lit is searched for in about this many pixels, and in means of squares where there are
 more."""
 
 

@@ -19,7 +19,7 @@ WHITE = 0.5
 """Weight of the white part of colour, which holds the highlights, beside the rest."""
 
 GREY = 0.1
-"""A pixel less saturated than this has no colour that tells the light it scatters."""
+"""A pixel less saturated than this has no colour that shows the light it scatters."""
 
 BASIS_ROWS = 380
 """Contrast is measured between pixels of about so many rows a picture."""
@@ -35,7 +35,7 @@ class View:
         mask: (h, w) bool, foreground.
         normals: (h, w, 3) float32 unit, world; zero where unknown.
         signal: (h, w, P) float32, what scattered light a pixel reads under each pattern, on a scale
-            of its own; NaN where there is none. None where it was not asked for.
+            of its own; NaN where there is none. None where it was not wanted.
     """
 
     camera: Camera
@@ -72,7 +72,7 @@ class Level:
 def common_basis(images: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> np.ndarray:
     """Weights from patterns and colours to the textures that carry most local contrast.
 
-    Mirror reflection has the light's own (white) colour, and a highlight lies behind the surface
+    Mirror reflection has the light's own (white) colour, and a highlight is behind the surface
     and wanders from view to view; the part of RGB orthogonal to white is free of it [Mallick2005]
     but noisier. So white is weighed down; of the rest, principal components of the differences
     between pixels a few apart: the pooled correlation over them is nearly that over all pictures.

@@ -23,7 +23,7 @@ from processing.splitting import split
 
 MOST_SPLITS = 4
 LEAST_COSINE = 0.25
-"""A camera that sees the surface under a smaller one does not tell its relief."""
+"""A camera that sees the surface under a smaller one does not show its relief."""
 STEEPEST = 1.0
 """Slopes of relief are cut there: 45 degrees."""
 
@@ -50,7 +50,7 @@ class Detailed:
     Attributes:
         mesh: finer than what it came from, mm.
         height_mm: (v,) how far each vertex was moved along the normal of the mesh it came from.
-        known: (v,) bool, whether any camera told its relief.
+        known: (v,) bool, whether any camera showed its relief.
     """
 
     mesh: Mesh
@@ -61,7 +61,7 @@ class Detailed:
 def displaced(
     mesh: Mesh, views: Sequence[NormalView], edge_mm: float, below_mm: float, offset_mm: float = 0.1
 ) -> Detailed:
-    """Split a mesh finely and give it the relief that normals tell.
+    """Split a mesh finely and give it the relief that normals show.
 
     Args:
         mesh: triangles, mm, world, oriented outward.
@@ -85,9 +85,9 @@ def displaced(
         vertices = np.concatenate([vertices, curved_middles(vertices, normals, ends)])
         normals = _unit(np.concatenate([normals, normals[ends].mean(axis=1)]))
         mean_mm /= 2
-    told, known = normals_at(vertices, normals, rays, views, offset_mm)
+    seen_normals, known = normals_at(vertices, normals, rays, views, offset_mm)
     edges, _ = edge_counts(triangles)
-    slopes = slopes_beyond(told, normals, known)
+    slopes = slopes_beyond(seen_normals, normals, known)
     slopes = small_part(slopes, known, halfway, coarse, below_mm / coarse_mm)
     slopes -= np.einsum("vk,vk->v", slopes, normals)[:, None] * normals
     height = heights(vertices, slopes, known, edges, (mean_mm / below_mm) ** 2)
@@ -102,7 +102,7 @@ def normals_at(
     views: Sequence[NormalView],
     offset_mm: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the views tell of vertices' directions: means by trust and by how squarely each is seen.
+    """Vertices' directions by the views: means by trust and by how squarely each is seen.
 
     Args:
         vertices: (v, 3) mm.
@@ -140,13 +140,13 @@ def normals_at(
     return np.where(known[:, None], total / np.maximum(length, 1e-12)[:, None], normals), known
 
 
-def slopes_beyond(told: np.ndarray, normals: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """(v, 3) gradients of the height along `normals` that would turn them into `told`.
+def slopes_beyond(seen_normals: np.ndarray, normals: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(v, 3) gradients of the height along `normals` that would turn them into `seen_normals`.
 
     A surface x + h n has a normal along n - grad h, as far as it bends little.
     """
-    along = np.einsum("vk,vk->v", told, normals)
-    slopes = normals - told / np.maximum(along, 1e-3)[:, None]
+    along = np.einsum("vk,vk->v", seen_normals, normals)
+    slopes = normals - seen_normals / np.maximum(along, 1e-3)[:, None]
     steep = np.linalg.norm(slopes, axis=1)
     slopes *= (np.minimum(steep, STEEPEST) / np.maximum(steep, 1e-12))[:, None]
     return np.where((known & (along > 0.1))[:, None], slopes, 0.0)
@@ -167,7 +167,7 @@ def small_part(
     Args:
         slopes: 0 where not known.
         known: (v,) bool; others do not count.
-        halfway: of each split (m, 2), between which vertices the new ones lie.
+        halfway: of each split (m, 2), between which vertices the new ones are.
         edges: (e, 2) of the unsplit mesh.
         sigma_edges: of the Gaussian, in mean lengths of its edges.
     """

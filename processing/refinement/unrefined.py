@@ -1,4 +1,4 @@
-"""Sessions that cannot be refined keep their coarse maps; the mesh adds what it alone tells."""
+"""Sessions that cannot be refined keep their coarse maps; the mesh adds what it alone gives."""
 
 from __future__ import annotations
 

@@ -8,19 +8,19 @@ import numpy as np
 def contradicted(
     gaps: np.ndarray, reach: np.ndarray, least_mm: float, times_typical: float
 ) -> np.ndarray:
-    """Landmarks that lie elsewhere than the plate, held by all others, says.
+    """Landmarks that are elsewhere than the plate, held by all others, predicts.
 
     A plate under independent forces is a Gaussian process whose covariance is its response, so what
     the others predict for one landmark has a closed form [Rasmussen2006] (5.4.2). The worst
-    is taken out and the rest looked at again, until none is left that stands out: a wrong landmark
-    makes its neighbours look wrong too.
+    is taken out and the rest tested again, until none is left that is an outlier: a wrong landmark
+    makes its neighbours seem wrong too.
 
     Args:
         gaps: (k, 3) mm from each landmark's vertex, with no landmark pulling, to the landmark.
         reach: (k, k) mm^-2, response of each one's vertex to a unit force at each other's, with
             one over a landmark's own pull added on the diagonal.
         least_mm: prediction errors below are never taken for wrong.
-        times_typical: how many times the median error, each over its expected size, stands out.
+        times_typical: how many times the median error, each over its expected size, is an outlier.
 
     Returns:
         (k,) bool; never more than a quarter of them.

@@ -1,4 +1,4 @@
-"""A scan's noise taken down before anything is laid onto it."""
+"""A scan's noise reduced before anything is fitted to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much of all directions a point on a mesh sees: what lies in a cavity sees little."""
+"""How much of all directions a point on a mesh sees: what is in a cavity sees little."""
 
 from __future__ import annotations
 

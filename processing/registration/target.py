@@ -1,4 +1,4 @@
-"""The scan as a target: closest points, their normals, and whether they lie on its border."""
+"""The scan as a target: closest points, their normals, and whether they are on its border."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Closest:
         point: (n, 3) mm.
         normal: (n, 3) unit, interpolated from the vertices; zero on degenerate triangles.
         distance_mm: (n,).
-        border: (n,) the closest point lies on the surface's open border.
+        border: (n,) the closest point is on the surface's open border.
     """
 
     point: np.ndarray

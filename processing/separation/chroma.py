@@ -1,6 +1,6 @@
 """Chroma's normals, the lobe by least squares, specular normals from what the highlights show.
 
-What `linear` does, and what `colour` does where it is asked for more than its one pass over the
+What `linear` does, and what `colour` does where it needs more than its one pass over the
 frames gives: normals of one channel, or specular normals of their own.
 """
 

@@ -65,6 +65,6 @@ def separate_view(
 
 
 def _plain(config: SeparateConfig) -> bool:
-    """Whether `colour` is asked for what its one pass over the frames does."""
+    """Whether `colour` is configured for what its one pass over the frames does."""
     plain = config.specular_normals in ("auto", "diffuse")
     return plain and config.normals in ("auto", "chroma")

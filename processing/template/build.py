@@ -68,7 +68,7 @@ def write_template(template: Template, out: Path, config: ImportConfig) -> Path:
 
 
 def map_raster(mesh: Mesh, config: ImportConfig) -> Raster:
-    """Where a template's mesh lies in its maps."""
+    """Where a template's mesh is in its maps."""
     assert mesh.uvs is not None  # whoever imports a mesh has made sure of it
     rows = config.map_rows
     return rasterise(mesh.uvs, mesh.triangle_uvs(), rows, rows * 2 // 3)

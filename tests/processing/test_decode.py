@@ -238,7 +238,7 @@ def test_exposures_that_no_file_tells_are_said_to_be_taken_as_equal(
         text = (root / "session.json").read_text()
         (root / "session.json").write_text(text.replace(old, sha256_file(path)))
     _, facts = decoded(root, tmp_path / "out")
-    assert any("cam0: no photograph tells its exposure" in said for said in facts["warnings"])
+    assert any("cam0: no photograph has its exposure" in said for said in facts["warnings"])
 
 
 @pytest.mark.parametrize("exposure", [None, (1.0, 6400, 2.0)])
