@@ -34,7 +34,7 @@ HEADER = (
     "last losses",
 )
 LAST = 20
-"""Steps at the end whose mean is told, where there are so many."""
+"""Steps at the end whose mean is printed, where there are so many."""
 FULL = {"data": {"shadow_sets": 8}}
 """Fewer shadows than published are baked before the first step; the steps are as published."""
 REDUCED = {
@@ -81,7 +81,7 @@ def measured(store_path: Path, name: str, full: bool, steps: int) -> dict[str, A
     learner, networks = FedTrainer(trainer, data.draw), [part.generator for part in parts]
     seconds, lines = [], []
     for number in range(steps):
-        # On a machine with other work the clock tells of that.
+        # On a machine with other work the clock depends on that.
         began = time.process_time()
         lines.append(learner.step(number, 0.0))
         seconds.append(time.process_time() - began)
@@ -108,8 +108,8 @@ def shares(config: Any, data: Any, first: dict[str, float]) -> dict[str, float]:
 
     batch = data.draw(config.batch, np.random.default_rng([config.seed, 2, 0]))
     with torch.inference_mode():
-        said = PatchTrainer(config).generator(batch.inputs) * batch.covered_channels
-        patch, texel = (float(rendering_loss(said, batch, n)) for n in ("patch", "texel"))
+        generated = PatchTrainer(config).generator(batch.inputs) * batch.covered_channels
+        patch, texel = (float(rendering_loss(generated, batch, n)) for n in ("patch", "texel"))
     others = first["adversarial"] + first["features"] + first["maps"]
     texels = float(batch.covered.sum()) / len(batch.inputs)
     values = {"mean of texels": texel, "patch": patch, "sum of texels": texel * texels}
@@ -133,17 +133,17 @@ def in_a_child(store: Path, name: str, full: bool, steps: int) -> dict[str, Any]
 
 def losses(found: dict[str, float]) -> str:
     """Those of one network, or the sums over four."""
-    told = []
+    parts = []
     for name in ("adversarial", "features", "rendering", "discriminators", "error"):
         of_parts = [value for key, value in found.items() if key.endswith(f".{name}")]
         if of_parts or name in found:
-            told.append(f"{name} {sum(of_parts) if of_parts else found[name]:.3g}")
-    return ", ".join(told)
+            parts.append(f"{name} {sum(of_parts) if of_parts else found[name]:.3g}")
+    return ", ".join(parts)
 
 
-def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
+def record_losses(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
     """Record presets, whether at full width, and what `measured` found of each."""
-    rows, told = [], []
+    rows, notes = [], []
     for name, full, found in cases:
         width = "full" if full else "reduced"
         rows.append(
@@ -159,7 +159,7 @@ def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
         )
         if "shares" in found:
             each = (f"{n} {100 * share:.3g} %" for n, share in found["shares"].items())
-            told.append(f"{width}: {', '.join(each)}")
+            notes.append(f"{width}: {', '.join(each)}")
     record(
         "Learning, first steps of the published networks",
         HEADER,
@@ -168,7 +168,7 @@ def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
         "reduced width; published losses and rates, weights counted in; `error` is the maps' L1, "
         f"which is not trained on. Last losses are means of at most the last {LAST} steps. Of four "
         "networks sums. Share of the rendering loss in the untrained generator's, by its norm: "
-        + "; ".join(told)
+        + "; ".join(notes)
         + ".",
     )
 
@@ -192,7 +192,7 @@ def main() -> None:
         for full, steps in ((False, chosen.steps), (True, chosen.full_steps)):
             for name in chosen.full_presets if full else PRESETS:
                 cases.append((name, full, in_a_child(store, name, full, steps)))
-    tell(cases)
+    record_losses(cases)
 
 
 if __name__ == "__main__":
