@@ -27,10 +27,10 @@ from processing.calibration.lights.ratios import (
     fit_ratios,
     lamp_normals,
     ratio_vectors,
-    unit,
 )
 from processing.lighting.lamps import NO_STRAY, Lamps, measured_rig, nominal_lamps
 from processing.lighting.lights import lights_of
+from processing.vectors import unit
 from sim.light.lamps import LampConfig, lamps_of
 from sim.light.lamps import Lamps as TrueLamps
 from sim.targets.ball import Ball, photograph_grey, photograph_mirror

@@ -23,3 +23,7 @@ class PoseError(ProcessingError):
 
 class ReconstructionError(ProcessingError):
     """Photographs that give no surface."""
+
+
+class EvaluationError(ProcessingError):
+    """Result and truth that have nothing to compare."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator
@@ -20,7 +21,6 @@ from processing.atlas.stage import AtlasConfig, atlas
 from processing.decode.completing import unmendable_frames, with_complements
 from processing.decode.stage import DecodeConfig, decode, lit_patterns
 from processing.errors import ProcessingError
-from processing.memory import give_back
 from processing.pages import lacks_head, write_processed_report
 from processing.reconstruction.given import require_given
 from processing.reconstruction.stage import ReconstructConfig, reconstruct
@@ -42,7 +42,7 @@ from processing.records import (
 from processing.refinement.config import RefineConfig
 from processing.refinement.stage import refine
 from processing.registration.stage import RegisterConfig, register, require_landmarks
-from processing.separation.choice import no_normals, tell_normals
+from processing.separation.choice import give_normals, no_normals
 from processing.separation.config import SeparateConfig
 from processing.separation.stage import separate
 from processing.stage_inputs import STAGE_MODULES, StageInputs, stage_inputs, why_stale
@@ -228,7 +228,7 @@ def read_job(
         raise one_error(problems)
     require_own(out)
     patterns = lit_patterns(session)
-    normals = last == STAGES[0] or not patterns or tell_normals(session, patterns)
+    normals = last == STAGES[0] or not patterns or give_normals(session, patterns)
     if last in WITH_NORMALS and not normals:
         raise no_normals(patterns)
     if not (template_path / "template.json").is_file():
@@ -435,3 +435,12 @@ def write_report_json(job: Job, records: dict[str, Record]) -> dict[str, Any]:
     }
     write_json(job.out / "report.json", report)
     return report
+
+
+def give_back() -> None:
+    """Hand back what was freed: glibc keeps it for the thread that had it, gigabytes after a stage.
+
+    Elsewhere than on glibc nothing is done.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)

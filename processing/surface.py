@@ -15,6 +15,7 @@ from lightstage.rig import Camera
 from processing.lighting.lights import PatternLights, Shadows
 from processing.rays import MeshRays
 from processing.splitting import in_part, split, thinned
+from processing.vectors import unit
 
 MOST_ROUNDS = 100
 MOST_SPLITS = 4
@@ -143,7 +144,7 @@ def lit_surface(
     for _ in range(averaging_rounds(smoothing_mm, edge_mm)):
         normals = average @ normals
     rays = MeshRays(vertices, triangles, occluders)
-    normals = _unit(normals)
+    normals = unit(normals, 1e-9)
     sky = fibonacci_sphere(directions)
     open_sky = rays.visible(vertices, normals, sky * SKY_MM, offset_mm=offset_mm)
     cosine = np.maximum(normals.astype(np.float32) @ sky.T.astype(np.float32), 0)
@@ -163,7 +164,7 @@ def lit_surface(
             np.concatenate([values, (values[edges[:, 0]] + values[edges[:, 1]]) / 2])
             for values in (vertices, normals, occlusion)
         )
-    normals = _unit(normals)
+    normals = unit(normals, 1e-9)
     needed = np.zeros(len(vertices), bool)
     needed[:coarse] = True
     needed[triangles[np.repeat(seen_faces, 4**splits)].ravel()] = True
@@ -345,11 +346,6 @@ def _edge_mm(vertices: np.ndarray, triangles: np.ndarray) -> float:
     return float(
         np.linalg.norm(vertices[triangles[:, 0]] - vertices[triangles[:, 1]], axis=1).mean()
     )
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 1e-9)
 
 
 def _average(triangles: np.ndarray, count: int) -> sparse.csr_array:

@@ -22,7 +22,6 @@ from processing.calibration.colour.all_cameras import (
 )
 from processing.calibration.colour.chart_reference import chart_reflectance
 from processing.calibration.colour.fit import ColourFit, ColourFitConfig
-from processing.calibration.colour.flat_file import FlatField
 from processing.calibration.colour.flats import FlatConfig, fit_flat, read_darks
 from processing.calibration.colour.grey import GreyConfig
 from processing.calibration.colour.white import white_at
@@ -31,6 +30,7 @@ from processing.calibration.lights.fit import LightsConfig, fit_lights
 from processing.calibration.picture import read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
+from processing.raw.flat_file import FlatField
 
 BALLS = ("mirror", "grey")
 GREY_WARNED = 0.03

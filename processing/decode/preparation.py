@@ -15,7 +15,6 @@ from lightstage.formats.session import Session
 from lightstage.formats.sums import Balance, axes_alike, sum_fault
 from processing.decode.completing import Pair, Recipe, fill, pairs_of
 from processing.decode.diagnosis import Diagnosis, write_diagnosis
-from processing.decode.shrinking import free_cells, shrunk
 from processing.decode.subject_motion import Flow, solve_pair, warp
 from processing.decode.sums import (
     ambient_ratio,
@@ -25,7 +24,7 @@ from processing.decode.sums import (
     residual,
     wrong_patterns,
 )
-from processing.frames.small import SmallPictures, cell_side
+from processing.frames.small import SmallPictures, cell_side, free_cells, shrunk
 from processing.readings import px_per_mm
 
 ALIKE = 0.5

@@ -17,7 +17,7 @@ from lightstage.formats.mesh import read_obj, read_ply
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import default_template_path, load_template
 from processing.closest import ClosestPoints
-from processing.evaluation.errors import EvaluationError
+from processing.errors import EvaluationError
 from processing.evaluation.maps import DIFFUSE, MapReader, map_errors, samples_of
 from processing.evaluation.meshes import base_mesh_errors, registration_errors, true_skin_points
 from processing.evaluation.texels import atlas_coverage, evaluate_maps, truth_in_atlas

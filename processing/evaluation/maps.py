@@ -14,7 +14,7 @@ import numpy as np
 
 from lightstage.counting import counted
 from processing.colour import srgb_from_linear
-from processing.evaluation.errors import EvaluationError
+from processing.errors import EvaluationError
 
 DIFFUSE = "diffuse_albedo"
 ALBEDOS = (DIFFUSE, "specular_albedo", "ambient_occlusion")

@@ -9,7 +9,7 @@ from lightstage.formats.mesh import Mesh
 from lightstage.formats.processed import ProcessedFolder
 from lightstage.formats.template import Template
 from processing.closest import ClosestPoints, weighted_quantile
-from processing.evaluation.errors import EvaluationError
+from processing.errors import EvaluationError
 
 
 def true_skin_points(true: ProcessedFolder, most: int) -> np.ndarray:

@@ -12,7 +12,7 @@ from lightstage.formats.exr import read_exr
 from lightstage.formats.mesh import read_obj
 from lightstage.formats.processed import ProcessedFolder
 from processing.closest import ClosestPoints, sample_texture
-from processing.evaluation.errors import EvaluationError
+from processing.errors import EvaluationError
 from processing.evaluation.maps import ALBEDOS, DIFFUSE, NORMALS, map_errors, samples_of
 
 

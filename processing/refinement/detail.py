@@ -20,6 +20,7 @@ from lightstage.rig import Camera
 from processing.displacement import curved_middles, heights_of_steps
 from processing.rays import MeshRays
 from processing.splitting import split
+from processing.vectors import unit
 
 MOST_SPLITS = 4
 LEAST_COSINE = 0.25
@@ -83,7 +84,7 @@ def displaced(
         triangles, ends = split(triangles, len(vertices))
         halfway.append(ends)
         vertices = np.concatenate([vertices, curved_middles(vertices, normals, ends)])
-        normals = _unit(np.concatenate([normals, normals[ends].mean(axis=1)]))
+        normals = unit(np.concatenate([normals, normals[ends].mean(axis=1)]))
         mean_mm /= 2
     seen_normals, known = normals_at(vertices, normals, rays, views, offset_mm)
     edges, _ = edge_counts(triangles)
@@ -117,7 +118,7 @@ def normals_at(
     total, weights = np.zeros_like(vertices), np.zeros(len(vertices))
     for view in views:
         toward = view.camera.centre_mm - vertices
-        cosine = np.einsum("vk,vk->v", _unit(toward), normals)
+        cosine = np.einsum("vk,vk->v", unit(toward), normals)
         some = np.flatnonzero(cosine > LEAST_COSINE)
         free = rays.visible(
             vertices[some], normals[some], view.camera.centre_mm[None], offset_mm=offset_mm
@@ -233,7 +234,3 @@ def _sampled(layer: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _mean_edge(vertices: np.ndarray, triangles: np.ndarray) -> float:
     ends = vertices[edge_counts(triangles)[0]]
     return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean()) if len(ends) else 0.0
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))

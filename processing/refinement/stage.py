@@ -24,8 +24,7 @@ from processing.refinement.every_pixel import solve_view
 from processing.refinement.gloss_search import find_gloss
 from processing.refinement.noise import measured_noise, times_as_noisy
 from processing.refinement.scene import Scene, View, prepare_scene, read_view
-from processing.refinement.unrefined import keep_coarse
-from processing.refinement.written import write_refined
+from processing.refinement.written import keep_coarse, write_refined
 
 
 def refine(

@@ -6,7 +6,7 @@ import numpy as np
 import open3d
 
 from lightstage.formats.mesh import directed_edges
-from processing.registration.laplacian import neighbour_mean
+from processing.laplacian import neighbour_mean
 from processing.registration.target import Target
 
 FOLD_COS = -0.5

@@ -14,10 +14,9 @@ import numpy as np
 from lightstage.commands import ProgressCallback, quiet
 from processing.registration.both_ways import BothWays, BothWaysConfig
 from processing.registration.coarse import coarsened
-from processing.registration.contradictions import contradicted
 from processing.registration.flips import Faults, corners_of, grown, mend
 from processing.registration.matches import GateConfig, Matches
-from processing.registration.plate import Plate, PlateConfig, Springs
+from processing.registration.plate import Plate, PlateConfig, Springs, contradicted
 from processing.registration.sheet import Sheet
 from processing.registration.target import Target
 

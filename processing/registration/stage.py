@@ -34,12 +34,10 @@ from processing.registration.providers import (
     CommandLandmarks,
     DetectedLandmarks,
 )
-from processing.registration.quiet import quieted
 from processing.registration.residual import residual, scan_in_common, write_residual
 from processing.registration.rigid import Similarity, robust_umeyama
-from processing.registration.sky import sky_share
 from processing.registration.start import first_pose, require_surface
-from processing.registration.target import Target
+from processing.registration.target import Target, quieted, sky_share
 from processing.splitting import unsplit
 
 CLICK = (

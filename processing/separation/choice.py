@@ -64,7 +64,7 @@ def chosen_method(lights: PatternLights, config: SeparateConfig) -> str:
     return method
 
 
-def tell_normals(session: Session, patterns: tuple[str, ...]) -> bool:
+def give_normals(session: Session, patterns: tuple[str, ...]) -> bool:
     """Whether a session's photographs under P lit patterns give normals by any method."""
     return bool(fitting_methods(pattern_lights(session, patterns)))
 

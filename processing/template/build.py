@@ -12,7 +12,7 @@ from lightstage.formats.png import write_png
 from lightstage.formats.template import Modes, Template, save_template
 from processing.atlas.finish import gutter_sources
 from processing.atlas.raster import Raster, rasterise
-from processing.registration.laplacian import neighbour_mean
+from processing.laplacian import neighbour_mean
 from processing.template.config import SHININESS, TRANSLUCENCY, ImportConfig
 
 MARKER = "template.json"

@@ -14,13 +14,13 @@ from lightstage.rig import Camera
 from processing.calibration.ball import Picture, half
 from processing.calibration.colour.chart import ChartView, chart_places_mm, find_chart
 from processing.calibration.colour.fit import ChartSample, ColourFit, ColourFitConfig, fit_colour
-from processing.calibration.colour.flat_file import FlatField
 from processing.calibration.colour.grey import GreyConfig, ball_albedo
 from processing.calibration.colour.white import white_at
 from processing.calibration.folder import Pose
 from processing.calibration.picture import Mosaic, read_mosaic
 from processing.colour import ColourCorrection
 from processing.errors import ProcessingError
+from processing.raw.flat_file import FlatField
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from processing.calibration.colour.chart_reference import NEUTRAL, SKIN
-from processing.calibration.colour.difference import delta_e_2000, lab_from_linear
 from processing.colour import ColourCorrection, root_terms
+from processing.colour_difference import delta_e_2000, lab_from_linear
 from processing.errors import ProcessingError
 
 PATCHES = 24

@@ -9,9 +9,9 @@ import numpy as np
 
 from lightstage.counting import counted
 from lightstage.rig import Camera
-from processing.calibration.colour.flat_file import FlatField
 from processing.calibration.picture import Mosaic
 from processing.errors import ProcessingError
+from processing.raw.flat_file import FlatField
 
 
 @dataclasses.dataclass(frozen=True)
