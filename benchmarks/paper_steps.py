@@ -141,8 +141,8 @@ def shares(config: Any, data: Any, first: dict[str, float]) -> dict[str, float]:
 
     batch = data.draw(config.batch, np.random.default_rng([config.seed, 2, 0]))
     with torch.inference_mode():
-        said = PatchTrainer(config).generator(batch.inputs) * batch.covered_channels
-        patch, texel = (float(rendering_loss(said, batch, n)) for n in ("patch", "texel"))
+        generated = PatchTrainer(config).generator(batch.inputs) * batch.covered_channels
+        patch, texel = (float(rendering_loss(generated, batch, n)) for n in ("patch", "texel"))
     others = first["adversarial"] + first["features"] + first["maps"]
     texels = float(batch.covered.sum()) / len(batch.inputs)
     values = {"mean of texels": texel, "patch": patch, "sum of texels": texel * texels}
@@ -166,17 +166,17 @@ def in_a_child(store: Path, name: str, full: bool, steps: int, device: str) -> d
 
 def losses(found: dict[str, float]) -> str:
     """Those of one network, or the sums over four."""
-    told = []
+    parts = []
     for name in ("adversarial", "features", "rendering", "discriminators", "error"):
         of_parts = [value for key, value in found.items() if key.endswith(f".{name}")]
         if of_parts or name in found:
-            told.append(f"{name} {sum(of_parts) if of_parts else found[name]:.3g}")
-    return ", ".join(told)
+            parts.append(f"{name} {sum(of_parts) if of_parts else found[name]:.3g}")
+    return ", ".join(parts)
 
 
-def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
+def record_losses(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
     """Record presets, whether at full width, and what `measured` found of each."""
-    rows, told = [], []
+    rows, notes = [], []
     for name, full, found in cases:
         width = "full" if full else "reduced"
         rows.append(
@@ -194,7 +194,7 @@ def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
         )
         if "shares" in found:
             each = (f"{n} {100 * share:.3g} %" for n, share in found["shares"].items())
-            told.append(f"{width}: {', '.join(each)}")
+            notes.append(f"{width}: {', '.join(each)}")
     record(
         "Learning, first steps of the published networks"
         + ("" if cases[0][2]["device"] == "cpu" else ", on a GPU"),
@@ -207,8 +207,8 @@ def tell(cases: list[tuple[str, bool, dict[str, Any]]]) -> None:
         "texels and goes through the network in tiles, each twice."
         + (
             " Share of the rendering loss in the untrained generator's, by its norm: "
-            f"{'; '.join(told)}."
-            if told
+            f"{'; '.join(notes)}."
+            if notes
             else ""
         ),
     )
@@ -238,7 +238,7 @@ def main() -> None:
         for full, steps in ((False, chosen.steps), (True, chosen.full_steps)):
             for name in chosen.full_presets if full else PRESETS:
                 cases.append((name, full, in_a_child(store, name, full, steps, chosen.device)))
-    tell(cases)
+    record_losses(cases)
 
 
 if __name__ == "__main__":
