@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import dataclasses
 import os
 from collections.abc import Iterator
@@ -186,9 +187,12 @@ class Faces:
         try:
             baked = [
                 threads.submit(
+                    # With the folder of kept shadows, which is this thread's alone.
+                    contextvars.copy_context().run,
                     _face,
                     *read_small(store, scan.index, *size_px),
                     [random_lights(rng, lights) for _ in range(config.shadow_sets)],
+                    scan.sha256 and f"{scan.sha256} of the surface",
                 )
                 for scan in self._scans
             ]
@@ -402,11 +406,11 @@ def _enlarged_shadows(visibility: Tensor, size: tuple[int, int]) -> Tensor:
     return (255 * ((seen - 0.5) * SHARPER + 0.5).clamp(0, 1)).to(torch.uint8)
 
 
-def _face(maps: dict[str, np.ndarray], skin: np.ndarray, sets: list[np.ndarray]) -> Face:
-    """A scan whose shadows of sets of (n, 3) lights are baked."""
+def _face(maps: dict[str, np.ndarray], skin: np.ndarray, sets: list[np.ndarray], name: str) -> Face:
+    """A scan whose shadows of sets of (n, 3) lights are baked; `name` is its surface's."""
     tensors, texel_mm, surface = _tensors(maps)
     covered = (maps["position"] != 0).any(axis=2)
-    grid = PositionGrid(maps["position"], surface.normal, covered)
+    grid = PositionGrid(maps["position"], surface.normal, covered, name)
     # All lights at once: the tree of the surface's triangles is built once.
     baked = (255 * bake_grid(grid, np.concatenate([*sets, DOME_MM]))).astype(np.uint8)
     *parts, dome = np.split(baked, np.cumsum([len(at) for at in sets]))
