@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextvars
 import dataclasses
+import functools
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -189,10 +190,12 @@ class Faces:
                 threads.submit(
                     # With the folder of kept shadows, which is this thread's alone.
                     contextvars.copy_context().run,
-                    _face,
-                    *read_small(store, scan.index, *size_px),
-                    [random_lights(rng, lights) for _ in range(config.shadow_sets)],
-                    scan.sha256 and f"{scan.sha256} of the surface",
+                    functools.partial(
+                        _face,
+                        *read_small(store, scan.index, *size_px),
+                        [random_lights(rng, lights) for _ in range(config.shadow_sets)],
+                        scan.sha256 and f"{scan.sha256} of the surface",
+                    ),
                 )
                 for scan in self._scans
             ]
