@@ -246,7 +246,7 @@ def _trained(
             raise KeyboardInterrupt
 
     folder = order.folder / TRAINING
-    resume = (folder / INDEX).exists()
+    resume = _can_resume(folder)
     if resume and config.seconds is not None:
         # A training counts its seconds anew in each call.
         left = config.seconds - read_checkpoint(folder).step_seconds
@@ -263,6 +263,20 @@ def _trained(
         "examples": result.examples,
         "score": dataclasses.asdict(result.score),
     }
+
+
+def _can_resume(training: Path) -> bool:
+    """Whether a training left a whole checkpoint; what is left of another is removed.
+
+    A folder that was copied may lack the files that only a training needs.
+    """
+    if not (training / INDEX).exists():
+        return False
+    files = read_checkpoint(training).files.values()
+    if all((training / file["name"]).is_file() for file in files):
+        return True
+    shutil.rmtree(training)
+    return False
 
 
 def _measured(

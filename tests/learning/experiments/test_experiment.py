@@ -122,6 +122,19 @@ def test_a_run_that_is_stopped_goes_on_and_gives_the_same_figures(
     assert again["people"] == whole["people"]
 
 
+def test_a_training_whose_files_are_gone_begins_again(
+    store_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = order_of(store_path, tmp_path)
+    asks = iter([False, False, True])
+    monkeypatch.setattr(Order, "over", lambda _: next(asks, True))
+    one_run(order)
+    monkeypatch.undo()
+    (lost,) = (order.folder / "training").glob("training-*.safetensors")
+    lost.unlink()
+    assert one_run(order)["steps"] == 4
+
+
 def test_a_deadline_and_a_stop_file_keep_a_run_from_beginning(
     store_path: Path, tmp_path: Path
 ) -> None:
@@ -354,7 +367,7 @@ def test_workers_of_a_scheduler_do_the_runs(store_path: Path, tmp_path: Path) ->
     order = order_of(store_path, tmp_path, deadline=0.0)
     ends: list[str] = []
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, host="127.0.0.1"
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
     ) as cluster:
         address = str(cluster.scheduler_address)
         run_all([order], 1, address, lambda _, figures: ends.append(figures["state"]), one_run)
