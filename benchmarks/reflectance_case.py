@@ -102,17 +102,19 @@ class Case:
         return self._maps(facets_of(refine(self.session, self.out, config)))
 
     def true_maps(self, roughness: float) -> dict[str, Maps]:
-        """Truth's own maps, which tell no roughness: what re-rendering can reach at best."""
+        """Truth's own maps, which have no roughness: what re-rendering can reach at best."""
         maps = {}
         for name in self.session.camera_ids():
             mask = self.true[name].mask.astype(np.float32)
-            told = {
+            common = {
                 field: self.truth.read_view(name, field)
                 for field in (
                     "diffuse_normal", "specular_normal", "diffuse_albedo", "specular_albedo",
                 )
             }  # fmt: skip
-            maps[name] = Maps(**told, roughness=mask * roughness, confidence=mask, facets=BECKMANN)
+            maps[name] = Maps(
+                **common, roughness=mask * roughness, confidence=mask, facets=BECKMANN
+            )
         return maps
 
     def refined_on_own_mesh(self) -> dict[str, Maps]:

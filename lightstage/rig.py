@@ -38,7 +38,7 @@ MOST_ID = (1 << 31) - 1
 MOST_CHANNEL = 65534
 """The wires count lights with 16 bits."""
 CONTROLLER = "main"
-"""What a light's controller is called where the rig does not say."""
+"""What a lamp's controller is called where the rig does not name it."""
 LEAST_MM = 20.0
 """No head fits into a stage of a smaller radius: its positions are in another unit."""
 MOST_PX = 1 << 16
@@ -222,12 +222,12 @@ class Rig:
 
     @functools.cached_property
     def addresses(self) -> tuple[LightAddress, ...]:
-        """Each light's address: what the rig says, else its place in the list."""
+        """Each lamp's address: from the rig, else its place in the list."""
         return tuple(light.address or LightAddress(i) for i, light in enumerate(self.lights))
 
     @property
     def addressed(self) -> bool:
-        """Whether the rig itself says how its lights are wired."""
+        """Whether the rig itself states how its lamps are wired."""
         return any(light.address is not None for light in self.lights)
 
     def camera(self, camera_id: str) -> Camera:
@@ -327,7 +327,7 @@ def _address_to_json(light: Light) -> dict[str, Any]:
 
 
 def rig_sha256(rig: Rig) -> str:
-    """SHA-256 of a rig's content, however its file is laid out."""
+    """SHA-256 of a rig's content, however its file is formatted."""
     text = json.dumps(rig_to_json(rig), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 

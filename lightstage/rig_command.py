@@ -1,4 +1,4 @@
-"""`lightstage rig check`: a rig read, drawn, and what is odd about it said."""
+"""`lightstage rig check`: a rig read, drawn, and checked for oddities."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def check_command(
     ),
     as_json: bool = JsonFlag,
 ) -> None:
-    """Read a rig, refuse what cannot be used, say what is odd, and draw it."""
+    """Read a rig, refuse what cannot be used, warn of what is odd, and draw it."""
     the_rig = load_rig(rig)
     found = rig_oddities(the_rig)
     channels = [address.channel for address in the_rig.addresses]

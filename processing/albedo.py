@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class Evidence:
-    """What each pixel says of its specular albedo s: least squares in s alone is weighed / weight.
+    """Each pixel's least squares for its specular albedo s alone: s is weighed / weight.
 
     Attributes:
         weighed: (n,) float64, the lobe's part of the reading times `weight`'s root.

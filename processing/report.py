@@ -39,7 +39,7 @@ class Picture:
 
     Attributes:
         image: (h, w) or (h, w, 3) uint8, sRGB.
-        caption: what it shows and what it should look like.
+        caption: what it shows and how it should be.
         alt: a few words in its place.
         lossless: PNG instead of JPEG (drawings, small thumbnails).
     """
@@ -81,7 +81,7 @@ class Table:
 
 @dataclasses.dataclass(frozen=True)
 class Section:
-    """A heading and what stands under it: paragraphs (str), links, pictures, tables, in order."""
+    """A heading and what is under it: paragraphs (str), links, pictures, tables, in order."""
 
     title: str
     parts: Sequence[str | Link | Picture | Table]
@@ -154,7 +154,7 @@ def display_error(error: np.ndarray, largest: float, mask: np.ndarray | None = N
 
     Args:
         error: (h, w), not negative.
-        largest: what the brightest colour stands for.
+        largest: the value of the brightest colour.
         mask: (h, w) bool, where to show it; black elsewhere.
 
     Returns:

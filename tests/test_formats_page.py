@@ -22,10 +22,10 @@ from lightstage.formats.session import load_session
 from lightstage.formats.template import load_template
 from lightstage.poses_from_photos.lenses import read_lenses
 from lightstage.rig import load_rig
-from processing.calibration.colour.flat_file import read_flats
 from processing.colour import read_colour
 from processing.dataset import open_store
 from processing.dataset.scan import read_head_pose
+from processing.raw.flat_file import read_flats
 from processing.records import read_records
 from tests.documents import ROOT
 

@@ -1,4 +1,4 @@
-"""The command `capture`: a session, begun or gone on with."""
+"""The command `capture`: a session, begun or resumed."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def capture_command(
         ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
     ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
-    resume: bool = typer.Option(False, "--resume", help="Go on with the session in --out."),
+    resume: bool = typer.Option(False, "--resume", help="Resume the session in --out."),
     subject: str | None = typer.Option(None, help="Pseudonym, such as P07 (subject-1)."),
     expression: str | None = typer.Option(None, help="Such as neutral, the default."),
     consent: str | None = typer.Option(
@@ -180,9 +180,9 @@ def capture_command(
             frames, written = whole
             did = f"{' and '.join(written)} written again; " if written else ""
             read = f"{counted(frames, 'frame')} read back"
-            said = f"{out}: finished and whole, {read}; {did}nothing is left to do"
+            summary = f"{out}: finished and whole, {read}; {did}nothing is left to do"
             facts = {"session": str(out), "frames": frames, "taken": 0, "written": written}
-            finish(said, facts, as_json)
+            finish(summary, facts, as_json)
             return
         the_rig, order = unfinished(out)
     else:
@@ -225,8 +225,8 @@ def take_session(
         settings: how.
         leds: the LED device's URL.
         cameras: path of a cameras file, or ``auto``.
-        as_json: whether the facts are told as JSON.
-        calibrated: the order that is right when the devices have told what they are.
+        as_json: whether the facts are printed as JSON.
+        calibrated: the order that is right when the devices are known.
 
     Raises:
         LightstageError: as open_stage and capture_session.
@@ -294,7 +294,7 @@ def _new_order(
             found="nothing",
             expected="the stage's rig.json, or --resume",
             hint="The default stage's is lightstage/data/rig.json; the simulated stage prints "
-            "where its own lies.",
+            "where its own is.",
         )
     check_pseudonym(subject, "subject")
     check_pseudonym(expression, "expression")
@@ -317,7 +317,7 @@ def _with_calibration(
     order: Order, stage: Stage, lab: Path, allow_stale: list[str], config: CaptureConfig
 ) -> Order:
     used = use_calibrations(
-        lab, stage.rig, stage.told, stage.lights.hello, allow_stale, config.calibration
+        lab, stage.rig, stage.summaries, stage.lights.hello, allow_stale, config.calibration
     )
     facts = {**order.facts, "calibration_shots": used.facts}
     return dataclasses.replace(order, facts=facts, findings=[*order.findings, *used.findings])
@@ -333,13 +333,13 @@ def resume_with(
 
 
 def _require_begun(out: Path) -> None:
-    """FormatError where there is nothing to go on with."""
+    """FormatError where there is nothing to resume."""
     if not (out / JOURNAL).exists():
         raise FormatError(
             out,
             found="no journal" if out.is_dir() else "no such folder",
             expected="a session that was begun",
-            hint="There is nothing to go on with: start without --resume.",
+            hint="There is nothing to resume: start without --resume.",
         )
 
 

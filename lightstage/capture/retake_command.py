@@ -50,7 +50,7 @@ def retake_command(
 ) -> None:
     """Take photographs of a session again; the earlier takes stay on the disk.
 
-    A session that is not finished is gone on with to its end. What is interrupted goes on with
+    A session that is not finished is resumed and finished. What is interrupted is resumed with
     lightstage capture --resume.
     """
     require_one_rule(attended, unattended)

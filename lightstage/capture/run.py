@@ -171,7 +171,7 @@ class Run:
         )
 
     def _take(self, shot: Shot, cameras: Sequence[CameraDevice]) -> None:
-        """One try at a pattern; what does not do is queued again, if the operator says so."""
+        """One try at a pattern; what does not do is queued again, if the operator decides so."""
         pattern = shot.pattern
         result = self._try(shot, cameras) if cameras else ShotTaken((), (), 0.0)
         kept = {each.camera for each in result.taken}
@@ -222,7 +222,7 @@ class Run:
             found="; ".join(dict.fromkeys(each.found for each in sizes)) + " by all cameras",
             expected="; ".join(dict.fromkeys(each.expected for each in sizes)),
             hint="Is this the rig.json of this stage? If not, begin a new session with the stage's "
-            "own (--rig). If all cameras are set to another picture size, set them back and go on.",
+            "own (--rig). If all cameras have another picture size, set them back and resume.",
         )
 
     def _decide(self, pattern: str, bad: Sequence[Finding], left: int) -> Decision:
@@ -343,8 +343,8 @@ def _suspected(findings: Sequence[Finding]) -> tuple[list[str], list[str]]:
 def _unfinished(finding: Finding) -> LightstageError:
     hint = finding.hint
     if finding.code == NOT_TAKEN:
-        said = cause(finding.found, finding.camera or "")
-        return CaptureError(f"{finding.where}: no photograph: {said}")
+        reason = cause(finding.found, finding.camera or "")
+        return CaptureError(f"{finding.where}: no photograph: {reason}")
     if finding.suspects:
         names = ", ".join(finding.suspects)
         hint = f"{hint} The wrong photograph may also be that of {names}."

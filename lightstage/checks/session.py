@@ -48,7 +48,7 @@ class CheckReport:
         sums: pattern sums compared, over all cameras.
         worst_sum: largest deviation found in them, as a share.
         clipped: largest share of clipped pixels in a photograph.
-        findings: what else the photographs show, as a capture tells it after each shot: the
+        findings: what else the photographs show, as a capture reports it after each shot: the
             operator may have seen and accepted it.
         facts: figures of all that was compared (`ShotChecks.facts`), for a later session's
             baseline.
@@ -141,22 +141,22 @@ def check_session(
 
 def _unproven(journal: bool, manifest: bool) -> tuple[str, ...]:
     """What no comparison of a session's own files can show."""
-    said = []
+    reasons = []
     if not journal:
-        said.append(
+        reasons.append(
             "There is no journal.jsonl: whether session.json was changed together with the "
-            "photographs cannot be told."
+            "photographs cannot be known."
         )
     if not manifest:
-        said.append(
+        reasons.append(
             "There is no manifest.json: whether the journal was changed, or files beside the "
-            "photographs, cannot be told."
+            "photographs, cannot be known."
         )
-    said.append(
+    reasons.append(
         "Hashes without a signature prove neither who took the photographs nor when: files that "
         "were all changed together are not noticed."
     )
-    return tuple(said)
+    return tuple(reasons)
 
 
 def _doubled(session: Session) -> list[LightstageError]:

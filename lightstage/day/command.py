@@ -16,7 +16,7 @@ from lightstage.errors import FormatError
 
 TITLES = ("session", "subject", "expression", "began (UTC)", "state", "check", "processed")
 SIGNS = {"whole": "+", "running": ">", "unfinished": "-", "damaged": "X"}
-"""Before a session's state, so that no colour is needed to tell it."""
+"""Before a session's state, so that no colour is needed to distinguish it."""
 
 
 def register(app: typer.Typer) -> None:

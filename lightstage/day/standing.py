@@ -15,7 +15,7 @@ Stand = Literal["done", "again", "begun", "running", "damaged", "to come"]
 
 @dataclasses.dataclass(frozen=True)
 class Planned:
-    """One take of a plan and what lies on the disk of it.
+    """One take of a plan and its sessions on the disk.
 
     Attributes:
         take: what is wanted.
@@ -31,12 +31,12 @@ class Planned:
 
     @property
     def open(self) -> bool:
-        """Whether it is to be captured, or gone on with."""
+        """Whether it is to be captured, or resumed."""
         return self.stand in ("to come", "again", "begun")
 
 
 def sessions_folder(plan: DayPlan, path: Path) -> Path:
-    """Where a plan's sessions lie.
+    """Where a plan's sessions are.
 
     Args:
         plan: the day.
@@ -52,7 +52,7 @@ def planned(plan: DayPlan, path: Path) -> list[Planned]:
 
 
 def stand_of(take: Take, folder: Path) -> Planned:
-    """What lies on the disk of one take.
+    """What is on the disk of one take.
 
     Args:
         take: of a plan.
@@ -102,7 +102,7 @@ def next_open(plan: DayPlan, path: Path, name: str | None = None) -> Planned:
         found_text, hint = "no subject", "Add a table [[subjects]] with subject and consent."
     else:
         stands = [each.stand for each in takes]
-        said = [f"{stands.count(s)} {s}" for s in dict.fromkeys(stands)]
-        found_text = f"nothing to capture: {', '.join(said)}"
+        counts = [f"{stands.count(s)} {s}" for s in dict.fromkeys(stands)]
+        found_text = f"nothing to capture: {', '.join(counts)}"
         hint = "Add a subject, or want one again under [takes]."
     raise CaptureError(path, found=found_text, expected="a take that is to come", hint=hint)

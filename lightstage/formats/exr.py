@@ -170,8 +170,8 @@ def _stored(path: Path) -> np.ndarray:
 def _is_cut(path: Path) -> bool:
     """Whether a scan-line picture ends before all of its blocks of lines.
 
-    OpenEXR would say so too, but prints lines of its own to the terminal beside. It is asked where
-    the header is damaged or of another layout.
+    OpenEXR would report it too, but prints lines of its own to the terminal beside. It is used
+    where the header is damaged or of another layout.
     """
     size = path.stat().st_size
     with path.open("rb") as handle:

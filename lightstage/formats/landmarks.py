@@ -81,7 +81,7 @@ _OF = {
 
 
 def _require_not_the_other(path: Path, value: dict[str, object], wanted: str, other: str) -> None:
-    """Say which of the two kinds of landmarks a file holds in place of the wanted one."""
+    """Name which of the two kinds of landmarks a file holds in place of the wanted one."""
     if wanted not in value and other in value:
         raise FormatError(
             path,

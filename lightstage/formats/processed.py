@@ -1,4 +1,4 @@
-"""Processed folder: where each map of a session lies and what it holds; truth has the same form."""
+"""Processed folder: where each map of a session is and what it holds; truth has the same form."""
 
 from __future__ import annotations
 

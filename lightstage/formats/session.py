@@ -25,8 +25,8 @@ class Frame(BaseModel):
     """One photograph of a session.
 
     Others may add fields. A capture adds ``take`` (1, or more where it was taken again),
-    ``acknowledged`` (whether the lights told that they were lit), and ``verified`` where less than
-    its hash could be compared after a crash (``size and header``).
+    ``acknowledged`` (whether the lights reported that they were lit), and ``verified`` where less
+    than its hash could be compared after a crash (``size and header``).
     """
 
     model_config = ConfigDict(extra="allow", frozen=True)
@@ -104,7 +104,7 @@ class Session:
         )
 
     def frame_path(self, frame: Frame) -> Path:
-        """Where a photograph lies."""
+        """The file of a photograph."""
         return self.root / frame.path
 
     def levels(self, pattern: str) -> np.ndarray:

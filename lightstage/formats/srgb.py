@@ -1,4 +1,4 @@
-"""Display values of sRGB to linear light, and the space that linear colours are told in."""
+"""Display values of sRGB to linear light, and the space of linear colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Patterns whose light must add up alike, and what is said where their photographs do not.
+"""Patterns whose light must add up alike, and the fault where their photographs do not.
 
 Light is linear: a gradient and its complement sum to `full`, and without `full` the pairs of all
 axes sum to the same. `lightstage check` and the stage `decode` hold photographs to it, by the same
@@ -90,7 +90,7 @@ def sum_fault(
     """
     if abs(left - right) <= SUM_TOLERANCE * abs(right):
         return None
-    said = [
+    shares = [
         f"{' + '.join(names)} = {value:.4g}"
         for names, value in ((balance.left, left), (balance.right, right))
     ]
@@ -98,7 +98,7 @@ def sum_fault(
     return FormatError(
         root / "session.json",
         field=f"patterns of {camera}",
-        found=f"{said[0]} on average, {said[1]}",
+        found=f"{shares[0]} on average, {shares[1]}",
         expected=f"equal within {100 * SUM_TOLERANCE:g} %",
         hint=f"{why} {hint}".rstrip(),
     )

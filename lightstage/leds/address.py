@@ -17,7 +17,7 @@ MULTICAST = "multicast"
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What every URL may say.
+    """What every URL may have.
 
     Attributes:
         timeout_s: how long one attempt waits for its answer, or for the port to take the bytes.
@@ -142,7 +142,7 @@ class Address:
         scheme: serial, pty, socket, adalight, sacn or ws.
         place: device file, or host.
         port: of the host; 0 for device files.
-        options: what stood behind the question mark.
+        options: from behind the question mark.
         path: on the host, of ws alone.
     """
 

@@ -1,4 +1,4 @@
-"""What a device is told when the capture is gone, and the process that tells it (guardian.py)."""
+"""What a device is sent when the capture has ended, and the process that sends it (guardian.py)."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Guardian:
 
     Args:
         will: what it sends.
-        silence_s: a capture that has not said for so long that it lives counts as dead.
+        silence_s: a capture that has not reported for so long that it lives counts as dead.
 
     Raises:
         DeviceError: the process cannot be started.
@@ -68,7 +68,7 @@ class Guardian:
             pass_fds=will.handles,
             start_new_session=True,
         )
-        told = {
+        settings = {
             "handle": will.handles[0],
             "messages": [(data.hex(), where) for data, where in will.messages],
             "answer": will.answer.hex(),
@@ -79,7 +79,7 @@ class Guardian:
             "patience_s": PATIENCE_S,
         }
         assert self._child.stdout is not None
-        ready = self._say(json.dumps(told).encode() + b"\n") and self._child.stdout.read(1)
+        ready = self._say(json.dumps(settings).encode() + b"\n") and self._child.stdout.read(1)
         if ready != b"r":
             self._child.kill()
             self._child.wait()
@@ -97,11 +97,11 @@ class Guardian:
 
     @property
     def alive(self) -> bool:
-        """Whether it watches; after a long silence it has put the lights out and is gone."""
+        """Whether it watches; after a long silence it has put the lights out and ended."""
         return self._child.poll() is None
 
     def beat(self) -> None:
-        """Say that this process lives."""
+        """Report that this process lives."""
         self._say(b".")
 
     def goodbye(self) -> None:
@@ -118,7 +118,7 @@ class Guardian:
             assert self._child.stdin is not None
             self._child.stdin.write(data)
             self._child.stdin.flush()
-        except (OSError, ValueError):  # it has ended, or was told goodbye by another thread
+        except (OSError, ValueError):  # it has ended, or was dismissed by another thread
             return False
         return True
 

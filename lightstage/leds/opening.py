@@ -75,7 +75,7 @@ def open_leds(url: str | Address, light_count: int) -> OpenLeds:
 
     Args:
         url: as `--leds` takes it, or what `parse_url` made of it.
-        light_count: channels that the rig's lights need. A device of our own protocol tells how
+        light_count: channels that the rig's lamps need. A device of our own protocol reports how
             many it has (`hello.light_count`): a capture compares.
 
     Raises:

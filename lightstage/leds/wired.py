@@ -12,7 +12,7 @@ from lightstage.leds.guard import HasLastWill, LastWill
 
 
 class WiredLeds(Closing):
-    """A controller (LedController) whose lights stand where the rig's addresses say.
+    """A controller (LedController) whose lamps are where the rig's addresses have them.
 
     Channels that no light has stay dark.
 
@@ -32,7 +32,7 @@ class WiredLeds(Closing):
 
     @property
     def acknowledged(self) -> bool:
-        """Whether the device tells what is lit."""
+        """Whether the device reports what is lit."""
         return self._device.acknowledged
 
     @property
@@ -42,7 +42,7 @@ class WiredLeds(Closing):
 
     def light(self, levels: np.ndarray) -> np.ndarray:
         """Set all lights, each on its own channel; (n,) in and out, in the rig's order."""
-        # A device of fewer channels refuses the levels; a preflight has said so before.
+        # A device of fewer channels refuses the levels; a preflight has reported it before.
         count = max(self._device.hello.light_count, self._channels.max() + 1)
         line = np.zeros(count)
         line[self._channels] = levels

@@ -28,7 +28,7 @@ class OperatorConfig:
 
     Attributes:
         retakes: of each pattern, before a capture that nobody attends gives up.
-        then: what it does then: ``abort`` (a later --resume goes on there), or ``accept`` (keeps
+        then: what it does then: ``abort`` (a later --resume continues there), or ``accept`` (keeps
             the photograph as it is, where there is one; the finding is in the journal).
     """
 
@@ -36,7 +36,7 @@ class OperatorConfig:
     then: Literal["abort", "accept"] = "abort"
 
     def __post_init__(self) -> None:
-        """ConfigError on a count that is none: before a light goes on."""
+        """ConfigError on an impossible count: before a light goes on."""
         require_bounds(self, "operator", {"retakes": (0, 1000)})
 
 
@@ -44,7 +44,7 @@ class Operator(Protocol):
     """Somebody, or a rule, who decides. Several threads may call ``told`` and ``request``."""
 
     def command(self) -> Wish | None:
-        """What is wished now; polled. An abort is said again and again."""
+        """What is wished now; polled. An abort is given again and again."""
 
     def decide(self, findings: Sequence[Finding], retakes_left: int) -> Decision:
         """What to do with photographs that do not do; may wait for an answer for ever."""
@@ -65,7 +65,7 @@ def possible_answers(codes: Iterable[str]) -> tuple[Decision, ...]:
 
 
 def by_rule(findings: Sequence[Finding], retakes_left: int, config: OperatorConfig) -> Decision:
-    """What is decided without asking: again while it may, then what the configuration says."""
+    """The decision without asking: again while it may, then by the configuration."""
     if not any(finding.severity in ("retake", "refuse") for finding in findings):
         return "accept"
     if retakes_left > 0:
@@ -168,7 +168,7 @@ class Requests:
                 return "the capture is over"
             acts = [] if self._aborted else list(self._acts)
             self._aborted = True
-        for act in acts:  # before anybody waiting is told: the lights come first
+        for act in acts:  # before anybody waiting is notified: the lights come first
             _do(act)
         with self._changed:
             self._changed.notify_all()
@@ -188,8 +188,8 @@ class Requests:
 
     def _pausing(self) -> bool:
         """Whether it is paused when all wishes are taken up."""
-        asked = [wish for wish in self._wishes if wish in ("pause", "resume")]
-        return asked[-1] == "pause" if asked else self._paused
+        wishes = [wish for wish in self._wishes if wish in ("pause", "resume")]
+        return wishes[-1] == "pause" if wishes else self._paused
 
     def _why_not(self, do: str) -> str | None:
         """Why a wish cannot be had now, besides a question that waits."""
@@ -207,13 +207,13 @@ class Requests:
 
 
 def _do(act: Callable[[], None]) -> None:
-    # What fails here is done again, and said, on the capture's own way out.
+    # What fails here is done again, and reported, on the capture's own way out.
     with contextlib.suppress(LightstageError):
         act()
 
 
 class Unattended:
-    """Nobody is asked: retakes while there are any left, then as the configuration says.
+    """Nobody is asked: retakes while there are any left, then by the configuration.
 
     Args:
         config: the rule.

@@ -30,8 +30,8 @@ def follow(
 
     Args:
         session: its folder.
-        stop: asked often; ends it.
-        patience_s: a capture that has not yet told its socket is waited for so long.
+        stop: called often; true ends it.
+        patience_s: a capture that has not yet named its socket is waited for so long.
 
     Raises:
         FormatError: no journal.
@@ -86,7 +86,7 @@ def ask(session: Path, do: str) -> str | None:
             raise nobody from None
     if not isinstance(answer, dict):
         raise nobody
-    return None if answer.get("accepted") else text_of(answer, "why") or "it said no"
+    return None if answer.get("accepted") else text_of(answer, "why") or "it refused"
 
 
 def answers(session: Path) -> bool:
@@ -102,7 +102,7 @@ def answers(session: Path) -> bool:
 
 
 class _Seen:
-    """What was given already, and what the lines tell about the capture's life."""
+    """What was given already, and what the lines show of the capture's life."""
 
     def __init__(self) -> None:
         self.last_id = 0
@@ -122,7 +122,7 @@ class _Seen:
 
 
 def _live(path: str, after: int, stop: Callable[[], bool]) -> Iterator[dict[str, Any]]:
-    """Lines from the socket until it closes; nothing where its process is gone."""
+    """Lines from the socket until it closes; none where its process has ended."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
         pending = b""
         with contextlib.suppress(ConnectionError, FileNotFoundError):

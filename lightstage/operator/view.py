@@ -1,4 +1,4 @@
-"""What stands now in a capture, from nothing but the lines of its journal.
+"""The state of a capture, from nothing but the lines of its journal.
 
 The same lines give the same view, live or later; a line that lacks something changes what it can.
 """
@@ -34,7 +34,7 @@ State = Literal[
 Phase = Literal["before", "running", "asked", "paused", "aborted", "complete", "gone"]
 
 SHOTS_MEASURED = 9
-"""Time left is told from the median of so many shots, so that one slow one does not change it."""
+"""Time left is from the median of so many shots, so that one slow one does not change it."""
 NEWS_KEPT = 50
 THERE: tuple[Mark, ...] = ("kept", "in question", "accepted")
 """Marks of photographs that are there."""
@@ -44,7 +44,7 @@ FOLLOWING, STOPPED = "\0", "\1"
 
 @dataclasses.dataclass
 class CameraView:
-    """One camera: what it told about itself and what it does now."""
+    """One camera: its report of itself and what it does now."""
 
     serial: str = ""
     model: str = ""
@@ -73,7 +73,7 @@ class Late:
 
 
 class View:
-    """Told every line; several threads may tell and read.
+    """Receives every line; several threads may give lines and read.
 
     Attributes:
         session: the session's folder, for what the operator may type.
@@ -84,11 +84,11 @@ class View:
         takes: number of the latest photograph by (pattern, camera), where it was taken again.
         done: patterns with all their photographs.
         pattern: what is lit; None in the dark.
-        lights: what the LED device told, as one line.
-        acknowledged: whether it tells what is lit; None where it is not known.
+        lights: what the LED device reported, as one line.
+        acknowledged: whether it reports what is lit; None where it is not known.
         phase: what the capture does; ``asked`` waits, dark, for the operator's answer; ``gone`` was
             killed.
-        options: with which the capture goes on, as its journal tells them.
+        options: with which the capture is resumed, from its journal.
         late: what is known of cameras that the others wait for; None where there are none.
         question: what the operator is asked about; empty where nothing is asked.
         answers: what can be answered to it.
@@ -144,7 +144,7 @@ class View:
     def left_s(self) -> float | None:
         """Seconds left, from the shots measured; None before there is one.
 
-        A shot in which something failed says little of the others: it is asked where there is no
+        A shot in which something failed shows little of the others: it is used where there is no
         other one.
         """
         shots_s = self._shot_s or self._troubled_s
@@ -160,7 +160,7 @@ class View:
         return self.phase in ("complete", "aborted", "gone")
 
     def gone(self) -> None:
-        """No capture runs any more; one that did not say how it ended was killed."""
+        """No capture runs any more; one that did not report how it ended was killed."""
         with self.lock:
             if not self.over:
                 self._ends("gone")
@@ -179,12 +179,12 @@ class View:
             self.options = options_of(line) or self.options
             number = number_of(line, "id")
             self.last_id = self.last_id if number is None else int(number)
-            self._trouble |= _tells_trouble(line)
+            self._trouble |= _is_trouble(line)
             take = _TAKES_UP.get(text_of(line, "event"))
             if take is not None:
                 take(self, line)
             # Late cameras have a line of their own, on which the seconds run; a camera that is
-            # started again says so in its row.
+            # started again shows it in its row.
             shown = text_of(line, "event") in ("shot", "waiting") or _starts_again(line)
             if words.tone != "quiet" and not shown:
                 self._news.append((words, _mended_by(line)))
@@ -225,20 +225,20 @@ class View:
         self._devices(line)
 
     def _devices(self, line: Mapping[str, Any]) -> None:
-        """What devices told, wherever a line has it."""
+        """What devices reported, wherever a line has it."""
         for key in ("led_device", "leds", "lights"):
             leds = line.get(key)
             if isinstance(leds, dict):
                 self._leds(leds)
         for key in ("told", "cameras"):
             cameras = line.get(key)
-            for name, told in cameras.items() if isinstance(cameras, dict) else ():
-                if isinstance(told, dict) and printable(name) in self.cameras:
+            for name, summary in cameras.items() if isinstance(cameras, dict) else ():
+                if isinstance(summary, dict) and printable(name) in self.cameras:
                     camera = self.cameras[printable(name)]
-                    camera.serial = text_of(told, "serial")
-                    camera.model = text_of(told, "model")
-                    camera.battery_percent = number_of(told, "battery_percent")
-                    camera.card_free_bytes = number_of(told, "card_free_bytes")
+                    camera.serial = text_of(summary, "serial")
+                    camera.model = text_of(summary, "model")
+                    camera.battery_percent = number_of(summary, "battery_percent")
+                    camera.card_free_bytes = number_of(summary, "card_free_bytes")
 
     def _leds(self, leds: Mapping[str, Any]) -> None:
         if isinstance(leds.get("acknowledged"), bool):
@@ -253,9 +253,11 @@ class View:
         self._late_over(line)
         self.phase, self.pattern, self.late = "asked", None, None
         self._asked_s = number_of(line, "elapsed_s")
-        told = line.get("findings")
+        findings_field = line.get("findings")
         findings = (
-            [each for each in told if isinstance(each, dict)] if isinstance(told, list) else []
+            [each for each in findings_field if isinstance(each, dict)]
+            if isinstance(findings_field, list)
+            else []
         )
         self.question = [said({**each, "event": "finding"}) for each in findings]
         self.answers = possible_answers(text_of(each, "code") for each in findings)
@@ -382,16 +384,16 @@ class View:
         self._news = collections.deque(left, NEWS_KEPT)
 
 
-def _tells_trouble(line: Mapping[str, Any]) -> bool:
-    """Whether a line tells that a photograph failed or a camera is late: its shot takes longer."""
+def _is_trouble(line: Mapping[str, Any]) -> bool:
+    """Whether a line reports a failed photograph or a late camera: its shot takes longer."""
     bad = text_of(line, "severity") in ("retake", "refuse")
     return bad or text_of(line, "event") in ("failed", "waiting", "asked", "rejected")
 
 
 def _starts_again(line: Mapping[str, Any]) -> bool:
-    """Whether a line tells that a camera is started again, or was."""
-    said = text_of(line, "said")
-    return text_of(line, "event") == "note" and said.startswith(("restarting", "started again"))
+    """Whether a line reports that a camera is started again, or was."""
+    text = text_of(line, "said")
+    return text_of(line, "event") == "note" and text.startswith(("restarting", "started again"))
 
 
 def _mended_by(line: Mapping[str, Any]) -> str:

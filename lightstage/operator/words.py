@@ -33,7 +33,7 @@ SIGNS: dict[Tone, str] = {
     "problem": "X",
     "stop": "#",
 }
-"""Before a line, so that no colour is needed to tell it."""
+"""Before a line, so that no colour is needed to distinguish it."""
 
 LOOK = "Look at the photograph; press r to take it again."
 AGAIN = "It is taken again, or you are asked."
@@ -43,13 +43,13 @@ FINDING: dict[str, tuple[Tone, str, str]] = {
     "warn": ("warning", "Look at this", LOOK),
     "note": ("plain", "Noted", ""),
 }
-"""By severity: tone, how the line begins, what to do where the finding does not say."""
+"""By severity: tone, how the line begins, what to do where the finding does not state it."""
 
 ON_CARD = "on-card"
 """What a note is about that names the picture which a camera took before it failed."""
 
 MISSING = "Photographs that came are kept. If it fails again, look at its cable, battery and card."
-"""Said where a photograph did not come."""
+"""Shown where a photograph did not come."""
 FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
 RESUME = "Nothing that was kept is lost. Go on with: {resume}"
 
@@ -81,9 +81,9 @@ def text_of(line: Line, name: str) -> str:
     return "" if value is None or isinstance(value, (dict, list)) else printable(value)
 
 
-def _told(line: Line, name: str) -> str:
+def _field(line: Line, name: str) -> str:
     """A field that may have a driver's words, in plain ones."""
-    # Its camera and what it was asked are told beside it: no need to say them twice.
+    # Its camera and its request are shown beside it: no need to write them twice.
     value = line.get(name)
     text = "" if value is None or isinstance(value, (dict, list)) else printable_lines(value)
     # Cut last: much of it goes.
@@ -136,7 +136,7 @@ def said(line: Line, session: str = "SESSION") -> Said:
 
 
 def merged(items: Sequence[Said]) -> list[Said]:
-    """The same said of several cameras, or several times, said once: in the place of the last."""
+    """The same of several cameras, or several times, shown once: in the place of the last."""
     groups: dict[tuple[str, str, str], list[Said]] = {}
     for item in items:
         alike = item.text.replace(item.camera, "\0") if item.camera else item.text
@@ -150,7 +150,7 @@ def merged(items: Sequence[Said]) -> list[Said]:
 
 
 def _place(line: Line) -> str:
-    """Pattern and camera, as far as they are told: ``x+, cam0``."""
+    """Pattern and camera, as far as they are known: ``x+, cam0``."""
     places = (text_of(line, "pattern"), text_of(line, "camera"))
     return ", ".join(place for place in places if place)
 
@@ -163,8 +163,8 @@ def _at(line: Line) -> str:
 def _begin(line: Line) -> Said:
     patterns, cameras = len(names_of(line, "sequence")), len(names_of(line, "cameras"))
     who = " ".join(filter(None, (text_of(line, "subject"), text_of(line, "expression"))))
-    told = f"{counted(patterns, 'pattern')}, {counted(cameras, 'camera')}"
-    return Said("plain", f"Session of {who or 'nobody'}: {told}")
+    counts = f"{counted(patterns, 'pattern')}, {counted(cameras, 'camera')}"
+    return Said("plain", f"Session of {who or 'nobody'}: {counts}")
 
 
 def _lit(line: Line) -> Said:
@@ -177,7 +177,7 @@ def _frame(line: Line) -> Said:
 
 
 def _failed(line: Line) -> Said:
-    why = _told(line, "said") or _told(line, "found") or "no photograph"
+    why = _field(line, "said") or _field(line, "found") or "no photograph"
     return Said("warning", f"{_at(line)}{why}", FAILED)
 
 
@@ -185,7 +185,7 @@ def _finding(line: Line) -> Said:
     severity = text_of(line, "severity")
     tone, begins, todo = FINDING.get(severity, FINDING["warn"])
     where = text_of(line, "where") or _place(line)
-    found, expected = _told(line, "found"), text_of(line, "expected")
+    found, expected = _field(line, "found"), text_of(line, "expected")
     what = f"{found or text_of(line, 'code') or 'something'}"
     obvious = text_of(line, "code") == "not-taken"
     todo = MISSING if obvious else todo
@@ -213,10 +213,10 @@ def _note(line: Line) -> Said:
         return Said("plain", "Anyone here can follow with: {watch}")
     if text_of(line, "about") == ON_CARD:
         return Said("plain", f"{_at(line)}it answers again, and its picture is on its card")
-    told = _told(line, "said")
-    if not told:  # a line of the journal's own, such as one for each file on a card
+    said_text = _field(line, "said")
+    if not said_text:  # a line of the journal's own, such as one for each file on a card
         return Said("quiet", f"{_at(line)}{text_of(line, 'about') or 'noted'}")
-    text = f"{_at(line)}{told}"
+    text = f"{_at(line)}{said_text}"
     return Said("plain", text[:1].upper() + text[1:] if not _place(line) else text)
 
 
@@ -233,7 +233,7 @@ def _waiting(line: Line) -> Said:
 
 
 def _aborted(line: Line) -> Said:
-    why = _told(line, "said") or _told(line, "why")
+    why = _field(line, "said") or _field(line, "why")
     # Older journals have the other two.
     if not why or why in ("Stopped by the operator.", "KeyboardInterrupt") or "'s wish" in why:
         return Said("stop", "Stopped by the operator", RESUME)
@@ -244,8 +244,8 @@ def _end(line: Line) -> Said:
     frames = number_of(line, "frames")
     count = "" if frames is None else f": {counted(round(frames), 'photograph')}"
     report = line.get("capture")
-    told: Line = report if isinstance(report, dict) else {}
-    patterns, faults = number_of(told, "accepted"), number_of(told, "accepted_findings")
+    facts: Line = report if isinstance(report, dict) else {}
+    patterns, faults = number_of(facts, "accepted"), number_of(facts, "accepted_findings")
     accepted = accepted_in_words(int(patterns or 0), int(faults or 0))
     return Said("good", f"The session is complete{count}{accepted and '; ' + accepted}")
 
@@ -331,4 +331,4 @@ HEARD = {
     "resume": "It goes on.",
     "abort": "STOPPING: lights out; photographs on their way are not lost.",
 }
-"""Said when a key is heard."""
+"""Shown when a key is heard."""

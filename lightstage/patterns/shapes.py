@@ -87,7 +87,7 @@ def shape(
     along = np.clip(rig.positions_mm @ (toward / length) / far, -1.0, 1.0)
     if cap_deg is not None:
         angle = _between(cap_deg, 180.0, where, "cap_deg")
-        # A light at the very rim belongs to the cap, whatever rounding says.
+        # A lamp at the very rim belongs to the cap, whatever rounding gives.
         lit = (np.degrees(np.arccos(along)) <= angle + 1e-6).astype(float)
     else:
         lit = np.maximum(along, 0.0) ** _between(cosine, 1e6, where, "cosine")

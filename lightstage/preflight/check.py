@@ -21,7 +21,7 @@ from lightstage.rig import Rig
 
 def preflight(
     rig: Rig,
-    told: Mapping[str, Summary],
+    summaries: Mapping[str, Summary],
     file: CamerasFile,
     leds: LedController,
     out: Path,
@@ -32,7 +32,7 @@ def preflight(
 
     Args:
         rig: lights and cameras wanted.
-        told: camera id to what it tells now.
+        summaries: by camera id, as they are now.
         file: what is expected of the cameras, and what may stay unverified.
         leds: open.
         out: the session's folder, new or to be resumed.
@@ -42,11 +42,11 @@ def preflight(
     Returns:
         All that was found; `require` raises on what forbids a capture.
     """
-    shutters = {camera_id: summary.shutter for camera_id, summary in told.items()}
+    shutters = {camera_id: summary.shutter for camera_id, summary in summaries.items()}
     return [
-        *device_findings(rig, told, file, leds, config),
+        *device_findings(rig, summaries, file, leds, config),
         *pulse_findings(shutters, leds.pulse_hz, plan.lowest_level, config),
-        *card_findings(rig, told, plan, config),
+        *card_findings(rig, summaries, plan, config),
         *disk_findings(rig, out, plan, config),
         *computer_clock_findings(out, config),
     ]
@@ -54,16 +54,16 @@ def preflight(
 
 def device_findings(
     rig: Rig,
-    told: Mapping[str, Summary],
+    summaries: Mapping[str, Summary],
     file: CamerasFile,
     leds: LedController,
     config: PreflightConfig,
 ) -> list[Finding]:
-    """What devices tell of themselves, whatever is to be taken (arguments as `preflight`'s)."""
+    """Checks of the devices themselves, whatever is to be taken (arguments as `preflight`'s)."""
     return [
         *_led_findings(rig, leds),
-        *settings_findings(told, file, config),
-        *privacy_findings(told),
+        *settings_findings(summaries, file, config),
+        *privacy_findings(summaries),
     ]
 
 
@@ -107,7 +107,7 @@ def _led_findings(rig: Rig, leds: LedController) -> list[Finding]:
                 "unacknowledged",
                 "LED device",
                 "a device that does not acknowledge",
-                "one that tells what is lit",
+                "one that reports what is lit",
                 "Every photograph is recorded as taken under unacknowledged light.",
             )
         )

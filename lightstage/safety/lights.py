@@ -17,8 +17,8 @@ from lightstage.safety.budget import FlashCounter, Spent
 from lightstage.safety.plan import SafetyConfig
 
 AWAKE_S = 0.5
-"""A device is spoken to at least so often, or four times in its watchdog's time, or as often as its
-protocol says."""
+"""A device receives a packet at least so often, or four times in its watchdog's time, or as often
+as its protocol requires."""
 SLACK_S = 0.5
 """Beyond what the plan allowed a state, until the lights are put out."""
 MAY_BE_ON = "The lights may still be on: switch their power supply off."
@@ -27,10 +27,10 @@ MAY_BE_ON = "The lights may still be on: switch their power supply off."
 class SafeLights:
     """The lights as a capture has them (LedController): `with SafeLights(...) as lights`.
 
-    Only inside the `with` can a light go on, and at its end all are dark, or the message says that
+    Only inside the `with` can a light go on, and at its end all are dark, or the message warns that
     they may not be. Meanwhile a thread keeps the device awake and puts the lights out when a state
     stays longer than the plan allowed; a guardian process does so when this one is killed or
-    stands still. Several threads may call.
+    hangs. Several threads may call.
 
     Args:
         lights: the device; nobody else may talk to it meanwhile.
@@ -77,7 +77,7 @@ class SafeLights:
 
     @property
     def acknowledged(self) -> bool:
-        """Whether the device tells what is lit."""
+        """Whether the device reports what is lit."""
         return self._lights.acknowledged
 
     @property
@@ -186,8 +186,8 @@ class SafeLights:
             except LightstageError as failure:
                 if kind is None:
                     raise DeviceError(f"{failure} {MAY_BE_ON}") from None
-                said = str(error) or kind.__name__
-                raise CaptureError(f"{said}\n  then: {failure} {MAY_BE_ON}") from error
+                reason = str(error) or kind.__name__
+                raise CaptureError(f"{reason}\n  then: {failure} {MAY_BE_ON}") from error
             finally:
                 with self._turn:
                     pass  # a light that was under way in another thread is out again
@@ -228,7 +228,7 @@ class SafeLights:
             f"{heat:.2f} of full power's warmth: {allowed[place]:.3g} s left for this state",
             expected=f"{needed_s:.3g} s within max_light_on_s {config.max_light_on_s:g} and "
             f"max_heat {config.max_heat:g}",
-            hint="Let the lights cool for some minutes, then go on in a new capture.",
+            hint="Let the lamps cool for some minutes, then continue in a new capture.",
         )
 
     def _note_change(self) -> None:
@@ -273,15 +273,15 @@ class SafeLights:
             self._guardian = None
 
     def _keep_awake(self) -> None:
-        """Speak to the device during every wait; one that does not answer gets its state again."""
+        """Send to the device during every wait; one that does not answer gets its state again."""
         pause_s = self._awake_s / 2
         while not self._stop.wait(pause_s):
             with self._state:
                 number = self._number
-                asked = bool(self._spent.levels.any()) or not self._lights.acknowledged
+                lit = bool(self._spent.levels.any()) or not self._lights.acknowledged
                 left_s = self._heard_s + self._awake_s - time.monotonic()
             pause_s = self._awake_s / 2
-            if not asked or self._failure is not None:
+            if not lit or self._failure is not None:
                 continue  # nothing to keep awake
             if self._sending and self._lights.acknowledged:
                 continue  # its answer is waited for
@@ -300,7 +300,7 @@ class SafeLights:
         self._heard_s = asked_s
 
     def _watch(self) -> None:
-        """Say to the guardian that we live, and put out what stays too long.
+        """Report to the guardian that we live, and put out what stays too long.
 
         Apart from keeping the device awake: an answer that does not come must not hold this up.
         """
@@ -326,22 +326,22 @@ class SafeLights:
             return
         try:
             if self._number == number:
-                said = "within max_light_on_s and max_heat"
+                expected = "within max_light_on_s and max_heat"
                 if self._shot_worst_s is not None:
-                    said = f"at most {self._shot_worst_s:g} s"
+                    expected = f"at most {self._shot_worst_s:g} s"
                 found = "put out: this state stayed longer than the plan allows"
-                self._fail(LightLostError("lights", found=found, expected=said), number)
+                self._fail(LightLostError("lights", found=found, expected=expected), number)
                 self.dark()
         finally:
             self._turn.release()
 
     def _mourn(self, guardian: Guardian, number: int) -> None:
-        """The guardian has gone: it took this process for dead, or was killed itself."""
+        """The guardian has ended: it took this process for dead, or was killed itself."""
         if not self._turn.acquire(blocking=False):
             return  # a light is under way; the next look will do
         try:
             if self._guardian is guardian:  # else dismissed, as it should be
-                found = "it has ended, and put the lights out if this process stood still"
+                found = "it has ended, and put the lights out if this process hung"
                 expected = "one that watches"
                 self._fail(
                     LightLostError("lights", field="guardian", found=found, expected=expected),

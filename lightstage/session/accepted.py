@@ -35,7 +35,7 @@ def accepted_findings(lines: Sequence[Line]) -> Accepted:
 
 
 def _forget(held: _Held, pattern: str, camera: str) -> None:
-    """A photograph does not count any more, and what was said of it does not hold."""
+    """A photograph does not count any more, and findings on it do not hold."""
     mine = held.get(pattern, {})
     for key in [key for key in mine if key[1] in (None, camera)]:
         del mine[key]

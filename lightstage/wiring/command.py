@@ -48,7 +48,7 @@ def identify_command(
         None,
         min=1,
         max=MOST_CHANNELS,
-        help="Of a device that does not tell how many it has, if more than the rig needs.",
+        help="Of a device that does not report how many it has, if more than the rig needs.",
     ),
     config: Path | None = typer.Option(
         None, "--config", help="TOML with other limits of light than the defaults, as `capture`'s."
@@ -91,7 +91,7 @@ class Lines:
                 raise ConfigError(
                     "standard input",
                     found="no terminal and no line",
-                    expected="somebody who says what is seen",
+                    expected="somebody who reports what is seen",
                     hint="Start it in a terminal, or pipe one line for each step: a light's "
                     "number, Enter for the next, c NUMBER, s NUMBER, q.",
                 )
@@ -99,10 +99,10 @@ class Lines:
     def ask(self, question: str) -> str:
         """Print a question and return the line; EOFError at the end."""
         print(question, end="", file=sys.stderr, flush=True)
-        said, self._first = self._first or sys.stdin.readline(), None
-        if not said:
+        line, self._first = self._first or sys.stdin.readline(), None
+        if not line:
             raise EOFError
-        return said
+        return line
 
 
 def _say(text: str) -> None:

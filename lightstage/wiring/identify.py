@@ -1,4 +1,4 @@
-"""Lights one lamp after the other while an operator says what is seen."""
+"""Lights one lamp after the other while an operator reports what is seen."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def identify(
     rig: Rig,
     leds: str,
     ask: Callable[[str], str],
-    say: Callable[[str], None],
+    show: Callable[[str], None],
     save: Callable[[Rig], None],
     safety: SafetyConfig,
     level: float,
@@ -33,11 +33,11 @@ def identify(
         leds: the LED device's URL.
         ask: prints a question and returns the operator's line; EOFError where nobody is there
             any more.
-        say: prints a line.
+        show: prints a line.
         save: keeps the rig; called after each correction.
         safety: limits of light.
         level: in 0..1, of the lamp that shines.
-        channels: of a device that does not tell how many it has; as many as the rig needs.
+        channels: of a device that does not report how many it has; as many as the rig needs.
 
     Returns:
         The rig with its addresses as corrected.
@@ -61,33 +61,33 @@ def identify(
         walk = Walk(rig, count)
         wired = WiredLeds(device, walk.channels)
         if not device.acknowledged:
-            say("This LED device does not answer: what it lights is what was sent.")
+            show("This LED device does not answer: what it lights is what was sent.")
         with SafeLights(wired, safety, rig) as lights:
             lights.dark()
             while not walk.over:
                 if walk.lit:
                     _light(lights, level * np.eye(len(rig.lights))[walk.at])
-                    say(walk.told())
-                _step(walk, ask, say)
+                    show(walk.state())
+                _step(walk, ask, show)
                 if walk.rig is not rig:
                     save(walk.rig)
                     wired.rewire(walk.channels)
                     rig = walk.rig
-                _tell_of_loss(lights, say)
+                _show_loss(lights, show)
                 if not walk.lit:
                     lights.dark()
     return rig
 
 
-def _step(walk: Walk, ask: Callable[[str], str], say: Callable[[str], None]) -> None:
+def _step(walk: Walk, ask: Callable[[str], str], show: Callable[[str], None]) -> None:
     try:
         line = ask(HELP)
     except EOFError:
         walk.over = True
         return
-    said = walk.hear(line)
-    if said:
-        say(said)
+    answer = walk.hear(line)
+    if answer:
+        show(answer)
 
 
 def _light(lights: SafeLights, levels: np.ndarray) -> None:
@@ -99,9 +99,9 @@ def _light(lights: SafeLights, levels: np.ndarray) -> None:
         lights.light(levels)
 
 
-def _tell_of_loss(lights: SafeLights, say: Callable[[str], None]) -> None:
-    """Say so where the lamp went out while somebody looked for it."""
+def _show_loss(lights: SafeLights, show: Callable[[str], None]) -> None:
+    """Report where the lamp failed while somebody looked for it."""
     try:
         lights.confirm()
     except LightstageError as error:
-        say(f"The light was lost: {error}")
+        show(f"The light was lost: {error}")

@@ -39,7 +39,7 @@ class Walk:
         """Channel of each light, in the rig's order."""
         return [address.channel for address in self.rig.addresses]
 
-    def told(self) -> str:
+    def state(self) -> str:
         """The light that is meant: name, place, address."""
         light, address = self.rig.lights[self.at], self.rig.addresses[self.at]
         return (
@@ -49,11 +49,11 @@ class Walk:
         )
 
     def hear(self, line: str) -> str:
-        """Do what an operator's line says.
+        """Do what an operator's line asks for.
 
         Returns:
             What was done or could not be, in words; empty where the light that is meant now
-            says it.
+            shows it.
         """
         parts = _SAID.fullmatch(line.strip().lower())
         word, number = (parts[1], parts[2]) if parts else ("", "?")
@@ -104,18 +104,18 @@ class Walk:
         self.lit = True
         if before == channel:
             return f"Light {light.id} ({light.name}) is on channel {channel} already."
-        said = f"Light {light.id} ({light.name}) is on channel {channel} now"
+        text = f"Light {light.id} ({light.name}) is on channel {channel} now"
         if channel in channels:
             other = channels.index(channel)
             channels[other] = before
-            said += f", and light {self.rig.lights[other].id} on channel {before}"
+            text += f", and light {self.rig.lights[other].id} on channel {before}"
         channels[place] = channel
         self.rig = self.rig.rewired(channels)
-        return f"{said}."
+        return f"{text}."
 
 
 def place_in_words(position_mm: np.ndarray) -> str:
-    """Where a light stands, as somebody sees it who stands at the frontal camera.
+    """Where a lamp is, as somebody sees it who is at the frontal camera.
 
     Args:
         position_mm: (3,) in the world.

@@ -1,7 +1,7 @@
 """Errors of maps at scored places: albedos, normals, pictures.
 
-Only pixels and texels are scored that are skin in the truth and of which the result claims to know
-something (confidence above 0); the share of the skin that is so covered stands beside each error,
+Only pixels and texels are scored that are skin in the truth and that the result claims to know
+(confidence above 0); the share of the skin that is so covered is printed beside each error,
 since a method may not shine by leaving out what is hard.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from lightstage.counting import counted
 from processing.colour import srgb_from_linear
-from processing.evaluation.errors import EvaluationError
+from processing.errors import EvaluationError
 
 DIFFUSE = "diffuse_albedo"
 ALBEDOS = (DIFFUSE, "specular_albedo", "ambient_occlusion")

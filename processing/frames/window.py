@@ -42,7 +42,7 @@ class Window:
         return self.height <= 0 or self.width <= 0
 
     def inside(self, shape: tuple[int, int]) -> bool:
-        """Whether it lies wholly in a picture of (rows, columns)."""
+        """Whether it is wholly in a picture of (rows, columns)."""
         return (
             self.top >= 0
             and self.left >= 0

@@ -1,4 +1,4 @@
-"""The lamps that processing reckons with: as measured where a session says so, else the rig's."""
+"""The lamps that processing uses: as measured where a session has that, else the rig's."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def session_lamps(session: Session) -> Lamps:
 
 
 def nominal_lamps(rig: Rig, full: np.ndarray | None = None) -> Lamps:
-    """The lamps as a rig says, on the scale of formats.environment.stage_lights.
+    """The lamps as in a rig, on the scale of formats.environment.stage_lights.
 
     Args:
         rig: the lights.

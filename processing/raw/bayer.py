@@ -1,6 +1,6 @@
 """The demosaic's rows: compiled, one thread, buffers of eight rows each that stay in the cache.
 
-Every loop runs over one row without a branch, so that it is vectorised. Row r of a buffer lies at
+Every loop runs over one row without a branch, so that it is vectorised. Row r of a buffer is at
 r modulo eight.
 """
 

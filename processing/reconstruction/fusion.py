@@ -15,7 +15,7 @@ from processing.reconstruction.consistency import Points
 from processing.reconstruction.settle import settled
 
 SOME = 4
-"""Of so many points one is asked which part of a mesh rests on one view."""
+"""One of so many points is tested for the part of a mesh that rests on one view."""
 MIN_POINTS = 500
 """Fewer points make no surface."""
 
@@ -41,7 +41,7 @@ def fuse(points: Points, config: ReconstructConfig) -> Mesh:
         config: cell width and trimming distance.
 
     Returns:
-        One connected mesh, oriented outward; holes where no point lies within `trim_mm` are kept.
+        One connected mesh, oriented outward; holes where no point is within `trim_mm` are kept.
 
     Raises:
         ReconstructionError: too few points.
@@ -112,7 +112,7 @@ def alone_share(mesh: Mesh, points: Points) -> float:
 
     Args:
         mesh: fused from the points.
-        points: of which every SOME-th is asked.
+        points: of which every SOME-th is tested.
     """
     from scipy.spatial import cKDTree
 

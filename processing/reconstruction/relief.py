@@ -151,7 +151,7 @@ def solve(
 ) -> np.ndarray:
     """The least-squares shift d: sum over links (d' - d + miss)^2 + weight * sum d^2.
 
-    Conjugate gradients, each pixel scaled by its own weight: staying weighs so much that forty
+    Conjugate gradients, each pixel scaled by its own weight: staying has so much weight that forty
     steps are enough, each a fraction of what a transform of the picture takes.
 
     Args:

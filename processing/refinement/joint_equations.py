@@ -1,4 +1,4 @@
-"""One pixel's normal equations and what they tell, for `joint_kernels`."""
+"""One pixel's normal equations and their solution, for `joint_kernels`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 MOST_TURN2 = 1e6
-"""A larger mean squared turn, rad^2, is told as this: such a normal is noise alone."""
+"""A larger mean squared turn, rad^2, is reported as this: such a normal is noise alone."""
 
 
 class Spread(NamedTuple):

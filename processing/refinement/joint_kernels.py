@@ -220,7 +220,7 @@ def evidence_kernel(
             ss -= b[p, 1] * free[p, 1]
             sm -= b[p, 1] * free[p, 2]
             mm -= b[p, 2] * free[p, 2]
-        # What no gloss explains is shadow, hair or motion: such a pixel has little to say.
+        # What no gloss explains is shadow, hair or motion: such a pixel has little evidence.
         outside = max(left2, 0.0) / (3 * patterns - 7)
         trust = 1 / (1 + outside / 9) ** 2
         if not (ss > 0 and mm >= 0 and math.isfinite(s_left + m_left + sm)):

@@ -188,7 +188,7 @@ def pixel_kernel(
     maps: Maps,
     done: np.ndarray,
 ) -> None:
-    """Solve and finish the mask's pixels between safe nodes; (n,) `done` says which."""
+    """Solve and finish the mask's pixels between safe nodes; (n,) `done` marks them."""
     patterns = photos.bits.shape[0]
     height, width = picture.mask.shape
     step = nodes.step

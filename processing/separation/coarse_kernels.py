@@ -2,7 +2,7 @@
 
 Each row of blocks (some pixels square) is one task, so that sums over blocks need no lock. A run of
 pixels is loaded eight at a time: eight patterns of eight readings each are turned by the processor,
-so that a pixel's patterns lie beside each other.
+so that a pixel's patterns are beside each other.
 """
 
 from __future__ import annotations

@@ -269,7 +269,7 @@ def store_eight(
     at: int,
     maps: Maps,
 ) -> None:
-    """Keep eight pixels that lie beside each other in the maps."""
+    """Keep eight pixels that are beside each other in the maps."""
     red, green = load(kept, base), load(kept, base + TILE)
     store_triples(
         maps.normal.reshape(maps.normal.size), 3 * at, red, green, load(kept, base + 2 * TILE)

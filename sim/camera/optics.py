@@ -157,7 +157,7 @@ def defocus(light: np.ndarray, radius_px: np.ndarray) -> np.ndarray:
         )
         layer = light[part] * share[part][..., None]
         if index > 0:
-            # What lies beyond the edge is like what lies at it: a flat field stays flat.
+            # What is beyond the edge is like what is at it: a flat field stays flat.
             layer = cv2.filter2D(layer, -1, _disc(float(radii[index])), borderType=EDGE)
         out[part] += layer
     return out

@@ -145,13 +145,13 @@ class ForeignWorld(ReferenceWorld):
             together = max(1, CHUNK // max(len(some), 1))
             for start in range(0, len(lit), together):
                 group = lit[start : start + together]
-                leaves = self._asked(some, group, bsdf)
+                leaves = self._evaluated(some, group, bsdf)
                 shares = (weights[:, group] * strength[group, None]).astype(np.float32)
                 for channel in range(3):
                     out[:, part, channel] += shares[:, :, channel] @ leaves[channel]
         return out
 
-    def _asked(self, points: Points, group: np.ndarray, bsdf: Any) -> np.ndarray:
+    def _evaluated(self, points: Points, group: np.ndarray, bsdf: Any) -> np.ndarray:
         """(3, k, n) light of n points under each of k lamps by itself, of unit intensity."""
         mi = mitsuba(LLVM)
         import drjit

@@ -48,7 +48,7 @@ def region_map(name: str, rows: int, columns: int) -> np.ndarray:
 
 
 def tile_rows_columns(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where texel centres lie on the vertex grid: (rows,) rows and (columns,) columns of it."""
+    """Where texel centres are on the vertex grid: (rows,) rows and (columns,) columns of it."""
     u, v = texel_uv(rows, columns)
     return (1 - v) * ROWS, u * COLUMNS
 

@@ -11,7 +11,7 @@ SAME_SURFACE_MM = 4.0
 
 @numba.njit(cache=True, inline="always")
 def _faces(position: np.ndarray, normal: np.ndarray, light: np.ndarray) -> bool:
-    """Whether a light stands above a point's horizon."""
+    """Whether a light is above a point's horizon."""
     x, y, z = light[0] - position[0], light[1] - position[1], light[2] - position[2]
     return x * normal[0] + y * normal[1] + z * normal[2] > 0.0
 

@@ -44,7 +44,7 @@ class World:
             subject: who sits in the stage.
             rig: lights and cameras.
             progress: counts cameras.
-            lamps: in the rig's order; what the rig says of them where absent.
+            lamps: in the rig's order; the rig's own data of them where absent.
             samples: rays a pixel and side at silhouettes and depth edges: 1 draws them in steps,
                 3 casts nine rays in every such pixel of a photograph, which then shows the mean.
         """

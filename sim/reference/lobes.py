@@ -2,7 +2,7 @@
 
 Skin is a rough dielectric of n = 1.4 over a layer that scatters. Mitsuba's diffuse part is
 K T(v) T(l) albedo / pi, its T tabulated: the share of light that the facets seen from a direction
-let through, n = 1.4. K stands for what the inside mirrors back, and is not what conserves energy
+let through, n = 1.4. K is what the inside mirrors back, and is not what conserves energy
 for a rough interface: K times the mean of T is .97 at m = .1 and .88 at m = .3. We keep T and
 scale the lobe so that all light that entered leaves again where the albedo is one:
 

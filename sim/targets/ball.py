@@ -1,4 +1,4 @@
-"""Balls: a grey one that shows each lamp's light, a mirror that shows where each lamp stands."""
+"""Balls: a grey one that shows each lamp's light, a mirror that shows where each lamp is."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def highlights_mm(ball: Ball, camera: Camera, lamps_mm: np.ndarray) -> np.ndarra
         lamps_mm: (m, 3) places of the lamps.
 
     Returns:
-        (m, 3) places on the ball, NaN where camera or lamp lies below the horizon there.
+        (m, 3) places on the ball, NaN where camera or lamp is below the horizon there.
     """
     to_camera = camera.centre_mm - ball.centre_mm
     to_lamp = np.asarray(lamps_mm, float) - ball.centre_mm

@@ -156,7 +156,7 @@ class FirmwareProtocol(LedProtocol):
         self._bench.clock(int(1e3 * self._clock()))
 
     def _told(self) -> np.ndarray:
-        told = self._shining.told
+        told = self._shining.reported
         if self.lies > 0:
             self.lies -= 1
             told = np.bitwise_xor(told, 1)

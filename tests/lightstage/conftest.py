@@ -30,7 +30,7 @@ UNTOLD = [
     *("serial", "mode", "iso", "white_balance", "image_format", "focus"),
     *("owner", "artist", "copyright", "place"),
 ]
-"""What libgphoto2's virtual camera cannot tell."""
+"""What libgphoto2's virtual camera cannot report."""
 
 CRC = Calculator(Crc16.IBM_3740, optimized=True)
 BALL_PX = 13.0

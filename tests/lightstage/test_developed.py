@@ -120,7 +120,7 @@ def plain_srgb(value):
 def test_without_a_profile_values_are_srgb_in_all_their_bits(tmp_path, dtype, write):
     codes = ramp(dtype)
     found = read(tmp_path, write(codes))
-    assert (found.bits, found.told, found.profile) == (8 * codes.itemsize, False, "sRGB")
+    assert (found.bits, found.has_profile, found.profile) == (8 * codes.itemsize, False, "sRGB")
     expected = plain_srgb(codes / np.iinfo(dtype).max)
     np.testing.assert_allclose(found.rgb, expected, atol=1e-6)
     assert found.clipped == 0
@@ -131,7 +131,7 @@ def test_a_profile_says_what_values_mean(tmp_path, kind):
     codes = ramp()
     write = {"png": png, "tiff": tiff, "jpeg": jpeg}[kind]
     found = read(tmp_path, write(codes, profile=icc()))
-    assert (found.told, found.profile) == (True, "Made here")
+    assert (found.has_profile, found.profile) == (True, "Made here")
     light = (codes / 255.0) ** 2.19921875
     expected = light @ np.array(ADOBE) @ np.linalg.inv(np.array(SRGB))
     np.testing.assert_allclose(found.rgb, expected, atol=0.03 if kind == "jpeg" else 1e-3)

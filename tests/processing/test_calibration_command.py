@@ -20,7 +20,6 @@ from lightstage.session import read_calibration
 from processing.__main__ import app
 from processing.calibration.ball import rays_through, sphere_hits
 from processing.calibration.colour.chart import chart_places_mm, find_chart
-from processing.calibration.colour.flat_file import read_flats
 from processing.calibration.colour.white import white_at
 from processing.calibration.folder import read_source
 from processing.calibration.picture import read_mosaic
@@ -29,6 +28,7 @@ from processing.colour import read_colour
 from processing.decode.stage import DecodeConfig, decode
 from processing.errors import ProcessingError
 from processing.frames.read import read_frames
+from processing.raw.flat_file import read_flats
 from sim.camera.flaws import PRESETS
 from sim.camera.optics import make_lens
 from sim.light.lamps import LampConfig, lamps_of

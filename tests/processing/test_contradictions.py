@@ -132,7 +132,7 @@ def test_force_is_an_option_of_run_and_separate(tmp_path):
     for command in (["run", *args, "--until", "decode"], ["separate", *args]):
         refused = runner.invoke(app, command)
         assert isinstance(refused.exception, FormatError), refused.output
-        assert "--force goes on" in str(refused.exception)
+        assert "--force continues" in str(refused.exception)
     done = runner.invoke(app, ["run", *args, "--until", "decode", "--force"])
     assert done.exit_code == 0, done.output
     report = json.loads((tmp_path / "OUT" / "report.json").read_text())

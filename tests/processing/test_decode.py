@@ -17,7 +17,6 @@ from lightstage.formats.exr import write_exr
 from lightstage.formats.files import sha256_file
 from lightstage.formats.mesh import Mesh, write_ply
 from lightstage.formats.session import Session, load_session
-from processing.calibration.colour.flat_file import FlatField, write_flats
 from processing.decode.files import CameraJob, lookers
 from processing.decode.session_photographs import Photograph
 from processing.decode.stage import DecodeConfig, decode
@@ -25,6 +24,7 @@ from processing.errors import ProcessingError
 from processing.frames.drafts import BLUE, GREEN, NOT_A_NUMBER, RED
 from processing.frames.read import Frames, read_foreground, read_frames
 from processing.frames.window import Window, whole
+from processing.raw.flat_file import FlatField, write_flats
 from processing.raw.region import find_window, mesh_window, preview
 from tests.processing.lit_ball import small_rig
 from tests.processing.made_raw import (
@@ -238,7 +238,7 @@ def test_exposures_that_no_file_tells_are_said_to_be_taken_as_equal(
         text = (root / "session.json").read_text()
         (root / "session.json").write_text(text.replace(old, sha256_file(path)))
     _, facts = decoded(root, tmp_path / "out")
-    assert any("cam0: no photograph tells its exposure" in said for said in facts["warnings"])
+    assert any("cam0: no photograph has its exposure" in said for said in facts["warnings"])
 
 
 @pytest.mark.parametrize("exposure", [None, (1.0, 6400, 2.0)])

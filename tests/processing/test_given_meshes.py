@@ -132,7 +132,7 @@ def test_faces_that_look_inward_are_turned_and_told(tmp_path: Path) -> None:
     points = on_surface(shape, 300, np.random.default_rng(0))
     path = write_obj(Mesh(shape.vertices, shape.faces[:, ::-1]), tmp_path / "head.obj")
     found = given_mesh(path, CAMERAS, points)
-    assert found.warnings == ["the faces of head.obj looked inward and were turned"]
+    assert found.warnings == ["the faces of head.obj pointed inward and were turned"]
     np.testing.assert_array_equal(found.mesh.faces, shape.faces)
     kept = given_mesh(write_obj(shape, tmp_path / "other.obj"), CAMERAS, points)
     assert kept.warnings == []
@@ -230,7 +230,7 @@ def test_a_run_takes_a_given_mesh_and_occluders_from_one_camera_alone(
     done = run_command("processing", *words, "--mesh", path, "--occluders", others)
     assert done.code == 0, done.err
     # What a stage warns of is told when it ran, and not again.
-    assert "warning: reconstruct: whether ball.ply lies where the photographs" in done.err
+    assert "warning: reconstruct: whether ball.ply is where the photographs" in done.err
     folder = ProcessedFolder(out)
     np.testing.assert_allclose(read_ply(folder.base_mesh).vertices, mesh.vertices)
     assert folder.occluders.is_file()

@@ -85,7 +85,7 @@ def test_a_session_of_full_alone_becomes_a_mesh_and_says_what_it_is(
     facts = told["stages"]["reconstruct"]
     assert facts["normals"] == "none: pictures alone"
     assert facts["alone_share"] == 0
-    assert any("full: lights that tell no normals" in said for said in told["warnings"])
+    assert any("full: lights that give no normals" in said for said in told["warnings"])
     assert "none: pictures alone" in (out / "report.html").read_text()
     # A pixel is a millimetre wide; of the skin a third is seen by one camera or none.
     errors = evaluate(out, truth_path(session))["base_mesh"]

@@ -17,8 +17,8 @@ from lightstage.patterns import SEQUENCES
 from processing.decode.diagnosis import read_diagnosis
 from processing.decode.diagnosis_page import grid, light_section, signed
 from processing.decode.preparation import PrepareConfig, prepare_view, prepare_warnings
-from processing.decode.shrinking import shrunk
 from processing.decode.subject_motion import Flow, monomials, solve_pair, warp
+from processing.frames.small import shrunk
 from processing.report import Picture, Table
 from tests.processing import lit_ball
 from tests.processing.lit_ball import PATTERNS, Ball

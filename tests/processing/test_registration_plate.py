@@ -9,11 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lightstage.formats.mesh import Mesh
-from processing.registration.contradictions import contradicted
-from processing.registration.laplacian import cotangent_laplacian
+from processing.laplacian import cotangent_laplacian
 from processing.registration.matches import GateConfig, Matcher
 from processing.registration.nonrigid import NonrigidConfig, fit_nonrigid, hovering
-from processing.registration.plate import Plate, PlateConfig, Springs
+from processing.registration.plate import Plate, PlateConfig, Springs, contradicted
 from processing.registration.target import Target
 from tests.processing.shapes import ellipsoid, ellipsoid_template, refined, warp
 

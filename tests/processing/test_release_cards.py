@@ -18,7 +18,7 @@ from lightstage.errors import ConfigError, LightstageError
 from lightstage.formats.files import sha256_file
 from processing.dataset import About, Answers, PublishConfig, Store, build_store, open_store
 from processing.dataset.about import NEEDED, read_about
-from processing.dataset.groups import FEWEST, told
+from processing.dataset.groups import FEWEST, published_counts
 from processing.dataset.scan import AGE_BANDS, OLDEST, SEXES, age_band
 from tests.processing.releases import ABOUT, ABOUT_FILE, SMALL, Make, publish, small_store
 
@@ -159,7 +159,7 @@ def test_no_group_of_fewer_than_five_follows_from_what_is_told(groups: int, most
     for counts in itertools.product(range(most + 1), repeat=groups):
         if not FEWEST <= sum(counts) <= most:
             continue  # Of fewer than five people the total tells it.
-        shown = told(dict(zip("abcd", counts, strict=False)))
+        shown = published_counts(dict(zip("abcd", counts, strict=False)))
         assert all(count % FEWEST == 0 < count for count in shown.values())
         alike.setdefault((sum(counts), tuple(sorted(shown.items()))), []).append(counts)
     for (total, shown), tables in alike.items():
@@ -171,7 +171,7 @@ def test_no_group_of_fewer_than_five_follows_from_what_is_told(groups: int, most
 
 @given(st.lists(st.integers(0, 1000), max_size=8))
 def test_groups_that_are_told_hold_everybody_and_five_or_more(counts: list[int]) -> None:
-    shown = told({f"g{index}": count for index, count in enumerate(counts)})
+    shown = published_counts({f"g{index}": count for index, count in enumerate(counts)})
     groups = [name.replace(" or ", ", ").split(", ") for name in shown]
     everyone = [name for names in groups for name in names]
     assert not shown or everyone == [f"g{index}" for index in range(len(counts))]

@@ -90,7 +90,7 @@ def first_poses(
 
     Returns:
         Camera to (4, 4) camera from reference, cameras that share no board with it left out; and
-        shot to (4, 4) reference from board. The reference itself stands at the identity, first.
+        shot to (4, 4) reference from board. The reference itself is the identity, and first.
     """
     poses = {(s.camera, s.shot): board_poses_of(s, corners_mm, *lenses[s.camera]) for s in sights}
     poses = {key: found for key, found in poses.items() if found}

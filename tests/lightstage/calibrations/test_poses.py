@@ -9,7 +9,7 @@ from lightstage.calibrations.assistant import TerminalAssistant, UnattendedAssis
 from lightstage.calibrations.config import KIND_NAMES, CalibrationConfig
 from lightstage.calibrations.folder import latest, newest_unfinished
 from lightstage.calibrations.kinds import KINDS
-from lightstage.calibrations.reasons import told_together
+from lightstage.calibrations.reasons import joined
 from lightstage.calibrations.run import begin_shots, resume_shots, take_poses
 from lightstage.errors import CaptureError, ConfigError, FormatError
 from lightstage.findings import Finding
@@ -37,10 +37,11 @@ def begin(bench, small_stage, tmp_path):
 
 def test_a_first_pose_speaks_of_none_before_it(small_stage):
     for kind in KINDS.values():
-        assert "before." not in kind.asks(small_stage, 0)
-        assert "than before" not in kind.asks(small_stage, 0)
-    assert "on another spot than before" in KINDS["mirror"].asks(small_stage, 1)
-    assert "tilted another way than before, and keep" in KINDS["charuco"].asks(small_stage, 1)
+        assert "before." not in kind.instruction(small_stage, 0)
+        assert "than before" not in kind.instruction(small_stage, 0)
+    assert "on another spot than before" in KINDS["mirror"].instruction(small_stage, 1)
+    tilted = KINDS["charuco"].instruction(small_stage, 1)
+    assert "tilted another way than before, and keep" in tilted
 
 
 @pytest.mark.parametrize("kind", KIND_NAMES)
@@ -289,7 +290,7 @@ def test_what_takes_showed_is_said_once_with_its_takes():
 
     takes = [[board("cam1", "9 corners")], [board("cam1", "8 corners")], []]
     takes[2] = [*takes[0], board("cam2", "none")]
-    assert told_together(takes) == (
+    assert joined(takes) == (
         "cam1: 9 corners (takes 1, 3), 8 corners (take 2); cam2: none (take 3)",
         "28",
         "Turn it.",

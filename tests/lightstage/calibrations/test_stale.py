@@ -89,7 +89,7 @@ def test_a_missing_kind_is_refused_by_name_with_the_way_out(bench, small_stage, 
     assert (finding.severity, finding.code) == ("refuse", "calibration-missing")
     assert str(finding) == (
         f"calibration chart: found no finished shots in {lab}, expected some. Take them again "
-        "(lightstage calibrate chart), or go on without the cameras' colours "
+        "(lightstage calibrate chart), or continue without the cameras' colours "
         "(--allow-stale chart)."
     )
 
@@ -134,7 +134,7 @@ def test_a_changed_camera_ends_what_rests_on_that_setting_at_once(bench, lab, sm
     assert {f.where.split()[1] for f in findings} == kinds
     assert {f.code for f in findings} == ({code} if code else set())
     for finding in findings:
-        assert f"cam1 with {name} {value or 'not told'}" in finding.found
+        assert f"cam1 with {name} {value or 'not known'}" in finding.found
 
 
 def test_what_is_other_of_many_cameras_is_one_line_a_kind(bench, lab, small_stage):
@@ -301,7 +301,7 @@ def test_a_lab_is_listed_in_plain_words(bench, lab, small_stage):
             "-20260302T120000Z",
             "unfinished",
             "1 of 1 pose, begun 7 days ago; calibrate chart with --resume and its other options "
-            "goes on",
+            "resumes them",
         ),
         ("chart", day, "holds", "8 days old, holds 6 days more"),
         ("dark", day, "expired", "8 days old, expired 24 hours ago"),

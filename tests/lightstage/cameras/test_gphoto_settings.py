@@ -24,7 +24,7 @@ def opened():
 def test_a_nikon_tells_all_but_its_place(fake):
     fake.make_body("6001", settings={"datetime": int(time.time()) - 3600, "ownername": "Me"})
     _, told = opened()
-    assert told.untold() == ["place"]
+    assert told.not_readable() == ["place"]
     assert (told.serial, told.model, told.firmware) == ("6001", "Nikon DSC D750", "V1.12")
     assert (told.mode, told.iso, told.shutter, told.aperture) == ("M", "100", "1/60", "f/8")
     assert (told.image_format, told.focus) == ("NEF (Raw)", "Manual")

@@ -67,7 +67,7 @@ def test_who_a_camera_is_must_be_told_or_allowed_by_name(small_rig):
     allowed = [*BUT_NAMES, "iso"]
     unknown = [Summary(serial=None, model=None)]
     (problem,) = summary_problems(small_rig.cameras[:1], unknown, allowed)
-    assert "camera cam0, serial, model: found not verifiable: the camera cannot tell" in str(
+    assert "camera cam0, serial, model: found not verifiable: the camera cannot report it" in str(
         problem
     )
     assert summary_problems(small_rig.cameras[:1], unknown, VERIFIABLE) == []

@@ -60,7 +60,7 @@ def test_it_says_what_it_can_and_what_it_cannot(cameras):
     assert told.battery_percent == 50.0
     assert told.card_free_bytes > 0
     assert abs(told.clock_offset_s) < 60
-    assert told.untold() == [
+    assert told.not_readable() == [
         *("serial", "mode", "iso", "white_balance", "image_format", "focus"),
         *("owner", "artist", "copyright", "place"),
     ]
@@ -197,4 +197,4 @@ def test_a_camera_that_cannot_tell_its_serial_is_not_bound_by_it(virtual, monkey
     assert "4 problems" in said
     for camera in small_rig.cameras:
         assert f"camera {camera.id}, serial: found not connected" in said
-    assert "port usb:001,001, serial: found a camera that cannot tell it" in said
+    assert "port usb:001,001, serial: found a camera that cannot report it" in said

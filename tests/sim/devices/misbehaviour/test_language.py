@@ -166,7 +166,9 @@ def test_every_name_and_field_is_in_the_documentation_and_its_example_is_read(tm
     text = (Path(__file__).parents[4] / "docs" / "faults.md").read_text()
     rows = dict(re.findall(r"^\| `([\w-]+)` \| ((?:once|lasts) .*) \|$", text, re.MULTILINE))
     for name, known in NAMES.items():
-        assert rows[name].startswith(f"{'lasts' if known.lasts else 'once'} | {known.says} |"), name
+        assert rows[name].startswith(f"{'lasts' if known.lasts else 'once'} | {known.effect} |"), (
+            name
+        )
         for field in known.fields:
             assert f"`{field}`" in rows[name], (name, field)
     assert set(rows) == set(NAMES)

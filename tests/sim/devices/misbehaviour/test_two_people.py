@@ -13,7 +13,7 @@ from lightstage.errors import FormatError
 from lightstage.exif import read_exif
 from lightstage.preflight import PreflightConfig
 from lightstage.session import SessionWriter
-from sim.camera.exposure import told_by
+from sim.camera.exposure import with_exposure
 from sim.devices.faults import Fault
 
 HOURS = 3 * 3600.0
@@ -83,7 +83,7 @@ def pretend_older(standing):
     """Have the picture on cam0's card say that it was taken a minute before it was."""
     (path,) = (standing.coded.cameras.folder("cam0") / "card").glob("*.DNG")
     taken = read_exif(path).taken - datetime.timedelta(minutes=1)
-    path.write_bytes(told_by(path.read_bytes(), taken=taken.strftime("%Y:%m:%d %H:%M:%S")))
+    path.write_bytes(with_exposure(path.read_bytes(), taken=taken.strftime("%Y:%m:%d %H:%M:%S")))
 
 
 def test_a_clock_that_is_set_in_the_middle_refuses_no_picture(stage):

@@ -1,4 +1,4 @@
-"""How unlike two colours look: CIELAB and its colour difference of the year 2000."""
+"""Perceived difference of two colours: CIELAB and its colour difference of the year 2000."""
 
 from __future__ import annotations
 
