@@ -38,6 +38,8 @@ SCHEMA = "lightstage.experiment.report/1"
 REPORT, FACTS, SHEET = "report.md", "report.json", "albedo.png"
 PAPER = "paper (another data set, another size)"
 NOT_DISTINGUISHED = "not distinguished"
+LEAST_SEEDS, LEAST_PEOPLE = 3, 5
+"""Below these a report says that its intervals are too narrow."""
 WANTED_GAIN = 0.3
 """By which the last published step is to be below the first."""
 NAMES = {
@@ -188,7 +190,8 @@ def _at(
             cells += [_difference(pair[name]) for name in _COMPARED]
             lines.append(_row([*cells, str(pair["seeds"]), str(pair["people"])]))
         lines.append("")
-    lines += [f"- {sentence}" for sentence in _sentences(budget, settings)]
+    few = _too_few(max(len(s.whole) for s in settings), len(people))
+    lines += [f"- {sentence}" for sentence in [*few, *_sentences(budget, settings)]]
     lines += [f"- {sentence}" for sentence in _tones(settings)] + [""]
     plot = f"{REFLECTANCE}-{budget}.svg"
     columns = [_column(setting) for setting in settings]
@@ -214,8 +217,22 @@ def _compared(one: Setting, other: Setting) -> dict[str, Any]:
     return found
 
 
+def _too_few(seeds: int, people: int) -> list[str]:
+    """What intervals over few seeds or people do not include."""
+    said = []
+    if seeds < LEAST_SEEDS:
+        said.append(
+            f"{counted(seeds, 'seed')}: the intervals hardly include what another seed would give, "
+            "so that a difference which they tell from zero may be the seed's."
+        )
+    if people < LEAST_PEOPLE:
+        named = counted(people, "person", "people")
+        said.append(f"{named} held out: the intervals are too narrow for people in general.")
+    return said
+
+
 def _sentences(budget: str, settings: list[Setting]) -> list[str]:
-    """What the issue of each experiment is, in words."""
+    """What a reader of the paper asks first, in words."""
     by_name = {setting.variant.name: setting for setting in settings}
     said = []
     first, last = by_name.get("four"), by_name.get(LAST_PUBLISHED)

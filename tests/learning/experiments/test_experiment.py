@@ -77,6 +77,8 @@ def test_a_second_call_finds_all_done_and_the_report_can_be_written_without_data
     said = (finished / "report.md").read_text()
     assert "| single network | 80 |" in said
     assert "another data set, another size" in said
+    assert "1 seed: the intervals hardly include what another seed would give" in said
+    assert "1 person held out: the intervals are too narrow" in said
     assert "| `modern`, network alone | single network |" in said
     assert (finished / "reflectance-steps.svg").is_file()
     assert json.loads((finished / "report.json").read_text())["budgets"][STEPS]["settings"]
