@@ -101,7 +101,7 @@ def mirrored(cosine: float, roughness: float, tails: bool = False, steps: int = 
 
 
 def smith(cosine: np.ndarray, roughness: float, tails: bool = False) -> np.ndarray:
-    """Smith's Lambda, exact for GGX, the rational fit for Beckmann."""
+    """Smith's Lambda at (...) cosines, exact for GGX, the rational fit for Beckmann."""
     sine = np.sqrt(np.maximum(1 - cosine**2, 1e-12))
     if tails:
         return np.asarray((np.sqrt(1 + (roughness * sine / cosine) ** 2) - 1) / 2)
@@ -121,7 +121,7 @@ def row_of(roughness: float, rows: int) -> tuple[int, float]:
 
 @njit(cache=True, inline="always")
 def let_through(table: np.ndarray, row: int, part: float, cosine: float) -> float:
-    """T at a place of the table."""
+    """T at a place of the (rows, columns) table."""
     steps = table.shape[1] - 1
     place = min(max(cosine, 0.0), 1.0) * steps
     column = min(steps - 1, int(place))

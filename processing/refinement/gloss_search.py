@@ -121,7 +121,7 @@ def solve_some(
     around: Scattered,
     config: RefineConfig,
 ) -> Solved:
-    """One step for some of a view's pixels, from their own normals and light that wanders."""
+    """One step for (n,) some of a view's pixels, from (n, 3) normals and light that wanders."""
     return solve_jointly(given_of(scene, view, some, start, around, config.noise), rounds=1)
 
 

@@ -74,9 +74,9 @@ def light_of(
     interface: Interface,
 ) -> tuple[np.ndarray, np.ndarray]:
     """E and B, the lobe of lamps of whose mirror reflection only a share arrives."""
-    told = (points, normals, views, roughness, shadows, interface)
+    stated = (points, normals, views, roughness, shadows, interface)
     seen = dataclasses.replace(LIGHTS, weight=LIGHTS.weight * mirrored)
-    return transport(LIGHTS, *told)[0], transport(seen, *told)[1]
+    return transport(LIGHTS, *stated)[0], transport(seen, *stated)[1]
 
 
 def skin(

@@ -48,8 +48,8 @@ def test_every_photograph_is_lit_intended_exposed_and_kept_in_this_order(bench):
 def test_the_light_is_confirmed_after_each_exposure_and_before_its_download(bench):
     bench.run()
     for camera in bench.cameras:
-        for place, said in enumerate(bench.log):
-            if said == f"download {camera.id}":
+        for place, message in enumerate(bench.log):
+            if message == f"download {camera.id}":
                 before = bench.log[:place]
                 trigger = len(before) - before[::-1].index(f"trigger {camera.id}")
                 assert "confirm" in before[trigger:]
@@ -110,7 +110,7 @@ def test_without_acknowledgement_no_camera_is_triggered(bench):
     bench.lights.fail["light"] = (1, 99, lost)
     with pytest.raises(CaptureError, match="another boot id"):
         bench.run()
-    assert not [said for said in bench.log if said.startswith("trigger")]
+    assert not [text for text in bench.log if text.startswith("trigger")]
 
 
 def test_an_old_picture_is_never_kept_under_a_new_name(bench):
@@ -325,8 +325,8 @@ def test_a_camera_that_hung_takes_the_pattern_again_alone_and_nobody_is_asked(be
     assert report.retakes == camera.restarts == 1
     assert [each.shots for each in bench.cameras] == [3, 3, 4]
     assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.take2.dng"]
-    (told,) = bench.events("finding")
-    assert (told["code"], told["camera"]) == ("not-taken", "cam2")
+    (finding,) = bench.events("finding")
+    assert (finding["code"], finding["camera"]) == ("not-taken", "cam2")
 
 
 def test_a_camera_that_hangs_for_ever_is_asked_about_in_the_end(bench):
@@ -405,9 +405,10 @@ def test_a_full_disk_ends_the_capture_and_the_other_photographs_are_kept(bench):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("owner", "clears it on the camera"), ("iso", "sets it back on the camera")]
+    ("name", "message"),
+    [("owner", "clears it on the camera"), ("iso", "sets it back on the camera")],
 )
-def test_a_setting_that_the_key_r_mends_says_so(bench, name, said):
+def test_a_setting_that_the_key_r_mends_says_so(bench, name, message):
     camera = bench.cameras[1]
     changed = dataclasses.replace(camera.open(), **{name: "800"})
     camera.summary = lambda: camera.open() if "retake" in bench.log else changed
@@ -415,17 +416,17 @@ def test_a_setting_that_the_key_r_mends_says_so(bench, name, said):
     bench.run()
     hints = [line["hint"] for line in bench.events("finding") if line["code"] == "drift"]
     assert hints
-    assert all(hint == f"Taking it again (key r) {said} first." for hint in hints)
+    assert all(hint == f"Taking it again (key r) {message} first." for hint in hints)
 
 
 def test_a_setting_that_drifted_is_told_set_back_and_the_photograph_taken_again(bench):
     camera = bench.cameras[0]
-    told = camera.open()
-    camera.told = told
-    drifted = dataclasses.replace(told, white_balance="Auto")
+    found = camera.open()
+    camera.told = found
+    drifted = dataclasses.replace(found, white_balance="Auto")
 
     def summary():
-        return drifted if camera.shots == 2 and not camera.changed else told
+        return drifted if camera.shots == 2 and not camera.changed else found
 
     camera.changed = []
     camera.summary = summary
@@ -464,6 +465,6 @@ def test_a_camera_that_is_slow_but_within_the_grace_keeps_its_light(bench, monke
     bench.config = dataclasses.replace(bench.config, late_camera_grace_s=4.0)
     bench.cameras[2].faults[2] = "late"  # by a second
     bench.run()
-    (told,) = bench.events("waiting")
-    assert (told["pattern"], told["cameras"], told["lit"]) == ("x+", ["cam2"], True)
+    (finding,) = bench.events("waiting")
+    assert (finding["pattern"], finding["cameras"], finding["lit"]) == ("x+", ["cam2"], True)
     assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.dng"]

@@ -48,10 +48,10 @@ def test_an_operator_who_says_what_shines_finds_every_address():
     wires = shuffled_wires(rig, 3)
     lamps = Lamps(wires)
     right: set[int] = set()
-    told: list[str] = []
+    lines: list[str] = []
 
     def ask(_: str) -> str:
-        meant = int(re.findall(r"^Light (\d+)", told[-1])[0])
+        meant = int(re.findall(r"^Light (\d+)", lines[-1])[0])
         (shining,) = lamps.shining
         if shining == meant:
             right.add(meant)
@@ -61,7 +61,7 @@ def test_an_operator_who_says_what_shines_finds_every_address():
     saved = []
     with lamps.device as device:
         found = identify(
-            rig, device.url(20.0), ask, told_lights(told), saved.append, QUICK, level=0.5
+            rig, device.url(20.0), ask, told_lights(lines), saved.append, QUICK, level=0.5
         )
         assert device.dark
     assert [address.channel for address in found.addresses] == wires.tolist()
@@ -69,7 +69,7 @@ def test_an_operator_who_says_what_shines_finds_every_address():
     for each in saved:
         assert sorted(address.channel for address in each.addresses) == list(range(8))
     assert max(map(len, lamps.states)) == 1
-    assert told[0] == (
+    assert lines[0] == (
         "Light 0 (corner0), 1 of 8: 135 degrees to the left (behind the person), 35 degrees down; "
         "channel 0 of main"
     )
@@ -83,16 +83,16 @@ def told_lights(told):
 def test_a_channel_of_the_device_that_no_light_has_can_be_given():
     wires = np.arange(8)
     wires[2] = 11
-    lamps, answers, told = Lamps(wires), iter(["2", "c 11", "d", "c 99", "q"]), []
+    lamps, answers, stated = Lamps(wires), iter(["2", "c 11", "d", "c 99", "q"]), []
     with lamps.device as device:
         found = identify(
-            make_rig(), device.url(20.0), lambda _: next(answers), told.append,
+            make_rig(), device.url(20.0), lambda _: next(answers), stated.append,
             lambda _: None, QUICK, 1.0,
         )  # fmt: skip
     assert [address.channel for address in found.addresses] == wires.tolist()
     # Light 2's wire was free: its channel of before lights nothing.
     assert [state for state in lamps.states if state] == [[0], [2]]
-    assert "No channel 99: there are 12, counted from 0." in told
+    assert "No channel 99: there are 12, counted from 0." in stated
 
 
 def test_a_device_of_fewer_channels_than_the_rig_is_refused_before_a_light_goes_on():
@@ -104,17 +104,17 @@ def test_a_device_of_fewer_channels_than_the_rig_is_refused_before_a_light_goes_
 
 @pytest.mark.parametrize(("packet", "while_seen"), [(5, False), (6, True)])
 def test_a_device_that_was_reset_lights_the_next_lamp_again(packet, while_seen):
-    told: list[str] = []
+    lines: list[str] = []
     answers = iter(["", "", "", "q"])
     lamps = Lamps(np.arange(8), story=Story([Fault("reset", at=packet, seconds=0.0)]))
     with lamps.device as device:
         identify(
-            make_rig(), device.url(0.3), lambda _: next(answers), told.append,
+            make_rig(), device.url(0.3), lambda _: next(answers), lines.append,
             lambda _: None, QUICK, 1.0,
         )  # fmt: skip
         assert device.dark
         assert device.log.names() == ["reset"]
-    assert any("The light was lost" in line for line in told) == while_seen
+    assert any("The light was lost" in line for line in lines) == while_seen
     assert [state for state in lamps.states if state] == [[0], [1], [2], [3]]
 
 
