@@ -96,7 +96,7 @@ def experiment(
     with limited_access(group_of([data or out])), progress_bar("experiment") as progress:
         facts = experiment_command(request, progress, tell)
     if "prepared" in facts:
-        line = f"shadows of {counted(facts['prepared'], 'run')} are baked"
+        line = f"shadows of {facts['prepared']} of {counted(facts['to_prepare'], 'run')} are baked"
     elif "runs" not in facts:
         line = f"{counted(facts['finished'], 'run')} finished; {facts['report']}"
     else:

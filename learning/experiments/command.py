@@ -29,7 +29,7 @@ from learning.experiments.work import (
 )
 from lightstage.commands import ProgressCallback
 from lightstage.counting import counted
-from lightstage.errors import ConfigError, one_error
+from lightstage.errors import ConfigError, LightstageError, one_error
 from lightstage.formats.config import as_dict, make_config, read_toml
 from lightstage.formats.consents import require_consents
 from lightstage.formats.files import others_in, read_json, write_json
@@ -63,7 +63,7 @@ class ExperimentRequest:
         device: where networks run.
         stop_after: seconds after which no step is begun.
         scheduler: address of Dask's.
-        keep_weights: keep each run's network.
+        keep_weights: keep each run's network; those that are refined later are always kept.
         report: only write the report.
         prepare: only bake the shadows that the runs share.
         consents: registry.
@@ -119,10 +119,14 @@ def experiment_command(
     left = [order for order in orders if not order.finished]
     ended: list[str] = []
     if request.prepare:
-        for done, order in enumerate(_differing(left)):
-            prepare(order)
-            progress(done + 1, len(left))
-        return {"prepared": len(left), "seconds": time.monotonic() - began}
+        differing = _differing(left)
+        done = 0
+        while done < len(differing) and not differing[done].over():
+            prepare(differing[done])
+            done += 1
+            progress(done, len(differing))
+        seconds = time.monotonic() - began
+        return {"prepared": done, "to_prepare": len(differing), "seconds": seconds}
     tell(left_line(orders, left, request.jobs, config))
     reported = time.monotonic()
 
@@ -142,8 +146,16 @@ def experiment_command(
     failed = run_all(left, request.jobs, request.scheduler, one_ended, one_run)
     _write(request, orders[0].runs, experiment, config, notes)
     if failed:
-        raise one_error([error for _, error in failed])
+        raise _failure([error for _, error in failed])
     return _facts(orders, len(ended), began, request.out)
+
+
+def _failure(errors: list[Exception]) -> Exception:
+    """What a command whose runs failed ends with: a mistake of this software goes first."""
+    ours = [error for error in errors if not isinstance(error, LightstageError)]
+    # The same fault in fifty runs is told once.
+    told = {str(error): error for error in errors if isinstance(error, LightstageError)}
+    return ours[0] if ours else one_error(list(told.values()))
 
 
 def left_line(orders: list[Order], left: list[Order], jobs: int, config: ExperimentConfig) -> str:
@@ -314,6 +326,7 @@ def _orders(
     assert request.data is not None
     deadline = math.inf if request.stop_after is None else time.time() + request.stop_after
     stop = stop_file(request.out.resolve())
+    refined = {variant.refines for variant in EXPERIMENTS[request.name](config).variants}
     return [
         Order(
             request.data.resolve(),
@@ -325,7 +338,7 @@ def _orders(
             config,
             halves,
             request.device,
-            request.keep_weights,
+            request.keep_weights or variant.name in refined,
             deadline,
             stop,
         )

@@ -13,12 +13,12 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
 from typing import Any, TypeVar
 
 from learning.experiments.work import Order, one_run
-from lightstage.errors import ConfigError, LightstageError
+from lightstage.errors import ConfigError, MemoryLimitError
 from lightstage.interrupts import raise_on_signals
 
 STOP = ".stop"
@@ -39,8 +39,8 @@ def run_all(
     scheduler: str | None,
     ended: Callable[[Order, dict[str, Any]], None],
     work: Callable[[Order], dict[str, Any] | None] = one_run,
-) -> list[tuple[Order, LightstageError]]:
-    """Do all runs that are not finished; returns those that failed.
+) -> list[tuple[Order, Exception]]:
+    """Do all runs that are not finished; returns those that failed, and by what.
 
     A refinement is begun once the run whose network it refines is finished.
 
@@ -53,8 +53,9 @@ def run_all(
 
     Raises:
         ConfigError: no scheduler at this address.
+        MemoryLimitError: a process that was killed.
     """
-    failed: list[tuple[Order, LightstageError]] = []
+    failed: list[tuple[Order, Exception]] = []
     waiting = list(orders)
     begun: dict[Future[Any], Order] = {}
     room = jobs if scheduler is None else MOST_AT_ONCE
@@ -70,17 +71,27 @@ def run_all(
                 )
                 for future in over:
                     order = begun.pop(future)
-                    try:
+                    error = future.exception()
+                    if error is None:
                         ended(order, future.result() or {})
-                    except LightstageError as error:
+                    elif isinstance(error, BrokenExecutor) or not isinstance(error, Exception):
+                        raise error
+                    else:
                         failed.append((order, error))
-        except BaseException:
+        except BaseException as error:
             for future in begun:
                 future.cancel()
             for order in begun.values():
                 if order.stop is not None:
                     order.stop.touch()
-            raise
+            if not isinstance(error, BrokenExecutor):
+                raise
+            raise MemoryLimitError(
+                "experiment",
+                found="a run's process that was killed",
+                expected="processes that end by themselves",
+                hint="Does the memory hold so many --jobs? The same call goes on.",
+            ) from None
     return failed
 
 
@@ -115,7 +126,7 @@ class Here(Executor):
         future: Future[ResultT] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
-        except LightstageError as error:
+        except Exception as error:
             future.set_exception(error)
         return future
 

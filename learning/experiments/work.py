@@ -42,7 +42,7 @@ from learning.experiments.held_out import (
 )
 from learning.experiments.lights import NAMES, SIDE, TARGET
 from learning.experiments.people import Halves, of_variant, store_of, subject_of, tones_of
-from learning.experiments.variants import MODERN, Variant, training_of
+from learning.experiments.variants import Variant, training_of
 from learning.four.config import FourTrainConfig
 from learning.four.infer import infer_four
 from learning.four.networks import load_four_networks
@@ -337,11 +337,11 @@ def _write_picture(folder: Path, found: Measured, true: np.ndarray) -> None:
 
 
 def _tidy(order: Order) -> None:
-    """Keep the training's curves, and of its weights what is asked for or a refinement needs."""
+    """Keep the training's curves, and its weights where they are asked for."""
     training = order.folder / TRAINING
     if (training / METRICS).exists():
         shutil.copyfile(training / METRICS, order.folder / METRICS)
-    if order.keep_weights or order.variant.name == MODERN:
+    if order.keep_weights:
         for path in training.glob("training-*.safetensors"):
             path.unlink()
         return

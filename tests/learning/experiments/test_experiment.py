@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,7 @@ from learning.experiments.variants import EXPERIMENTS, STEPS, TIME, Variant, tra
 from learning.experiments.work import DONE, STOPPED, Order, one_run
 from learning.patch_config import TrainConfig
 from lightstage.commands import quiet
-from lightstage.errors import ConfigError, LightstageError
+from lightstage.errors import ConfigError, LightstageError, MemoryLimitError
 from processing.dataset import open_store
 
 TINY = sized("tiny", {"patch_px": 32}, "test")
@@ -354,6 +356,32 @@ def test_runs_that_fail_are_named_once_the_others_are_done(
     assert [order.variant.name for order, _ in ends] == ["single", "whole"]
 
 
+def killed(order: Order) -> dict:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return {}
+
+
+def broken(order: Order) -> dict:
+    raise ZeroDivisionError(order.name)
+
+
+def test_a_mistake_in_one_run_leaves_the_others_and_is_raised_as_it_is(
+    store_path: Path, tmp_path: Path
+) -> None:
+    orders = [order_of(store_path, tmp_path, name) for name in ("single", "whole")]
+    ends = run_all(orders, 1, None, lambda *_: None, broken)
+    assert len(ends) == 2
+    assert isinstance(command._failure([error for _, error in ends]), ZeroDivisionError)
+    same = [TrainingError("a store", found="nothing")] * 2
+    assert str(command._failure(list(same))) == str(same[0])
+
+
+def test_a_run_whose_process_is_killed_is_told_in_words(store_path: Path, tmp_path: Path) -> None:
+    order = order_of(store_path, tmp_path, deadline=0.0)
+    with pytest.raises(MemoryLimitError, match="process that was killed"):
+        run_all([order], 2, None, lambda *_: None, killed)
+
+
 def test_processes_do_the_runs(store_path: Path, tmp_path: Path) -> None:
     order = order_of(store_path, tmp_path, deadline=0.0)
     ends: list[str] = []
@@ -389,6 +417,6 @@ def test_nothing_is_trained_where_shadows_alone_are_asked_for(
     facts = run(
         asked("ladder", tmp_path / "out", store_path, only="occlusion,modern", prepare=True)
     )
-    assert facts["prepared"] == 2
+    assert (facts["prepared"], facts["to_prepare"]) == (2, 2)
     assert list((tmp_path / "out" / "shadows").glob("*.npz"))
     assert not (tmp_path / "out" / "runs").exists()
