@@ -17,8 +17,10 @@ from typing import Any, Literal
 from lightstage.counting import counted
 from lightstage.operator.attendance import Decision, possible_answers
 from lightstage.operator.words import (
+    TYPED,
     Mark,
     Said,
+    Ways,
     duration,
     names_of,
     number_of,
@@ -75,8 +77,12 @@ class Late:
 class View:
     """Told every line; several threads may tell and read.
 
-    Attributes:
+    Args:
         session: the session's folder, for what the operator may type.
+        ways: how the operator resumes and follows a capture.
+
+    Attributes:
+        session: as given.
         lock: held while it changes; hold it to read several things that belong together.
         patterns: names in order.
         cameras: by their names, in order.
@@ -84,6 +90,7 @@ class View:
         takes: number of the latest photograph by (pattern, camera), where it was taken again.
         done: patterns with all their photographs.
         pattern: what is lit; None in the dark.
+        shown: what was lit last; empty before the first light.
         lights: what the LED device told, as one line.
         acknowledged: whether it tells what is lit; None where it is not known.
         phase: what the capture does; ``asked`` waits, dark, for the operator's answer; ``gone`` was
@@ -91,11 +98,13 @@ class View:
         options: with which the capture goes on, as its journal tells them.
         late: what is known of cameras that the others wait for; None where there are none.
         question: what the operator is asked about; empty where nothing is asked.
+        asked: the pattern that the question is of; empty where nothing is asked.
         answers: what can be answered to it.
     """
 
-    def __init__(self, session: str = "SESSION") -> None:
+    def __init__(self, session: str = "SESSION", ways: Ways = TYPED) -> None:
         self.session = session
+        self._ways = ways
         self.lock = threading.RLock()
         self.who = ""
         self.patterns: list[str] = []
@@ -104,6 +113,7 @@ class View:
         self.takes: dict[tuple[str, str], int] = {}
         self.done: set[str] = set()
         self.pattern: str | None = None
+        self.shown = self.asked = ""
         self.lights = ""
         self.acknowledged: bool | None = None
         self._news: collections.deque[tuple[Said, str]] = collections.deque(maxlen=NEWS_KEPT)
@@ -174,7 +184,7 @@ class View:
 
     def told(self, line: Mapping[str, Any]) -> Said:
         """Take up a line; returns its words."""
-        words = said(line, self.session)
+        words = said(line, self.session, self._ways)
         with self.lock:
             self.options = options_of(line) or self.options
             number = number_of(line, "id")
@@ -215,7 +225,7 @@ class View:
         self._devices(line)
 
     def _resume(self, line: Mapping[str, Any]) -> None:
-        self.phase, self.question, self.answers = "running", [], ()
+        self.phase, self.question, self.asked, self.answers = "running", [], "", ()
         self.pattern = self._since_s = None
         self._forget(STOPPED)
         for camera in self.cameras.values():
@@ -258,6 +268,7 @@ class View:
             [each for each in told if isinstance(each, dict)] if isinstance(told, list) else []
         )
         self.question = [said({**each, "event": "finding"}) for each in findings]
+        self.asked = text_of(line, "pattern")
         self.answers = possible_answers(text_of(each, "code") for each in findings)
 
     def _late_over(self, line: Mapping[str, Any]) -> None:
@@ -267,7 +278,7 @@ class View:
             self._since_s += now_s - late_s
 
     def _answered(self, line: Mapping[str, Any]) -> None:
-        self.phase, self.question, self.answers = "running", [], ()
+        self.phase, self.question, self.asked, self.answers = "running", [], "", ()
         now_s, asked_s = number_of(line, "elapsed_s"), self._asked_s
         if now_s is not None and asked_s is not None and self._since_s is not None:
             self._since_s += now_s - asked_s  # thinking is no measure of what is left
@@ -288,6 +299,7 @@ class View:
         self._late_over(line)
         self.phase, self.late = "running", None
         self.pattern = text_of(line, "pattern") or None
+        self.shown = self.pattern or self.shown
         if isinstance(line.get("acknowledged"), bool):
             self.acknowledged = line["acknowledged"]
         if self._since_s is None:
@@ -372,7 +384,7 @@ class View:
         self._ends("complete" if text_of(line, "event") == "end" else "aborted")
 
     def _ends(self, phase: Phase) -> None:
-        self.phase, self.question, self.answers = phase, [], ()
+        self.phase, self.question, self.asked, self.answers = phase, [], "", ()
         self.pattern = self.late = None
         self._forget(FOLLOWING)  # nobody can any more
 

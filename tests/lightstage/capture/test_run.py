@@ -372,6 +372,27 @@ def test_the_operator_gets_the_last_pattern_again_for_asking(bench):
     )
 
 
+def test_a_pattern_that_is_named_is_taken_again_whatever_came_after_it(bench):
+    # Heard while x+ is taken: the one that the page showed.
+    bench.operator.wishes = [None] * 8 + ["retake full"]
+    bench.run()
+    twice = sorted(f"cam{i}{take}.dng" for i in range(3) for take in ("", ".take2"))
+    assert bench.kept("full") == twice
+    assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.dng"]
+
+
+def test_a_retake_that_is_wished_in_a_pause_comes_after_it(bench):
+    bench.operator.wishes = ["pause", None, "retake full", None, "resume"]
+    report = bench.run()
+    assert report.frames == 9
+    assert report.retakes == 3
+    events = bench.events("note", "rejected", "lit")
+    paused = next(i for i, line in enumerate(events) if "paused" in line.get("said", ""))
+    assert events[paused + 1]["event"] == "rejected"
+    lit = [line["pattern"] for line in events[paused:] if line["event"] == "lit"]
+    assert lit == ["full", "x+", "x-"]
+
+
 def test_photographs_stay_on_the_cameras_unless_the_lab_wants_otherwise(bench):
     bench.run()
     assert [len(camera.on_card) for camera in bench.cameras] == [3, 3, 3]
@@ -405,9 +426,9 @@ def test_a_full_disk_ends_the_capture_and_the_other_photographs_are_kept(bench):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("owner", "clears it on the camera"), ("iso", "sets it back on the camera")]
+    ("name", "said"), [("owner", "The field is cleared"), ("iso", "The setting is set back")]
 )
-def test_a_setting_that_the_key_r_mends_says_so(bench, name, said):
+def test_a_setting_that_either_answer_mends_says_so(bench, name, said):
     camera = bench.cameras[1]
     changed = dataclasses.replace(camera.open(), **{name: "800"})
     camera.summary = lambda: camera.open() if "retake" in bench.log else changed
@@ -415,7 +436,29 @@ def test_a_setting_that_the_key_r_mends_says_so(bench, name, said):
     bench.run()
     hints = [line["hint"] for line in bench.events("finding") if line["code"] == "drift"]
     assert hints
-    assert all(hint == f"Taking it again (key r) {said} first." for hint in hints)
+    assert all(
+        hint == f"{said} on the camera in any case: r then takes this photograph again, a keeps it."
+        for hint in hints
+    )
+
+
+def test_a_setting_that_drifted_is_set_back_where_the_photograph_is_accepted(bench):
+    camera = bench.cameras[0]
+    told = camera.open()
+    changed: list[tuple[str, str]] = []
+
+    def summary():
+        drifted = camera.shots >= 2 and not changed
+        return dataclasses.replace(told, iso="400") if drifted else told
+
+    camera.summary = summary
+    camera.change = lambda name, value: changed.append((name, value))
+    bench.operator.answers = ["accept"]
+    bench.run()
+    assert changed == [("iso", told.iso)]
+    assert len(bench.operator.asked) == 1  # the patterns after it are not in question
+    assert bench.kept("x+") == ["cam0.dng", "cam1.dng", "cam2.dng"]
+    assert [line["said"] for line in bench.events("note")].count("iso set back") == 1
 
 
 def test_a_setting_that_drifted_is_told_set_back_and_the_photograph_taken_again(bench):
