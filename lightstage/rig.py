@@ -244,9 +244,23 @@ class Rig:
         Args:
             channels: one of each light, in the rig's order.
         """
+        pairs = zip(self.addresses, channels, strict=True)
+        return self.readdressed(
+            [dataclasses.replace(each, channel=int(channel)) for each, channel in pairs]
+        )
+
+    def readdressed(self, addresses: Sequence[LightAddress]) -> Rig:
+        """The same rig with another controller and channel of each light.
+
+        Args:
+            addresses: of each light, in the rig's order.
+        """
         lights = tuple(
-            dataclasses.replace(light, address=dataclasses.replace(address, channel=int(channel)))
-            for light, address, channel in zip(self.lights, self.addresses, channels, strict=True)
+            dataclasses.replace(
+                light,
+                address=LightAddress(new.channel, new.controller, own.more),
+            )
+            for light, own, new in zip(self.lights, self.addresses, addresses, strict=True)
         )
         return dataclasses.replace(self, lights=lights)
 

@@ -56,12 +56,14 @@ class JobState:
         running: whether its process lives.
         code: its exit code; None while it runs, and where another server started it.
         said: the end of its log.
+        ended_s: time.time() of its last word; 0 while it runs, and where it has no log.
     """
 
     job: Job
     running: bool
     code: int | None
     said: str
+    ended_s: float = 0.0
 
     @property
     def stopped(self) -> bool:
@@ -159,7 +161,13 @@ class Runner:
         if child is not None:  # ours: it is also taken off the list of processes
             code = child.poll()
             lives = code is None
-        return JobState(job, lives, code, "" if lives else self.said(job))
+        if lives:
+            return JobState(job, True, code, "")
+        try:
+            ended_s = (self._folder / job.log).stat().st_mtime
+        except OSError:
+            ended_s = 0.0
+        return JobState(job, False, code, self.said(job), ended_s)
 
 
 def born(pid: int) -> int | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime
+import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -17,9 +19,23 @@ from lightstage.errors import FormatError
 from lightstage.findings import two_digits
 from lightstage.formats.values import parse_json
 from lightstage.operator.view import Phase, View
-from lightstage.operator.words import ANSWERS, KEYS, LEGEND, STATES, Mark, duration, merged, said
+from lightstage.operator.words import (
+    ANSWERS,
+    KEYS,
+    LEGEND,
+    STATES,
+    Mark,
+    duration,
+    merged,
+    said,
+    text_of,
+)
 
 NEWS_SHOWN = 6
+PHOTOGRAPHS_ASKED = 9
+"""Beside a question, at most."""
+OF_THE_STAGE = ("pulses-unknown",)
+"""Codes of findings that are the same in every session: the page of devices has them."""
 SHARP = 0.9
 """Fine detail against another photograph of the camera below which the page says so: a tenth less
 is seen at once, and the checks' own limits decide what is taken again."""
@@ -48,6 +64,25 @@ BANNERS: dict[Phase, tuple[str, str]] = {
 """Sign and words of each phase; of ``running`` where nothing is lit."""
 
 
+PRESSED_INSTEAD = (
+    (
+        re.compile(r"Go on with(?: it)?: lightstage capture --resume .*"),
+        "Press g on the session's page to resume it.",
+    ),
+    (
+        re.compile(r"While it is captured: lightstage watch .*"),
+        "If its capture was interrupted, press g on the session's page.",
+    ),
+    (
+        re.compile(
+            r"take the others again: lightstage retake (?:'[^']*'|\S+) ((?:(?!--)\S+ ?)+).*"
+        ),
+        r"take these again: \1(click each photograph, then its button).",
+    ),
+)
+"""Lines of commands that name another command, and what the page has in their place."""
+
+
 class Cell(NamedTuple):
     """One photograph's place in the table."""
 
@@ -69,11 +104,42 @@ class Row(NamedTuple):
 
 
 class Action(NamedTuple):
-    """A button and its key."""
+    """A button and its key.
+
+    Attributes:
+        do: a request.
+        key: of it.
+        words: on the button.
+        pattern: that it is about; empty where it is about none.
+        answer: whether it answers a question.
+    """
 
     do: str
     key: str
     words: str
+    pattern: str = ""
+    answer: bool = False
+
+
+class Person(NamedTuple):
+    """A subject of the plan, with how many expressions and sessions."""
+
+    subject: str
+    consent: str
+    expressions: int = 0
+    sessions: int = 0
+
+    def having(self, planned: Planned) -> Person:
+        """The same with one take more."""
+        sessions = self.sessions + len(planned.sessions)
+        return self._replace(expressions=self.expressions + 1, sessions=sessions)
+
+
+class Doubt(NamedTuple):
+    """Findings of a question with one advice, and the photographs that they are of."""
+
+    texts: list[str]
+    todo: str
 
 
 def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> dict[str, Any]:
@@ -97,9 +163,18 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             who = ", ".join(view.late.cameras)
             ends = "until the light goes out" if view.late.lit else "until it is started again"
             late = f"Waiting for {who}" + ("" if seconds is None else f": {seconds:.0f} s {ends}")
+        doubts, photographs = _question(followed)
+        asked = {each.text for each in view.question}
+        news = [
+            item
+            for item in reversed(merged(view.news))
+            # Plain lines stand in the list of what happened, below.
+            if item.tone != "plain" and item.text not in asked and item.code not in OF_THE_STAGE
+        ]
         return {
             "name": followed.root.name,
             "who": view.who,
+            "take": take_of(followed.root.name),
             "phase": view.phase,
             "sign": sign,
             "words": words,
@@ -111,9 +186,9 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             "late": late,
             "lights": view.lights,
             "unacknowledged": view.acknowledged is False,
-            "question": merged(view.question),
-            # Plain lines stand in the list of what happened, below.
-            "news": [n for n in reversed(merged(view.news)) if n.tone != "plain"][:NEWS_SHOWN],
+            "question": doubts,
+            "photographs": photographs,
+            "news": news[:NEWS_SHOWN],
             "cameras": [
                 {
                     "id": name,
@@ -128,10 +203,38 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             "actions": actions(view, followed.live),
             "live": followed.live,
             "job": state,
+            "problem": page_words(state.said) if state is not None and state.failed else "",
             "resumable": view.phase in ("aborted", "gone") and not followed.live,
             "marks": [(MARKS[mark], words) for mark, words in LEGEND],
             "last_id": view.last_id,
         }
+
+
+def _question(followed: Followed) -> tuple[list[Doubt], list[tuple[str, Cell]]]:
+    """What is asked, each advice once, and the photographs concerned with their patterns."""
+    view = followed.view
+    doubts: dict[str, Doubt] = {}
+    concerned: dict[tuple[str, str], None] = {}
+    for item in merged(view.question):
+        doubts.setdefault(item.todo, Doubt([], item.todo)).texts.append(item.text)
+    for item in view.question:
+        for camera in [item.camera] if item.camera else list(view.cameras):
+            concerned[item.pattern or view.asked, camera] = None
+    cells = [(pattern, _cell(followed, pattern, camera)) for pattern, camera in concerned]
+    return list(doubts.values()), [each for each in cells if each[1].there][:PHOTOGRAPHS_ASKED]
+
+
+def take_of(folder: str) -> int:
+    """Number of a take by its folder's name (`lightstage.day.plan.take_folder`)."""
+    number = folder.split("+")[2:3]
+    return int(number[0]) if number and number[0].isdecimal() else 1
+
+
+def page_words(text: str) -> str:
+    """A command's last words for somebody who has the page: its keys in place of a shell's."""
+    for typed, pressed in PRESSED_INSTEAD:
+        text = typed.sub(pressed, text)
+    return text
 
 
 def _rows(followed: Followed, most: int) -> list[Row]:
@@ -169,13 +272,14 @@ def actions(view: View, live: bool) -> list[Action]:
     if not live:  # it has not told its socket yet: it can be stopped all the same
         return [Action("abort", *KEYS["abort"])]
     if view.phase == "asked":
-        wanted: Sequence[str] = view.answers
-        return [Action(do, KEYS[do][0], ANSWERS.get(do, KEYS[do][1])) for do in wanted]
-    if view.phase == "paused":
-        wanted = ("resume", "abort")
-    else:
-        wanted = ("retake", "pause", "abort") if view.done else ("pause", "abort")
-    return [Action(do, *KEYS[do]) for do in wanted]
+        return [
+            Action(do, KEYS[do][0], ANSWERS.get(do, KEYS[do][1]), view.asked, True)
+            for do in view.answers
+        ]
+    wanted: Sequence[str] = ("resume" if view.phase == "paused" else "pause", "abort")
+    retake = Action("retake", KEYS["retake"][0], f"take {view.shown} again", view.shown)
+    again = [retake] if view.done and view.shown else []
+    return [*again, *(Action(do, *KEYS[do]) for do in wanted)]
 
 
 def look_values(facts: Facts) -> dict[str, Any]:
@@ -251,24 +355,43 @@ def _curves(histogram: Sequence[Sequence[float]]) -> list[tuple[str, str]]:
     return curves
 
 
-def device_values(state: JobState | None) -> dict[str, Any]:
-    """What the last look at the devices found, or why it found nothing."""
+def device_values(state: JobState | None, now_s: float) -> dict[str, Any]:
+    """What the last look at the devices found, or why it found nothing, and when.
+
+    Args:
+        state: of the look.
+        now_s: time.time().
+    """
     if state is None:
-        return {"state": None, "look": None, "findings": []}
+        return {"state": None, "look": None, "findings": [], "problem": "", "when": ""}
     look: Any = None
     if not state.running and state.said:
         try:
             look = parse_json(state.said.splitlines()[-1], "devices")
         except FormatError:
             look = None
+    problem = "" if state.running else state.said
+    if isinstance(look, dict) and isinstance(look.get("error"), dict):
+        problem = text_of(look["error"], "message") or problem
     if not isinstance(look, dict) or "cameras" not in look:
         look = None
     findings = [] if look is None else [said({**f, "event": "finding"}) for f in look["findings"]]
-    return {"state": state, "look": look, "findings": findings}
+    when = when_words(state.ended_s, now_s) if state.ended_s else ""
+    return {"state": state, "look": look, "findings": findings, "problem": problem, "when": when}
+
+
+def when_words(then_s: float, now_s: float) -> str:
+    """A moment of the past, such as ``14:03 UTC, 12 min ago``."""
+    then = datetime.datetime.fromtimestamp(then_s, datetime.UTC)
+    minutes = max(0.0, now_s - then_s) / 60
+    ago = f"{minutes / 60:.0f} h ago" if minutes >= 90 else f"{minutes:.0f} min ago"
+    return f"{then:%H:%M} UTC, {'just now' if minutes < 1 else ago}"
 
 
 def plan_facts(takes: Sequence[Planned]) -> str:
     """How far the day is, as one sentence."""
     total = sum(each.take.wanted for each in takes)
-    done = sum(seen.state == "whole" for each in takes for seen in each.sessions)
-    return f"{done} of {counted(total, 'session')} done."
+    whole = [seen for each in takes for seen in each.sessions if seen.state == "whole"]
+    faulty = sum(seen.accepted > 0 for seen in whole)
+    with_faults = f", {faulty} of them with findings accepted" if faulty else ""
+    return f"{len(whole)} of {counted(total, 'session')} done{with_faults}."

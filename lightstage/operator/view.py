@@ -33,6 +33,7 @@ from lightstage.resume_line import options_of
 State = Literal[
     "idle", "triggering", "downloading", "kept", "failed", "late", "restarting", "in question"
 ]
+AT_WORK: tuple[State, ...] = ("triggering", "downloading", "late", "restarting")
 Phase = Literal["before", "running", "asked", "paused", "aborted", "complete", "gone"]
 
 SHOTS_MEASURED = 9
@@ -228,10 +229,7 @@ class View:
         self.phase, self.question, self.asked, self.answers = "running", [], "", ()
         self.pattern = self._since_s = None
         self._forget(STOPPED)
-        for camera in self.cameras.values():
-            camera.state = "idle"
-        for marks in self.marks.values():
-            marks.update({camera: "again" for camera in marks if marks[camera] == "now"})
+        self._nobody_takes()
         self._devices(line)
 
     def _devices(self, line: Mapping[str, Any]) -> None:
@@ -386,7 +384,16 @@ class View:
     def _ends(self, phase: Phase) -> None:
         self.phase, self.question, self.asked, self.answers = phase, [], "", ()
         self.pattern = self.late = None
+        self._nobody_takes()
         self._forget(FOLLOWING)  # nobody can any more
+
+    def _nobody_takes(self) -> None:
+        """No camera is at work; what it had begun is taken again."""
+        for camera in self.cameras.values():
+            if camera.state in AT_WORK:
+                camera.state = "idle"
+        for marks in self.marks.values():
+            marks.update({camera: "again" for camera in marks if marks[camera] == "now"})
 
     def _forget(self, mended: str) -> None:
         """Leave out news that this makes old: a pattern's shot, or one of the two above."""

@@ -159,8 +159,14 @@ def said(line: Line, session: str = "SESSION", ways: Ways = TYPED) -> Said:
     text = words.text.replace(FOLLOW, ways.follow).replace("{watch}", watch_line(session))
     todo = words.todo.replace("{how}", ways.resume)
     todo = todo.replace("{resume}", resume_line(session, options_of(line)))
-    place = {name: text_of(line, name) for name in ("camera", "pattern", "code")}
-    return dataclasses.replace(words, text=text, todo=todo, **place)
+    return dataclasses.replace(
+        words,
+        text=text,
+        todo=todo,
+        camera=text_of(line, "camera"),
+        pattern=text_of(line, "pattern"),
+        code=text_of(line, "code"),
+    )
 
 
 def merged(items: Sequence[Said]) -> list[Said]:

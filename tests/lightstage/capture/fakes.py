@@ -10,6 +10,7 @@ import numpy as np
 from lightstage.cameras.camera import CardFile, Download, Exposure, Summary
 from lightstage.errors import DeviceError
 from lightstage.leds.controller import Hello
+from lightstage.operator import Wish
 
 TOLD = Summary(
     serial="600", model="Nikon DSC D750", firmware="1.0", mode="Manual", iso="100",

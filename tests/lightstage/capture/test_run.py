@@ -15,6 +15,7 @@ from lightstage.errors import CaptureError, ConfigError, DeviceError, StoppedErr
 from lightstage.findings import Finding
 from lightstage.formats.session import load_session
 from lightstage.leds.controller import LightLostError
+from lightstage.operator import Wish
 
 
 def bad(code, camera=None, pattern=None, severity="retake"):
@@ -247,7 +248,7 @@ def test_an_abort_makes_the_stage_dark_first_and_what_was_exposed_still_comes_ho
 def test_a_stop_while_a_light_waits_for_its_turn_is_a_stop_and_no_cameras_failure(bench):
     lost = LightLostError("lights", found="put out by another thread", expected="a light to stay")
     bench.lights.fail["light"] = (2, 2, lost)
-    bench.operator.command = lambda: "abort" if bench.log.count("light") == 2 else None
+    bench.operator.command = lambda: Wish("abort") if bench.log.count("light") == 2 else None
     with pytest.raises(StoppedError, match=r"^Stopped by the operator\.$"):
         bench.run()
     assert bench.events("finding", "failed") == []
@@ -257,7 +258,7 @@ def test_a_stop_while_a_light_waits_for_its_turn_is_a_stop_and_no_cameras_failur
 def test_a_stop_at_a_question_is_a_stop(bench):
     bench.cameras[1].faults = {1: "fail"}
     bench.operator.decide = lambda *_: "abort"
-    bench.operator.command = lambda: "abort" if bench.events("finding") else None
+    bench.operator.command = lambda: Wish("abort") if bench.events("finding") else None
     with pytest.raises(StoppedError, match=r"^Stopped by the operator\.$"):
         bench.run()
 
@@ -292,7 +293,7 @@ def test_a_stop_does_not_wait_for_a_camera_that_hangs_and_no_thread_writes_after
 
     def once_the_others_exposed():
         exposed = all(each.on_card for each in bench.cameras[:2])
-        return "abort" if camera.hanging and exposed else None
+        return Wish("abort") if camera.hanging and exposed else None
 
     bench.operator.command = once_the_others_exposed
     with pytest.raises(StoppedError):
