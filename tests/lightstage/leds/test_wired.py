@@ -107,7 +107,10 @@ def test_lights_of_two_controllers_shine_each_on_its_own(kinds):
         until(lambda: shines(other, line_of(driven, "right")))
         leds.confirm()
         assert leds.acknowledged == (kinds == ("pty", "socket"))
-        assert leds.hello.light_count == 20
+        # Without an answer nobody knows of more channels than the rig needs.
+        assert leds.hello.light_count == {"pty": 10, "adalight": 10}[kinds[0]] + (
+            10 if kinds[1] == "socket" else 5
+        )
         leds.dark()
         until(lambda: one.dark and other.dark)
 
@@ -126,7 +129,7 @@ def test_guardians_make_all_controllers_dark():
 def test_a_reset_of_one_controller_is_lost_light_and_both_recover_dark():
     with two(story=Story([Fault("reset", at=3, seconds=0.0)])) as (one, other, leds):
         leds.light(np.ones(8))
-        with pytest.raises(LightLostError, match="left: .*boot id"):
+        with pytest.raises(LightLostError, match=r"left: .*boot id"):
             leds.confirm()
         assert not other.dark
         leds.recover()
@@ -155,5 +158,5 @@ def test_urls_are_read_by_the_names_of_their_controllers():
     both = parse_leds(f"left={one},right={other}")
     assert both == {"left": parse_url(one), "right": parse_url(other)}
     assert worst_answer_s(f"left={one}&timeout_s=9,right={other}") == 27.0
-    with pytest.raises(ConfigError, match="scheme|expected serial"):
+    with pytest.raises(ConfigError, match="expected serial"):
         parse_leds("left=nothing:///x")

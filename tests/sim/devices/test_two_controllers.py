@@ -48,7 +48,7 @@ class TwoEnds:
         self.devices = {
             name: LedDevice(
                 count, lambda levels, name=name: self._see(name, levels), 1,
-                story if name == "right" else None, log, None, watchdog_s,
+                story if name == "right" else None, log, [""] * count, watchdog_s,
             )
             for name, count in CHANNELS.items()
         }  # fmt: skip
@@ -152,34 +152,27 @@ def test_a_killed_capture_leaves_both_controllers_dark(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("which", "part"),
+    ("leds", "part"),
     [
-        (lambda ends: ends["left"].url(), "2 controllers (left, right), and one URL in --leds"),
-        (lambda ends: f"left={ends['left'].url()}", "and URLs of left in --leds"),
-        (
-            lambda ends: f"left={ends['left'].url()},left={ends['right'].url()}",
-            "a name that is there already",
-        ),
-        (
-            lambda ends: f"left={ends['left'].url()},right={ends['left'].url()}",
-            "a device that is there already",
-        ),
-        (
-            lambda ends: f"left={ends['right'].url()},right={ends['left'].url()}",
-            "LED device right at",
-        ),
-        (lambda ends: f"left={ends['left'].url()},right=pty:///dev/none", "a port that opens"),
+        ("{left}", "2 controllers (left, right), and one URL in --leds"),
+        ("left={left}", "and URLs of left in --leds"),
+        ("left={left},left={right}", "a name that is there already"),
+        ("left={left},right={left}", "a device that is there already"),
+        ("left={right},right={left}", "LED device right at"),
+        ("left={left},right=pty:///dev/none", "a port that opens"),
     ],
 )
 def test_urls_that_do_not_fit_the_rig_are_refused_before_a_light_goes_on(
-    tmp_path, which, part
+    tmp_path, leds, part
 ) -> None:
     with two_stage(tmp_path) as stage:
-        done = capture(stage, tmp_path / "S", tmp_path, which(stage.device.devices))
+        devices = stage.device.devices
+        text = leds.format(**{name: each.url(1.0, 2) for name, each in devices.items()})
+        done = capture(stage, tmp_path / "S", tmp_path, text)
         assert done.returncode == 2
         assert part in done.stderr, done.stderr
         assert not (tmp_path / "S").exists()
-        assert all(len(device.states) == 1 for device in stage.device.devices.values())
+        assert all(len(device.states) == 1 for device in devices.values())
 
 
 def test_the_check_of_devices_opens_all_controllers(tmp_path) -> None:
