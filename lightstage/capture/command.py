@@ -90,7 +90,8 @@ def capture_command(
         None, help="Named sequence, or pattern names with commas (binary)."
     ),
     leds: str = typer.Option(
-        ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
+        ...,
+        help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
     ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the session in --out."),

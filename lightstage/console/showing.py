@@ -305,7 +305,7 @@ def focus_words(focus: Focus, other: str) -> list[str]:
     figure = two_digits(focus.figure)
     sentences = [f"Focus figure {figure}: fine detail over coarse; higher is sharper."]
     if focus.against is not None:
-        beside = f"this camera's photograph of {other} ({two_digits(focus.against)} of it)"
+        beside = f"this camera's photograph of {other} (ratio {two_digits(focus.against)})"
         sentences.append(
             f"As sharp as {beside}."
             if focus.against >= SHARP
