@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import html
 import json
 import time
@@ -171,16 +172,18 @@ class Pages:
         state = self._desk.runner.state(STAGE)
         own = state if state is not None and state.job.session == name else None
         values = showing.desk_values(followed, own, self._desk.config.most_rows)
-        following = None
-        if followed.view.over:  # whoever starts the next one waits for this one's process to end
-            try:
-                following = next((each for each in self._desk.takes() if each.open), None)
-            except LightstageError:
-                following = None  # the plan's own page says what is wrong with it
+        following, all_done = None, False
+        # Whoever starts the next one waits for this one's process to end.
+        if followed.view.over and not values["starting"]:
+            with contextlib.suppress(LightstageError):  # the plan's own page says what is wrong
+                takes = self._desk.takes()
+                following = next((each for each in takes if each.open), None)
+                all_done = bool(takes) and all(each.stand == "done" for each in takes)
         checking = self._desk.runner.state(CHECK)
         return {
             **values,
             "following": following,
+            "all_done": all_done,
             "stage": self._desk.stage is not None,
             "checking": checking if checking and checking.job.session == name else None,
         }

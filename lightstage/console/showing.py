@@ -30,6 +30,7 @@ from lightstage.operator.words import (
     said,
     text_of,
 )
+from lightstage.session.opening import JOURNAL
 
 NEWS_SHOWN = 6
 PHOTOGRAPHS_ASKED = 9
@@ -154,6 +155,9 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
     with view.lock:
         rows = _rows(followed, most_rows)
         sign, words = BANNERS[view.phase]
+        starting = is_starting(followed, state)
+        if starting:
+            sign, words = "…", "STARTING"
         if view.phase == "running" and view.pattern is not None:
             sign, words = "●", f"LIT: {view.pattern}"
         left = "" if view.over else duration(view.left_s())
@@ -175,7 +179,8 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             "name": followed.root.name,
             "who": view.who,
             "take": take_of(followed.root.name),
-            "phase": view.phase,
+            "phase": "starting" if starting else view.phase,
+            "starting": starting,
             "sign": sign,
             "words": words,
             "kept": view.kept,
@@ -187,8 +192,10 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             "lights": view.lights,
             "unacknowledged": view.acknowledged is False,
             "question": doubts,
+            "asked": view.asked,
+            "times": view.asked_times,
             "photographs": photographs,
-            "news": news[:NEWS_SHOWN],
+            "news": [] if starting else news[:NEWS_SHOWN],
             "cameras": [
                 {
                     "id": name,
@@ -200,11 +207,11 @@ def desk_values(followed: Followed, state: JobState | None, most_rows: int) -> d
             ],
             "rows": rows,
             "hidden": len(view.patterns) - len(rows),
-            "actions": actions(view, followed.live),
+            "actions": actions(view, followed.live, starting),
             "live": followed.live,
             "job": state,
             "problem": page_words(state.said) if state is not None and state.failed else "",
-            "resumable": view.phase in ("aborted", "gone") and not followed.live,
+            "resumable": view.phase in ("aborted", "gone") and not (followed.live or starting),
             "marks": [(MARKS[mark], words) for mark, words in LEGEND],
             "last_id": view.last_id,
         }
@@ -265,11 +272,27 @@ def _cell(followed: Followed, pattern: str, camera: str) -> Cell:
     return Cell(camera, mark, MARKS[mark], take, photograph is not None)
 
 
-def actions(view: View, live: bool) -> list[Action]:
+def is_starting(followed: Followed, state: JobState | None) -> bool:
+    """Whether a session that is over is about to be resumed, or a photograph of it retaken.
+
+    Args:
+        followed: the session.
+        state: the page's own job in it.
+    """
+    if state is None or not state.running or not followed.view.over:
+        return False
+    try:
+        told_s = (followed.root / JOURNAL).stat().st_mtime
+    except OSError:
+        return False
+    return told_s < state.started_s  # else it has said its last word, and lets its devices go
+
+
+def actions(view: View, live: bool, starting: bool = False) -> list[Action]:
     """What can be asked for now, with the terminal's own keys."""
-    if view.over:
+    if view.over and not starting:
         return []
-    if not live:  # it has not told its socket yet: it can be stopped all the same
+    if not live or starting:  # it has not told its socket yet: it can be stopped all the same
         return [Action("abort", *KEYS["abort"])]
     if view.phase == "asked":
         return [

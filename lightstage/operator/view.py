@@ -115,6 +115,7 @@ class View:
         self.done: set[str] = set()
         self.pattern: str | None = None
         self.shown = self.asked = ""
+        self._asked_of: collections.Counter[str] = collections.Counter()
         self.lights = ""
         self.acknowledged: bool | None = None
         self._news: collections.deque[tuple[Said, str]] = collections.deque(maxlen=NEWS_KEPT)
@@ -146,6 +147,11 @@ class View:
     def mark(self, pattern: str, camera: str) -> Mark:
         """What one photograph is."""
         return self.marks.get(pattern, {}).get(camera, "to come")
+
+    @property
+    def asked_times(self) -> int:
+        """How often was asked about the pattern of the question, this time too."""
+        return self._asked_of[self.asked]
 
     @property
     def wanted(self) -> int:
@@ -267,6 +273,7 @@ class View:
         )
         self.question = [said({**each, "event": "finding"}) for each in findings]
         self.asked = text_of(line, "pattern")
+        self._asked_of[self.asked] += 1
         self.answers = possible_answers(text_of(each, "code") for each in findings)
 
     def _late_over(self, line: Mapping[str, Any]) -> None:
@@ -349,6 +356,16 @@ class View:
         if camera in self.marks.get(pattern, {}):
             self.marks[pattern][camera] = "again"
         self.done.discard(pattern)
+        # What was said of a photograph that no longer counts, and that no shot would mend.
+        left = [
+            item
+            for item in self._news
+            if item[1]
+            or item[0].tone != "warning"
+            or item[0].pattern != pattern
+            or item[0].camera not in ("", camera)
+        ]
+        self._news = collections.deque(left, NEWS_KEPT)
 
     def _retake(self, line: Mapping[str, Any]) -> None:
         takes = line.get("takes")
@@ -417,8 +434,8 @@ def _mended_by(line: Mapping[str, Any]) -> str:
     """What makes a line old: a pattern's shot, the end, or going on; empty for nothing."""
     if text_of(line, "socket"):
         return FOLLOWING
-    if text_of(line, "event") == "aborted":
-        return STOPPED
+    if text_of(line, "event") in ("aborted", "end"):
+        return STOPPED  # somebody may take photographs of a finished session again
     bad = text_of(line, "severity") in ("retake", "refuse")
     if text_of(line, "event") in ("failed", "rejected", "recovered") or bad:
         return text_of(line, "pattern")

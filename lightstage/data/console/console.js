@@ -94,7 +94,7 @@ function follow(part) {
 function write(told) {
   const list = document.getElementById("log");
   const line = document.createElement("li");
-  line.textContent = `${told.at} ${told.sign} ${told.text}${told.todo ? ". " + told.todo : ""}`;
+  line.textContent = `${told.at} ${told.sign} ${told.text.replace(/\.$/, "")}${told.todo ? ". " + told.todo : ""}`;
   list.prepend(line);
   while (list.children.length > LINES_SHOWN) list.lastChild.remove();
 }

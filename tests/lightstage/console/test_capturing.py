@@ -91,6 +91,11 @@ def test_two_browsers_abort_at_once_and_the_session_goes_on_later(staged, plan) 
         assert "no capture runs" in late.text
         assert "STOPPED" in visitors[1].get("/session/P1+neutral/part").text
         assert visitors[1].post("/session/P1+neutral/resume").headers["HX-Redirect"] == "/live"
+        # Until its capture speaks, what the page shows is no old state, and it can be stopped.
+        part = visitors[1].get("/session/P1+neutral/part").text
+        assert "STARTING" in part
+        assert "STOPPED" not in part
+        assert 'data-key="q"' in part
         wait_until(lambda: events_of(root, "end"), "the session's end")
         assert check_session(root).frames == 9
 
@@ -118,6 +123,10 @@ def test_a_question_waits_dark_for_the_page(staged, plan) -> None:
         other = visitor.post("/session/P1+neutral/do", do="retake", pattern="x-", answer="1").text
         assert "a question about x+ waits" in other
         visitor.post("/session/P1+neutral/do", do="retake")
+        wait_until(lambda: len(events_of(root, "asked")) == 2, "the second question")
+        again = visitor.shows("/session/P1+neutral/part", "question 2 about it")
+        assert "no picture was taken" in again
+        assert ".." not in re.sub("<[^>]+>", "", again)
         while not events_of(root, "end"):
             if len(events_of(root, "asked")) > len(events_of(root, "answered")):
                 visitor.post("/session/P1+neutral/do", do="retake")

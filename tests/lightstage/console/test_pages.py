@@ -337,3 +337,17 @@ def test_what_a_command_would_have_typed_is_told_by_the_pages_own_keys(tmp_path)
         "take these again: x+,y- cam0 cam2 (click each photograph, then its button)."
     )
     assert page_words("X: found y, expected z") == "X: found y, expected z"
+
+
+def test_the_last_session_of_a_plan_says_that_all_is_done(site) -> None:
+    visitor = site.visitor()
+    for subject in ("P1", "P2"):
+        for expression in ("neutral", "smile"):
+            page = visitor.get("/plan").text
+            write_session(
+                site.desk.folder / f"{subject}+{expression}", subject=subject, expression=expression
+            )
+            assert "4 of 4" not in page
+            shown = visitor.get(f"/session/{subject}+{expression}").text
+            last = (subject, expression) == ("P2", "smile")
+            assert ("Everything of the" in shown) == last
