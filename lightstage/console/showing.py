@@ -301,7 +301,8 @@ def actions(view: View, live: bool, starting: bool = False) -> list[Action]:
         ]
     wanted: Sequence[str] = ("resume" if view.phase == "paused" else "pause", "abort")
     retake = Action("retake", KEYS["retake"][0], f"take {view.shown} again", view.shown)
-    again = [retake] if view.done and view.shown else []
+    # Once all are done the capture ends by itself; then each photograph has its own button.
+    again = [retake] if view.shown and 0 < len(view.done) < len(view.patterns) else []
     return [*again, *(Action(do, *KEYS[do]) for do in wanted)]
 
 

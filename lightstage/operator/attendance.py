@@ -105,6 +105,7 @@ class Requests:
         self._question: tuple[Decision, ...] = ()
         self._answer: Decision | None = None
         self._asked = ""  # pattern of the latest question
+        self._left: set[str] | None = None  # patterns that are not done; None: not known
         self._lit: dict[str, None] = {}  # patterns, the one that was lit last at the end
         self._aborted = self._paused = self._over = self._shot = False
 
@@ -128,7 +129,7 @@ class Requests:
             if self._question:
                 return self._question
             waits: tuple[Request, ...] = ("resume" if self._pausing() else "pause", "abort")
-            return ("retake", *waits) if self._shot else waits
+            return ("retake", *waits) if self._shot and self._left != set() else waits
 
     def told(self, line: dict[str, Any]) -> None:
         """Know what can be asked for."""
@@ -139,8 +140,17 @@ class Requests:
                 self._lit[pattern] = None
         elif event == "asked":
             self._asked = pattern if isinstance(pattern, str) else ""
+        elif event == "begin":
+            sequence = line.get("sequence")
+            self._left = set(sequence) if isinstance(sequence, list) else None
+        elif event == "rejected" and self._left is not None:
+            self._left.add(str(pattern))
+        elif event == "retake" and self._left is not None:
+            self._left |= {str(each[0]) for each in line.get("takes", ())}
         elif event == "shot":
             self._shot = True
+            if self._left is not None:
+                self._left.discard(str(pattern))
         elif event in ("aborted", "end"):
             self._over = True
 
@@ -238,6 +248,8 @@ class Requests:
             return "it is paused already" if pausing else None
         if not self._shot:
             return "no pattern is done yet"
+        if self._left == set():
+            return "all patterns are done; take it again once the session is complete"
         if pattern and pattern not in self._lit:
             return f"no pattern {pattern[:40]!r} was taken"
         return "it is asked for already" if Wish("retake", pattern) in self._wishes else None

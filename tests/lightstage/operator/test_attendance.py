@@ -137,6 +137,21 @@ def test_a_retake_is_of_the_pattern_that_is_named_or_was_shown_last():
     assert [requests.command() for _ in range(3)] == wishes
 
 
+def test_a_retake_that_comes_after_the_last_pattern_is_refused_and_not_forgotten():
+    requests = Requests()
+    requests.told({"event": "begin", "sequence": ["full", "x+"]})
+    for pattern in ("full", "x+"):
+        requests.told({"event": "lit", "pattern": pattern})
+        if pattern == "x+":
+            assert requests.request("retake") is None
+            assert requests.command() == Wish("retake", "x+")
+        requests.told({"event": "shot", "pattern": pattern})
+    assert "all patterns are done" in requests.request("retake")
+    assert "retake" not in requests.possible
+    requests.told({"event": "rejected", "pattern": "x+", "camera": "cam0"})
+    assert requests.request("retake", "full") is None
+
+
 def test_a_retake_is_heard_in_a_pause_too():
     requests = Requests()
     requests.told({"event": "lit", "pattern": "x+"})
