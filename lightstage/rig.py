@@ -238,17 +238,6 @@ class Rig:
         known = ", ".join(camera.id for camera in self.cameras)
         raise RigError("rig", field="cameras", found=f"no {camera_id}", expected=f"one of {known}")
 
-    def rewired(self, channels: Sequence[int]) -> Rig:
-        """The same rig with an address of each light; controllers stay.
-
-        Args:
-            channels: one of each light, in the rig's order.
-        """
-        pairs = zip(self.addresses, channels, strict=True)
-        return self.readdressed(
-            [dataclasses.replace(each, channel=int(channel)) for each, channel in pairs]
-        )
-
     def readdressed(self, addresses: Sequence[LightAddress]) -> Rig:
         """The same rig with another controller and channel of each light.
 

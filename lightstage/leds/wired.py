@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar
 
 import numpy as np
 
@@ -14,8 +13,6 @@ from lightstage.errors import DeviceError, LightstageError
 from lightstage.leds.controller import Hello, LedController, LightLostError
 from lightstage.leds.guard import LastWill, last_wills
 from lightstage.rig import LightAddress
-
-Given = TypeVar("Given")
 
 
 class WiredLeds(Closing):
@@ -118,7 +115,7 @@ class WiredLeds(Closing):
         for device in self._devices.values():
             device.close()
 
-    def _each(self, act: Callable[[str, LedController], Given]) -> None:
+    def _each(self, act: Callable[[str, LedController], object]) -> None:
         """Do something with all devices at the same time; what failed is raised after all ended."""
         if len(self._devices) == 1:
             ((name, device),) = self._devices.items()
