@@ -109,15 +109,18 @@ class Rig:
         known = ", ".join(camera.id for camera in self.cameras)
         raise RigError("rig", field="cameras", found=f"no {camera_id}", expected=f"one of {known}")
 
-    def rewired(self, channels: Sequence[int]) -> Rig:
-        """The same rig with an address of each light; controllers stay.
+    def readdressed(self, addresses: Sequence[LightAddress]) -> Rig:
+        """The same rig with another controller and channel of each light.
 
         Args:
-            channels: one of each light, in the rig's order.
+            addresses: of each light, in the rig's order.
         """
         lights = tuple(
-            dataclasses.replace(light, address=dataclasses.replace(address, channel=int(channel)))
-            for light, address, channel in zip(self.lights, self.addresses, channels, strict=True)
+            dataclasses.replace(
+                light,
+                address=LightAddress(new.channel, new.controller, own.more),
+            )
+            for light, own, new in zip(self.lights, self.addresses, addresses, strict=True)
         )
         return dataclasses.replace(self, lights=lights)
 

@@ -118,12 +118,6 @@ ODD = {
             for light in default_rig().lights
         )
     ),
-    "controllers": changed(
-        lights=tuple(
-            dataclasses.replace(light, address=LightAddress(light.id, "ab"[light.id % 2]))
-            for light in default_rig().lights
-        )
-    ),
     "aim": with_camera(1, cam_from_world=look_at(np.array([0, 0, 1100.0]), np.array([0, 0, 2e3]))),
     "roll": with_camera(
         0, cam_from_world=np.diag([-1.0, -1.0, 1.0]) @ default_rig().cameras[0].cam_from_world
@@ -180,6 +174,17 @@ def test_the_command_says_which_channels_a_rig_uses(tmp_path):
     done = CliRunner().invoke(app, ["rig", "check", str(rig), "--json"])
     assert done.exit_code == 0, done.output
     facts = json.loads(done.stdout.strip().splitlines()[-1])
-    assert (facts["addressed"], facts["channels"], facts["odd"]) == (True, [3, 170], [])
+    assert (facts["addressed"], facts["channels"], facts["odd"]) == (True, {"main": [3, 170]}, [])
     message = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
     assert "168 lights on channels 3 to 170, 9 cameras" in message
+
+
+def test_the_command_says_which_channels_of_which_controller_a_rig_uses(tmp_path):
+    lights = [
+        dataclasses.replace(light, address=LightAddress(light.id // 2, "ab"[light.id % 2]))
+        for light in default_rig().lights
+    ]
+    rig = save_rig(changed(lights=tuple(lights)), tmp_path / "rig.json")
+    message = CliRunner().invoke(app, ["rig", "check", str(rig)]).stdout
+    assert "168 lights on channels 0 to 83 of a, channels 0 to 83 of b, 9 cameras" in message
+    assert "nothing odd" in message

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from lightstage.errors import DeviceError
 from lightstage.findings import Finding
-from lightstage.operator import OperatorConfig, TerminalOperator, open_operator
+from lightstage.operator import OperatorConfig, TerminalOperator, Wish, open_operator
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.view import View
 
@@ -56,8 +56,8 @@ LOOP = """
             while True:
                 wish = operator.command()
                 if wish is not None:
-                    light(wish)
-                if wish == "abort":
+                    light(wish.do)
+                if wish is not None and wish.do == "abort":
                     raise StoppedError("the operator's wish")
                 time.sleep(0.01)
 """
@@ -67,7 +67,7 @@ DEAF = """
                 while not (wish := operator.command()):
                     time.sleep(0.01)
                 time.sleep(0.5)
-                light(wish)
+                light(wish.do)
 """
 STUCK = "threading.Event().wait()"
 ASK = """
@@ -182,7 +182,7 @@ def test_keys_are_wishes_and_what_makes_no_sense_is_said(capture):
     terminal, lights = capture(LOOP)
     terminal.wait_for("this pattern again")
     terminal.press("r")
-    terminal.wait_for("taken again once it is done")
+    terminal.wait_for("x+ will be taken again next")
     terminal.wait_until(lambda: "retake" in lights.read_text(), "no retake")
     terminal.press("a")
     terminal.wait_for("Not now: nothing waits to be accepted")
@@ -340,7 +340,7 @@ def test_clients_can_answer_what_the_terminal_asks():
         operator.at_abort(fail)
         assert operator.request("abort") is None
         assert dark == [True]
-        assert operator.command() == "abort"
+        assert operator.command() == Wish("abort")
         assert operator.decide([BAD], 1) == "abort"
     os.close(asked)
     os.close(other)

@@ -45,7 +45,7 @@ with serve_events(writer, operator.request):
         writer.note(line.pop("event"), **line)
         wish = operator.command()
         if wish is not None:
-            writer.note("note", said=f"the operator wishes: {wish}")
+            writer.note("note", said=f"the operator wishes: {wish.do}")
 """
 
 
