@@ -230,7 +230,7 @@ class EventServer(Closing):
                 client.after = after
                 return None
             if isinstance(do, str):
-                pattern = asked.get("pattern")
+                pattern = request.get("pattern")
                 why = self._request(do, pattern if isinstance(pattern, str) else "")
                 no = {} if why is None else {"why": why}
                 return {"answer": do, "accepted": why is None, **no}
