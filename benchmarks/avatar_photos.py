@@ -35,6 +35,7 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, Photograph, Places, fit_head
 from learning.render.uv import rasterise
+from learning.whole.gaps import continued
 from learning.whole.detail import enlarged
 from lightstage.formats.environment import LightSet
 from lightstage.formats.template import Template, default_template_path, load_template
@@ -50,7 +51,6 @@ AVATAR, TEXTURE, HARMONIC, MEAN = (
     "harmonic division",
     "mean person",
 )
-LIKENESS = "oracle: the true texture, no photograph"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,10 +147,14 @@ def light_for(case: Case) -> LightSet:
 
 
 def shot(case: Case) -> Photograph:
-    """The photograph."""
+    """The photograph; what no texel shows, such as the inside of lids, is continued from around."""
     head = head_of(case.who, case.rows)
     texture = head.image(head.lit.under(light_for(case))).astype(np.float32)
-    return photograph(head, texture, case.yaw_deg, places()[1])
+    covered = rasterise(head.mesh, *head.shown.shape).covered
+    whole = continued(texture, head.shown)
+    return photograph(
+        dataclasses.replace(head, shown=covered), whole, case.yaw_deg, places()[1]
+    )
 
 
 def fitted(case: Case, photographs: list[Photograph]) -> FittedHead:

@@ -18,6 +18,7 @@ from learning.maps import SHININESS, TRANSLUCENCY, TexturedHead, skin_maps_from
 from learning.mesostructure.infer import TrainedMesostructure
 from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
+from learning.photo.foreground import foreground
 from learning.photo.landmark_fit import LandmarkFit, Sighting, Taken, fit_landmarks
 from learning.photo.model import ShapeModel, shape_model
 from learning.photo.unwrap import Unwrapped, unwrap
@@ -251,7 +252,8 @@ def fit_head(
     shape = fit_shape(photographs, template, places, config)
     progress(1, steps)
     photograph, mesh, camera = photographs[0], shape.meshes[0], shape.cameras[0]
-    coarse = _Texels(photograph, mesh, camera, COARSE_ROWS)
+    person = foreground(photograph.rgb_linear, mesh, shape.model.face, camera)
+    coarse = _Texels(photograph, mesh, camera, COARSE_ROWS, person)
     face = coarse.raster.interpolate(shape.model.face[:, None].astype(float))[..., 0] > 0.5
     share = (coarse.unwrapped.seen & face).sum() / max(face.sum(), 1)
     if share < LEAST_SEEN:
@@ -270,7 +272,7 @@ def fit_head(
         progress(2 + done, steps)
         if (before != skin).mean() < 1e-3:
             break
-    texels = _Texels(photograph, mesh, camera, config.rows)
+    texels = _Texels(photograph, mesh, camera, config.rows, person)
     masked = 1 - (skin & face).sum() / max((coarse.unwrapped.seen & face).sum(), 1)
     size = texels.raster.covered.shape[::-1]
     allowed = cv2.resize((coarse.unwrapped.seen & ~skin).astype(np.float32), size) < 0.5
@@ -306,10 +308,14 @@ def fit_head(
 class _Texels:
     """A photograph in the texels of its mesh."""
 
-    def __init__(self, photograph: Photograph, mesh: Mesh, camera: Camera, rows: int) -> None:
+    def __init__(
+        self, photograph: Photograph, mesh: Mesh, camera: Camera, rows: int, person: np.ndarray
+    ) -> None:
         self.name, self.mesh = photograph.name, mesh
         self.raster: UvRaster = rasterise(mesh, rows, rows * 2 // 3)
-        self.unwrapped: Unwrapped = unwrap(photograph.rgb_linear, mesh, self.raster, camera)
+        self.unwrapped: Unwrapped = unwrap(
+            photograph.rgb_linear, mesh, self.raster, camera, person
+        )
 
     def inferred(
         self,

@@ -120,6 +120,12 @@ def test_what_is_no_pair_is_refused(
     done = evaluate(other, "--truth", a)
     assert (done.code, "template's layout" in done.err) == (2, True)
     assert evaluate(a, "--truth", a, "--data", "real").code == 2
+    spoiled = brightened(people[0], tmp_path / "spoiled", np.nan)
+    for words in ((spoiled, "--truth", a), (a, "--truth", spoiled)):
+        done = evaluate(*words, "--out", tmp_path / "figures.json")
+        assert (done.code, "diffuse_albedo.exr" in done.err) == (2, True)
+    assert evaluate(a, "--truth", tmp_path / "absent").code == 2
+    assert not list(tmp_path.glob("figures*"))
 
 
 def test_structural_similarity_is_that_of_a_plain_loop() -> None:

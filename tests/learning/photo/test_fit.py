@@ -227,6 +227,26 @@ def test_bad_input_is_refused_in_words_that_name_it(shot: Shot, tmp_path: Path) 
     assert "rows" in refused(shot, out, "--rows", "200")
 
 
+def test_an_avatar_refuses_before_it_writes_anything(shot: Shot, tmp_path: Path) -> None:
+    out = tmp_path / "A"
+
+    def avatar(*more: str | Path, photo: Path = shot.path) -> str:
+        words = ("avatar", photo, "--template", default_template_path(), "--out", out)
+        code, told = called(*words, *more)
+        assert code == 2
+        return str(told["error"])
+
+    assert "a folder" in avatar(photo=tmp_path)
+    assert "--until" in avatar("--until", "page")
+    assert "--format" in avatar("--format", "fbx")
+    assert "rows" in avatar("--rows", "200")
+    assert not out.exists()
+    out.mkdir()
+    (out / "thesis.txt").write_text("mine")
+    assert "thesis.txt" in avatar()
+    assert [path.name for path in out.iterdir()] == ["thesis.txt"]
+
+
 def test_a_wall_holds_no_face(shot: Shot, tmp_path: Path) -> None:
     wall = tmp_path / "wall.png"
     cv2.imwrite(str(wall), np.full((200, 200, 3), 90, np.uint8))
