@@ -1,10 +1,10 @@
 """Photographs to avatars: albedo, normals and new lights against the truth, beside plain guesses.
 
-`python -m benchmarks.avatar` photographs people who were not trained on (simulated people of another
-seed, people of ICT's model, the scanned head) under lights of the simulator, one photograph each,
-and scores what `avatar` finds over skin of the face with the weights as shipped. ``--part lights``
+`python -m benchmarks.avatar` photographs people who were not trained on (simulated people of
+another seed, people of ICT's model, the scanned head) under lights of the simulator, one photograph
+each, and scores what `avatar` finds over skin of the face with the weights as shipped. ``--part lights``
 and ``--part photographs`` hold ten lights and six photographs of one person against each other,
-``--part speed`` measures seconds and memory of each stage. Truth and new lights are the
+``--part speed`` and ``--part export`` measure seconds and memory. Truth and new lights are the
 simulator's own rendering on the true shape: these are no figures of real people.
 
 The scanned head is Infinite, 3D Head Scan by Lee Perry-Smith, CC BY 3.0, based on a work at
@@ -19,15 +19,16 @@ import itertools
 import numpy as np
 
 from benchmarks.avatar_photos import AVATAR, HARMONIC, MEAN, TEXTURE, Case, Score, score
-from benchmarks.avatar_speed import measure_speed
+from benchmarks.avatar_speed import SIZES, measure_export, measure_speed
 from benchmarks.networks_lights import GROUPS
 from benchmarks.networks_people import KINDS, Who, chosen
 from benchmarks.networks_scores import db, specular_share
 from benchmarks.record import record
 from learning.evaluation.people import by_tone, interval, spread
 from processing.colour import srgb_from_linear
+from processing.tones import tone_of
 
-ROWS, COUNT = 384, 6
+ROWS, COUNT = 384, 3
 LIGHTS = ("front", "hard-oblique", "studio", "warm-cool", "hard-side", "random")
 """Of the people, in turn."""
 VIEWS = (
@@ -40,7 +41,7 @@ VIEWS = (
 )
 """Light and the camera's place of the six photographs of one person."""
 GUESSES = (AVATAR, TEXTURE, HARMONIC, MEAN)
-PARTS = ("people", "lights", "photographs", "speed")
+PARTS = ("people", "lights", "photographs", "speed", "export")
 
 
 def main() -> None:
@@ -63,10 +64,11 @@ def main() -> None:
         write_people(title, chosen(kinds, asked.count, asked.unseen), asked.rows)
     for part in ("lights", "photographs"):
         if part in parts:
-            one = [chosen([kind], asked.count, asked.unseen)[:1] for kind in kinds]
-            write_agreement(title, part, list(itertools.chain(*one)), asked.rows)
+            write_agreement(title, part, chosen(kinds[:1], 1, asked.unseen), asked.rows)
     if "speed" in parts:
-        measure_speed(title)
+        measure_speed(title, SIZES)
+    if "export" in parts:
+        measure_export(title)
 
 
 def write_people(title: str, people: list[Who], rows: int) -> None:
@@ -138,8 +140,11 @@ def write_people(title: str, people: list[Who], rows: int) -> None:
         "guess. The ceiling is a capture of the scanned head: its atlas has 38.7 dB of albedo and "
         "1.9 degrees of normals in `make demo`.",
     )
-    true, found_deg = ([each.ita_deg[k] for _, each in scores] for k in (1, 0))
-    tones = by_tone(true, found_deg)
+    found_deg, true_deg = ([each.ita_deg[k] for _, each in scores] for k in (0, 1))
+    tones = by_tone(true_deg, found_deg)
+    squares: dict[str, list[float]] = {}
+    for _, each in scores:
+        squares.setdefault(tone_of(each.ita_deg[1]), []).append(each.albedo[AVATAR])
     record(
         f"{title}: skin colour by tone",
         ["tone", "people", "error of the typology angle, deg", "albedo dB"],
@@ -148,7 +153,7 @@ def write_people(title: str, people: list[Who], rows: int) -> None:
                 tone,
                 count,
                 f"{error:.1f}",
-                f"{db(s.albedo[AVATAR] for _, s in scores if tone in by_tone([s.ita_deg[1]], [0])):.1f}",
+                f"{db(squares[tone]):.1f}",
             ]
             for tone, (count, error) in tones.items()
         ],
@@ -158,7 +163,7 @@ def write_people(title: str, people: list[Who], rows: int) -> None:
 
 
 def write_agreement(title: str, part: str, people: list[Who], rows: int) -> None:
-    """Photographs of one person held against each other."""
+    """Photographs of one person, of the first kind of heads, held against each other."""
     body = []
     views = tuple((light, 0.0) for light in GROUPS) if part == "lights" else VIEWS
     for who in people:

@@ -21,12 +21,14 @@ from benchmarks.networks_lights import light_of
 from benchmarks.networks_people import Head, Who, make
 from benchmarks.networks_scores import light_deg, specular_sums, squared
 from benchmarks.photo import apart, in_head, photograph, scored
-from benchmarks.record import changed, commit
+from benchmarks.record import changed, git
 from benchmarks.reflectance_people import folder
 from learning.checkpoint import (
     load_mesostructure,
+    load_super_resolution,
     load_whole_face,
     shipped_mesostructure,
+    shipped_super_resolution,
     shipped_weights,
 )
 from learning.evaluation.measures import normal_measures
@@ -35,14 +37,16 @@ from learning.networks.whole_face import WholeFaceNetwork
 from learning.photo.config import FitConfig
 from learning.photo.fit import FittedHead, Photograph, Places, fit_head
 from learning.render.uv import rasterise
-from learning.whole.gaps import continued
+from learning.upscale.network import Rcan
 from learning.whole.detail import enlarged
+from learning.whole.gaps import continued
 from lightstage.formats.environment import LightSet
 from lightstage.formats.template import Template, default_template_path, load_template
 from processing.tones import ita_deg
 
 SETTLES_SECONDS = 120.0
 """For the search of the light, which ends by itself before that: a busy machine finds the same."""
+CODE = ("benchmarks/*.py", "learning", "lightstage", "processing", "sim")
 SAMPLED = 4
 """Each so many-th texel a side of the face's albedo is kept, to compare photographs with."""
 AVATAR, TEXTURE, HARMONIC, MEAN = (
@@ -128,11 +132,12 @@ def places() -> tuple[Places, np.ndarray]:
 
 
 @functools.cache
-def networks() -> tuple[WholeFaceNetwork, TrainedMesostructure]:
+def networks() -> tuple[WholeFaceNetwork, TrainedMesostructure, Rcan]:
     """The shipped weights."""
     relief, about = load_mesostructure(shipped_mesostructure())
     whole = load_whole_face(shipped_weights())[0]
-    return whole, TrainedMesostructure(relief, about.texture_rows)
+    larger = load_super_resolution(shipped_super_resolution())[0]
+    return whole, TrainedMesostructure(relief, about.texture_rows), larger
 
 
 @functools.lru_cache(maxsize=1)
@@ -152,16 +157,16 @@ def shot(case: Case) -> Photograph:
     texture = head.image(head.lit.under(light_for(case))).astype(np.float32)
     covered = rasterise(head.mesh, *head.shown.shape).covered
     whole = continued(texture, head.shown)
-    return photograph(
-        dataclasses.replace(head, shown=covered), whole, case.yaw_deg, places()[1]
-    )
+    return photograph(dataclasses.replace(head, shown=covered), whole, case.yaw_deg, places()[1])
 
 
 def fitted(case: Case, photographs: list[Photograph]) -> FittedHead:
     """What `fit` makes of photographs; the first gives the texture."""
     config = FitConfig(rows=case.rows, refine_seconds=SETTLES_SECONDS)
-    whole, relief = networks()
-    return fit_head(photographs, template(), places()[0], whole, config, relief)
+    whole, relief, larger = networks()
+    return fit_head(
+        photographs, template(), places()[0], whole, config, relief, super_resolution=larger
+    )
 
 
 def score(case: Case) -> Score | None:
@@ -169,7 +174,7 @@ def score(case: Case) -> Score | None:
 
     Kept by commit where nothing differs from it.
     """
-    kept = folder() / f"avatar-{commit()}" / f"{case.name}.pickle"
+    kept = folder() / f"avatar-{code_commit()}" / f"{case.name}.pickle"
     if kept.is_file():
         found: Score | None = pickle.loads(kept.read_bytes())
         return found
@@ -179,9 +184,15 @@ def score(case: Case) -> Score | None:
         began = time.perf_counter()
         answer = fitted(case, [taken])
         result = scored_fit(case, answer, time.perf_counter() - began)
-    if not changed():
+    if not any(name.endswith(".py") for name in changed()):
         write(kept, result)
     return result
+
+
+@functools.cache
+def code_commit() -> str:
+    """Abbreviated hash of the last commit that changed what is measured, or how."""
+    return git("log", "-1", "--format=%h", "--", *CODE)
 
 
 def write(kept: Path, result: Score | None) -> None:

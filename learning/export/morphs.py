@@ -34,7 +34,8 @@ BOTH_SIDES = {
 """Expressions of our own template that ARKit has for each side of its own."""
 BROWS = "brow_raise"
 INNER_MM, OUTER_MM = 18.0, 42.0
-"""From the middle: a raised brow is ARKit's inner one up to the first, its outer beyond the second."""
+"""From the middle: a raised brow is ARKit's inner one up to the first, its outer one beyond the
+second."""
 ALSO = {"pucker": "mouthPucker"}
 """Expressions of our own template under another name."""
 
