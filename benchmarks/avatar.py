@@ -2,10 +2,10 @@
 
 `python -m benchmarks.avatar` photographs people who were not trained on (simulated people of
 another seed, people of ICT's model, the scanned head) under lights of the simulator, one photograph
-each, and scores what `avatar` finds over skin of the face with the weights as shipped. ``--part lights``
-and ``--part photographs`` hold ten lights and six photographs of one person against each other,
-``--part speed`` and ``--part export`` measure seconds and memory. Truth and new lights are the
-simulator's own rendering on the true shape: these are no figures of real people.
+each, and scores what `avatar` finds over skin of the face with the weights as shipped. ``--part
+lights`` and ``--part photographs`` hold ten lights and six photographs of one person against each
+other, ``--part speed`` and ``--part export`` measure seconds and memory. Truth and new lights are
+the simulator's own rendering on the true shape: these are no figures of real people.
 
 The scanned head is Infinite, 3D Head Scan by Lee Perry-Smith, CC BY 3.0, based on a work at
 www.triplegangers.com. Its true albedo is its texture, with some shading baked in.
