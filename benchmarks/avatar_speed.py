@@ -120,7 +120,7 @@ def measure_export(title: str) -> None:
     """A head of `LARGEST_ROWS` as glTF, OBJ and maps."""
     with tempfile.TemporaryDirectory() as place:
         folder = ProcessedFolder(Path(place) / "head")
-        _write_head(folder)
+        write_head(folder, LARGEST_ROWS)
         out = Path(place) / "out"
         facts = measured(EXPORT, [str(folder.root), str(out)])
         size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
@@ -142,9 +142,9 @@ def measure_export(title: str) -> None:
     )
 
 
-def _write_head(folder: ProcessedFolder) -> None:
+def write_head(folder: ProcessedFolder, rows: int) -> None:
     """Maps of noise on the template."""
-    rows, columns = LARGEST_ROWS, LARGEST_ROWS * 2 // 3
+    columns = rows * 2 // 3
     mesh, rng = template().mesh, np.random.default_rng(0)
     normal = rasterise(mesh, rows, columns).normals(mesh).astype(np.float32)
     folder.write_atlas("diffuse_normal", normal)
