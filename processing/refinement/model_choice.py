@@ -202,6 +202,19 @@ def richer_models(model: Model, bounces: bool, amounts: int) -> Iterator[tuple[s
         if (facets.stretch - 1) * (factor - 1) < 0 or abs(np.log(stretch)) > np.log(MOST_STRETCHED):
             continue
         yield name, dataclasses.replace(model, facets=dataclasses.replace(facets, stretch=stretch))
+    if facets.covers:
+        yield "all light enters", dataclasses.replace(
+            model, facets=dataclasses.replace(facets, covers=False)
+        )
+    if facets.rises:
+        yield "mirrors alike at all angles", dataclasses.replace(
+            model, facets=dataclasses.replace(facets, rises=False)
+        )
+    if facets.rises and not facets.tails:
+        # Either alone may predict worse: long tails stand in for what rises, and the other way.
+        yield "tails, alike at all angles", dataclasses.replace(
+            model, facets=dataclasses.replace(facets, tails=True, rises=False)
+        )
     if bounces and not model.bounces:
         yield "light from skin to skin", dataclasses.replace(model, bounces=True)
     if model.scattering + 1 < amounts:
