@@ -61,15 +61,18 @@ BARE = Interface(
 def skin_interface(facets: Facets = BECKMANN) -> Interface:
     """T of n = 1.4, by the sum of the lobe over directions of light.
 
-    A stretched lobe lets through what a round one of the same m does.
+    A stretched lobe lets through what a round one of the same m does. Facets that cover nothing
+    let all light through.
 
     Source: [Walter2007] for the lobe.
     """
+    if not facets.covers:
+        return dataclasses.replace(BARE, facets=facets)
+    if facets.stretch != 1 or not facets.rises:
+        plain = skin_interface(Facets(facets.tails))
+        return dataclasses.replace(plain, facets=facets)
     rows = np.linspace(*ROUGHNESS_RANGE, ROWS)
     cosines = np.linspace(0, 1, COSINES + 1)
-    if facets.stretch != 1:
-        round_one = skin_interface(dataclasses.replace(facets, stretch=1.0))
-        return dataclasses.replace(round_one, facets=facets)
     table = np.stack([[1 - mirrored(max(c, 0.01), m, facets.tails) for c in cosines] for m in rows])
     mean = np.trapezoid(2 * cosines * table, cosines, axis=1)
     return Interface(table.astype(np.float32), mean.astype(np.float32), facets)

@@ -32,7 +32,14 @@ RIG = lit_ball.small_rig()
 INTERFACE = skin_interface()
 FAMILIES = tuple(
     skin_interface(facets)
-    for facets in (BECKMANN, Facets(tails=True), Facets(stretch=1.4), Facets(True, 0.8))
+    for facets in (
+        BECKMANN,
+        Facets(tails=True),
+        Facets(stretch=1.4),
+        Facets(True, 0.8),
+        Facets(rises=False),
+        Facets(True, covers=False),
+    )
 )
 ALBEDO = np.array([0.55, 0.33, 0.22])
 SEEDS = st.integers(0, 2**31)

@@ -146,6 +146,21 @@ def test_a_photograph_that_moved_is_laid_upon_full(tmp_path: Path) -> None:
     assert "moved" in finding
 
 
+@pytest.mark.parametrize("number", [1, 5])
+def test_a_scarf_that_moved_alone_leaves_the_face_as_it_was(tmp_path: Path, number: int) -> None:
+    """The lowest quarter of the subject slips aside in one photograph, and stays there."""
+    images = noisy(still())
+    rows = np.flatnonzero(SIGHT.mask.any(axis=1))
+    below = rows[0] + 3 * len(rows) // 4
+    flow = Flow(np.array([[6.0, 0.0]]), (0.0, 0.0), 1.0, 0)
+    images[number, below:] = moved(images[number], flow)[below:]
+    before = images.copy()
+    facts = prepared(images, tmp_path)
+    assert facts["aligned"] == []
+    np.testing.assert_array_equal(images, before)
+    assert facts["displaced_px"][PATTERNS[number]] > 1
+
+
 def test_flicker_of_one_photograph_is_evened_out_and_said(tmp_path: Path) -> None:
     images = noisy(still())
     images[5] *= np.float32(1.04)
