@@ -171,7 +171,12 @@ class Case:
 
 def facets_of(facts: Mapping[str, Any]) -> Facets:
     """The family of lobes that `refine` found."""
-    return Facets(facts["mirror_lobe_tails"], facts["mirror_lobe_stretch"])
+    return Facets(
+        facts["mirror_lobe_tails"],
+        facts["mirror_lobe_stretch"],
+        facts["mirror_rises_at_grazing_angles"],
+        facts["diffuse_layer_below_the_mirror"],
+    )
 
 
 def put_frames(

@@ -19,7 +19,7 @@ SUBJECTS = {
     "Dataset": ("dataset", "reidentify"),
     "Renderer": ("render_",),
     "Networks": ("networks", "paper_", "training", "upscale"),
-    "One photograph": ("photo",),
+    "One photograph": ("avatar", "photo"),
     "Simulated stage": ("sim_",),
 }
 """Subject to how its benchmarks' names begin; the first that fits holds a benchmark's tables."""

@@ -132,17 +132,6 @@ def _of_lights(rig: Rig) -> list[Finding]:
                 "Gradients then show little of surfaces that face away from them.",
             )
         )
-    controllers = list(dict.fromkeys(each.controller for each in rig.addresses))
-    if len(controllers) > 1:
-        found.append(
-            _warn(
-                "controllers",
-                "lights, address",
-                f"{len(controllers)} controllers, {', '.join(controllers[:NAMED])}",
-                "one, as --leds opens one device",
-                "Such a rig serves photographs from elsewhere; no capture can light it.",
-            )
-        )
     found += _of_banks(rig)
     gains = rig.rgb_gains.mean(axis=1)
     usual_of = np.empty(len(gains))

@@ -134,7 +134,9 @@ def pooled(values: np.ndarray, mask: np.ndarray, sigma_px: float) -> np.ndarray:
 def shrunk(
     weighed: np.ndarray, weight: np.ndarray, prior: np.ndarray | float, prior_weight: float
 ) -> np.ndarray:
-    """Specular albedo with a prior: (weighed + w prior) / (weight + w), clipped to 0..0.2.
+    """(n,) specular albedo with a prior: (weighed + w prior) / (weight + w), clipped to 0..0.2.
+
+    `weighed` and `weight` are (n,), as is `prior` where it is no number.
 
     Reflectances above .2 are metals, not faces.
     """

@@ -99,7 +99,7 @@ def lacks_head(out: Path) -> bool:
 
 
 def show(name: str, image: np.ndarray) -> np.ndarray:
-    """A map as an 8-bit picture for looking."""
+    """A (h, w[, 3]) map as an 8-bit picture to be inspected."""
     if name.endswith("_normal"):
         return display_normals(image)
     if name == "roughness":

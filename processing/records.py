@@ -27,7 +27,7 @@ MADE_FIRST = ("work", "views", "stages.json")
 RUN_LOCK = "run.lock"
 """Held while stages run, so that two runs do not share a folder."""
 REPORTED = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "pycolmap")
-CODE = ("processing", "lightstage/formats", "lightstage/rig.py", "lightstage/patterns/names.py")
+CODE = ("processing", "lightstage/formats", "lightstage/rig", "lightstage/patterns/names.py")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -169,7 +169,7 @@ def display_error(error: np.ndarray, largest: float, mask: np.ndarray | None = N
 
 
 def resize(image: np.ndarray, height: int) -> np.ndarray:
-    """A uint8 picture at another height, aspect kept."""
+    """A (h, w[, 3]) uint8 picture at another height, aspect kept."""
     width = max(1, round(image.shape[1] * height / image.shape[0]))
     how = cv2.INTER_AREA if height < image.shape[0] else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(image, (width, height), interpolation=how))
@@ -187,7 +187,7 @@ def side_by_side(images: Sequence[np.ndarray], height: int, gap: int = 6) -> np.
 
 
 def encode(image: np.ndarray, *, lossless: bool = False, quality: int = 85) -> bytes:
-    """A uint8 sRGB picture as JPEG, or as PNG where `lossless`."""
+    """A (h, w[, 3]) uint8 sRGB picture as JPEG, or as PNG where `lossless`."""
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
         raise ProcessingError(
             "picture", found=f"{image.dtype} {image.shape}", expected="uint8 (h, w) or (h, w, 3)"

@@ -29,7 +29,12 @@ def split(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_part(face: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which part of a split triangle a place is in, and its barycentric weights there."""
+    """Of n places on split triangles, the (n,) parts that they are in and (n, 3) weights there.
+
+    Args:
+        face: (n,) triangles before the split.
+        weights: (n, 3) barycentric, in these.
+    """
     largest = weights.argmax(axis=1)
     corner = np.take_along_axis(weights, largest[:, None], axis=1)[:, 0] >= 0.5
     inner = 1 - 2 * weights[:, [2, 0, 1]]

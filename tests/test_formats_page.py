@@ -115,5 +115,5 @@ def test_a_newer_version_is_refused(folder: Path, name: str) -> None:
 
 def test_the_pages_maps_are_the_programs() -> None:
     rows = re.findall(r"^\| `(\w+)` \| (\d) \| (yes|no) \|", PAGE, re.M)
-    told = {name: (int(channels), half == "yes") for name, channels, half in rows}
-    assert told == {name: (spec.channels, spec.half) for name, spec in MAPS.items()}
+    values = {name: (int(channels), half == "yes") for name, channels, half in rows}
+    assert values == {name: (spec.channels, spec.half) for name, spec in MAPS.items()}

@@ -25,6 +25,7 @@ class FitConfig:
         expression_spread: standard deviation of an expression's strength; 1 is its full one.
         refine_seconds: for the search of the light and the skin under it, at most.
         rounds: of light, skin and mask in turns.
+        super_resolution: whether a photograph of fewer pixels than texels is enlarged.
     """
 
     rows: int = 1536
@@ -40,3 +41,4 @@ class FitConfig:
     expression_spread: float = 0.25
     refine_seconds: float = 20.0
     rounds: int = 2
+    super_resolution: bool = True

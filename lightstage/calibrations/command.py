@@ -24,7 +24,7 @@ from lightstage.capture.stage import open_stage
 from lightstage.commands import JsonFlag, finish, output_folder
 from lightstage.counting import counted
 from lightstage.errors import ConfigError, LightstageError
-from lightstage.leds.address import parse_url
+from lightstage.leds.address import worst_answer_s
 from lightstage.operator import Unattended
 from lightstage.resume_line import calibrate_line, shell_line
 from lightstage.rig import load_rig
@@ -66,7 +66,7 @@ def calibrate_command(
     _require_meaning(kind, resume, poses, every_light)
     the_rig = load_rig(rig)
     planned = plan_shots(chosen.shown(the_rig, every_light), the_rig, chosen.drive)
-    worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
+    worst_s = settings.worst_shot_s(worst_answer_s(leds))
     check_shots(planned, the_rig, settings.safety, worst_s)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
     assistant: Assistant = TerminalAssistant(_say, _ask)

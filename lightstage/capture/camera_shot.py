@@ -352,8 +352,9 @@ def _mendable(finding: Finding) -> Finding:
     name = finding.where.rpartition(", ")[2]
     if finding.code != "drift" or name in ("serial", "model", "firmware"):
         return finding
-    does = "clears it" if name in FIELDS else "sets it back"
-    return dataclasses.replace(finding, hint=f"Taking it again (key r) {does} on the camera first.")
+    does = "The field is cleared" if name in FIELDS else "The setting is set back"
+    hint = f"{does} on the camera in any case: r then takes this photograph again, a keeps it."
+    return dataclasses.replace(finding, hint=hint)
 
 
 def _late(pattern: str, findings: Iterable[Finding]) -> list[Finding]:

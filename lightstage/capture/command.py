@@ -27,7 +27,7 @@ from lightstage.errors import ConfigError, FormatError, LightstageError, one_err
 from lightstage.findings import accepted_in_words
 from lightstage.formats.access import group_of, limited_access
 from lightstage.formats.consents import require_consents
-from lightstage.leds.address import parse_url
+from lightstage.leds.address import worst_answer_s
 from lightstage.operator import open_operator
 from lightstage.patterns import Drive, read_patterns, sequence_patterns, split_emitters
 from lightstage.preflight import consent_findings, measured_rig_findings, require_known
@@ -90,7 +90,8 @@ def capture_command(
         None, help="Named sequence, or pattern names with commas (binary)."
     ),
     leds: str = typer.Option(
-        ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
+        ...,
+        help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
     ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     resume: bool = typer.Option(False, "--resume", help="Resume the session in --out."),
@@ -234,7 +235,7 @@ def take_session(
     require_known(order.subject, settings.session)
     findings = [*consent_findings(order.consent, settings.session), *measured_rig_findings(rig)]
     order = dataclasses.replace(order, findings=findings)
-    worst_s = settings.worst_shot_s(parse_url(leds).worst_s)
+    worst_s = settings.worst_shot_s(worst_answer_s(leds))
     check_shots(order.shots, rig, settings.safety, worst_s)
     file = CamerasFile() if cameras == "auto" else read_cameras_file(Path(cameras))
     # What is added to a session stays as private as the session is.

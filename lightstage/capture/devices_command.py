@@ -32,7 +32,8 @@ def register(app: typer.Typer) -> None:
 def devices_command(
     rig: Path = typer.Option(..., help="rig.json: where lights and cameras stand."),
     leds: str = typer.Option(
-        ..., help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://.."
+        ...,
+        help="serial:///dev/ttyX?baud=.., socket://.., sacn://.., ws://..; or NAME=URL,NAME=URL",
     ),
     cameras: str = typer.Option("auto", help="A cameras file (TOML), or auto: by serial number."),
     folder: Path = typer.Option(

@@ -19,7 +19,7 @@ from lightstage.capture.config import CaptureConfig
 from lightstage.errors import one_error
 from lightstage.findings import Finding
 from lightstage.interrupts import raise_once
-from lightstage.leds.address import parse_url
+from lightstage.leds.address import worst_answer_s
 from lightstage.leds.opening import open_rig_leds
 from lightstage.preflight import PreflightConfig, device_findings, refusals
 from lightstage.rig import Rig
@@ -56,14 +56,14 @@ def open_stage(rig: Rig, leds: str, file: CamerasFile, config: CaptureConfig) ->
 
     Args:
         rig: what must be there.
-        leds: the LED device's URL.
+        leds: the LED device's URL, or one of each controller (`open_rig_leds`).
         file: where cameras are, and what may stay unverified.
         config: deadlines and limits.
 
     Raises:
         DeviceError: every device that is missing or wrong, in one message.
     """
-    worst_s = config.worst_shot_s(parse_url(leds).worst_s)
+    worst_s = config.worst_shot_s(worst_answer_s(leds))
     raise_once()
     with open_rig_leds(leds, rig) as device:
         cameras = find_cameras(rig, file, config.deadlines, detect_ports)

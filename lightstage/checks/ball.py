@@ -111,7 +111,7 @@ def unlikeness(seen: np.ndarray, expected: np.ndarray) -> np.ndarray:
 
 
 def brightness(seen: np.ndarray, expected: np.ndarray, weight: np.ndarray) -> float:
-    """Ratio of what is seen to what is expected, both over all cells, weighed by the whole."""
+    """Ratio of what is seen to what is expected, (...) over cells each, weighed by the whole's."""
     wanted = float((expected * weight).sum() / weight.sum())
     return (float((seen * weight).sum() / weight.sum()) + FLOOR) / (wanted + FLOOR)
 

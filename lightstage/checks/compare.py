@@ -55,7 +55,9 @@ def unlike_findings(
 def looks_like(
     name: str, patterns: Sequence[str], unlike: np.ndarray, allowed: Sequence[str]
 ) -> tuple[str, float]:
-    """Which pattern a photograph is most like, and how many times nearer than to its own."""
+    """Which pattern a photograph is most like by its (P,) unlikeness to each, and how many times
+    nearer than to its own.
+    """
     own = float(unlike[patterns.index(name)])
     best = min(allowed, key=lambda other: unlike[patterns.index(other)])
     return best, own / max(float(unlike[patterns.index(best)]), 1e-6)
@@ -221,7 +223,10 @@ def highlight_findings(
     levels: Mapping[str, np.ndarray],
     config: ChecksConfig,
 ) -> list[Finding]:
-    """Swapped polarisation banks: the cross photograph shows the mirror reflection."""
+    """Swapped polarisation banks: the cross photograph shows the mirror reflection.
+
+    `levels` are (n,) by pattern.
+    """
     base, _, kind = pattern.partition("@")
     names = f"{base}@parallel", f"{base}@cross"
     if kind not in ("parallel", "cross") or not all(name in levels for name in names):

@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import Literal
 
+from lightstage.counting import counted
 from lightstage.day.plan import DayPlan, Take
 from lightstage.day.sessions import Seen, seen_session
 from lightstage.errors import CaptureError
@@ -33,6 +34,12 @@ class Planned:
     def open(self) -> bool:
         """Whether it is to be captured, or resumed."""
         return self.stand in ("to come", "again", "begun")
+
+    @property
+    def accepted(self) -> str:
+        """What the operator accepted, such as ``with 2 findings accepted``; empty for nothing."""
+        findings = sum(seen.findings for seen in self.sessions)
+        return f"with {counted(findings, 'finding')} accepted" if findings else ""
 
 
 def sessions_folder(plan: DayPlan, path: Path) -> Path:

@@ -207,7 +207,7 @@ def _text(handle: BinaryIO) -> bytes:
 
 
 def require_finite(image: np.ndarray, where: str | Path) -> None:
-    """Raise FormatError when an array holds NaN or an infinity, naming the first place."""
+    """FormatError when a (h, w[, c]) array holds NaN or an infinity; it names the first place."""
     bad = ~np.isfinite(image)
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])

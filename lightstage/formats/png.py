@@ -38,7 +38,7 @@ def png_bytes(pixels: np.ndarray, where: str | Path, options: Sequence[int] = ()
     """A picture as the bytes of a PNG file; arguments and errors as `write_png`.
 
     Args:
-        pixels: the picture.
+        pixels: (h, w[, c]), the picture.
         where: what to name in an error.
         options: OpenCV's.
     """

@@ -164,7 +164,7 @@ def save_session(root: Path, file: SessionFile) -> Path:
 
 
 def state_hash(levels: np.ndarray) -> str:
-    """SHA-256 of a light state's 16-bit levels (little endian), as the wire acknowledges it."""
+    """SHA-256 of a state's (n,) 16-bit levels (little endian), as the wire acknowledges it."""
     counts = np.round(np.asarray(levels, float) * 65535).astype("<u2")
     return hashlib.sha256(counts.tobytes()).hexdigest()
 

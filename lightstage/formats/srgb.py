@@ -16,7 +16,7 @@ XYZ_FROM_SRGB = np.array(
 
 
 def linear_from_srgb(image_srgb: np.ndarray) -> np.ndarray:
-    """Decode sRGB in 0..1 to linear. Any shape.
+    """Decode (...) sRGB in 0..1 to (...) linear values.
 
     Source: [IEC61966].
     """

@@ -67,7 +67,7 @@ def axes_alike(levels: Mapping[str, np.ndarray]) -> list[Balance]:
 
 
 def has_gradient(levels: Mapping[str, np.ndarray]) -> bool:
-    """Whether any pattern is one whose light others should complete."""
+    """Whether any pattern, (n,) levels by name, is one whose light others should complete."""
     return any(complement(name) is not None for name in levels)
 
 

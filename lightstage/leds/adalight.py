@@ -56,7 +56,7 @@ class Tint:
         return np.asarray((steps / self._full) ** self._gamma)
 
     def pixels(self, steps: np.ndarray) -> bytes:
-        """Three bytes an LED."""
+        """Three bytes an LED, of (n,) steps."""
         values = np.round(steps[:, None] * (self._primaries / self._full))
         return values.astype(np.uint8).tobytes()
 

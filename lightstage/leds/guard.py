@@ -6,6 +6,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -45,6 +46,21 @@ class HasLastWill(Protocol):
 
     def last_will(self) -> LastWill:
         """What it must send for that."""
+
+
+@runtime_checkable
+class HasLastWills(Protocol):
+    """The same of several devices."""
+
+    def last_wills(self) -> tuple[LastWill, ...]:
+        """One of each device."""
+
+
+def last_wills(lights: object) -> tuple[LastWill, ...]:
+    """What makes each device of a controller dark; none where no other process can."""
+    if isinstance(lights, HasLastWills):
+        return lights.last_wills()
+    return (lights.last_will(),) if isinstance(lights, HasLastWill) else ()
 
 
 class Guardian:
@@ -134,3 +150,49 @@ class Guardian:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
+
+
+class Guardians:
+    """One guardian of each device, as if they were one.
+
+    Args:
+        wills: of the devices, at least one.
+        silence_s: as of `Guardian`.
+
+    Raises:
+        DeviceError: a process cannot be started; then none is left.
+    """
+
+    def __init__(self, wills: Sequence[LastWill], silence_s: float) -> None:
+        self._each: list[Guardian] = []
+        try:
+            for will in wills:
+                self._each.append(Guardian(will, silence_s))
+        except BaseException:
+            self.goodbye()
+            raise
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """Their process numbers."""
+        return tuple(each.pid for each in self._each)
+
+    @property
+    def alive(self) -> bool:
+        """Whether all of them watch."""
+        return all(each.alive for each in self._each)
+
+    def beat(self) -> None:
+        """Say that this process lives."""
+        for each in self._each:
+            each.beat()
+
+    def goodbye(self) -> None:
+        """All lights are dark: they end."""
+        for each in self._each:
+            each.goodbye()
+
+    def leave(self) -> None:
+        """Let them do their work, as if this process had been killed."""
+        for each in self._each:
+            each.leave()

@@ -53,7 +53,7 @@ class UnansweredLeds(Closing):
         return self._pulse_hz
 
     def light(self, levels: np.ndarray) -> np.ndarray:
-        """Send all levels; returns when they are out and had time to settle."""
+        """Send all (n,) levels; returns when they are out and had time to settle."""
         steps = self._to_steps(levels)
         if len(steps) != self._hello.light_count:
             raise DeviceError(

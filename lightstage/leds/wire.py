@@ -120,12 +120,12 @@ def level_counts(levels: np.ndarray) -> np.ndarray:
 
 
 def set_payload(counts: np.ndarray) -> bytes:
-    """SET's payload: light count, then one count a light."""
+    """SET's payload of (n,) counts: their number, then one count a lamp."""
     return struct.pack("<H", len(counts)) + counts.astype("<u2").tobytes()
 
 
 def lit_payload(counts: np.ndarray) -> bytes:
-    """LIT's payload for these counts: their SHA-256."""
+    """LIT's payload for (n,) counts: their SHA-256."""
     return hashlib.sha256(counts.astype("<u2").tobytes()).digest()
 
 

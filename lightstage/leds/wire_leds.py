@@ -91,7 +91,7 @@ class WireLeds(Closing):
         return self._told_pulse_hz or self._hello.pulse_hz
 
     def light(self, levels: np.ndarray) -> np.ndarray:
-        """Set all lights and wait for LIT with the hash of exactly these levels."""
+        """Set all lamps to (n,) levels and wait for LIT with the hash of exactly these."""
         counts = wire.level_counts(levels)
         with self._turn:
             self._wanted = wire.lit_payload(counts)

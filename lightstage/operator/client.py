@@ -52,12 +52,13 @@ def follow(
                 yield from seen.new(line)  # what was written while the socket closed
 
 
-def ask(session: Path, do: str) -> str | None:
+def ask(session: Path, do: str, pattern: str = "") -> str | None:
     """Ask a running capture for something; why not, or None where it is accepted.
 
     Args:
         session: its folder.
         do: ``retake``, ``accept``, ``abort``, ``pause`` or ``resume``.
+        pattern: that is taken again, or that an answer is about; the latest where it is empty.
 
     Raises:
         FormatError: no journal.
@@ -79,7 +80,8 @@ def ask(session: Path, do: str) -> str | None:
         try:
             connection.connect(seen.socket)
             connection.settimeout(ANSWER_S)
-            connection.sendall(json.dumps({"do": do}).encode() + b"\n")
+            of = {"pattern": pattern} if pattern else {}
+            connection.sendall(json.dumps({"do": do, **of}).encode() + b"\n")
             with connection.makefile("rb") as file:
                 answer = parse_json(file.readline(ANSWER_BYTES), "answer", LINE)
         except (OSError, FormatError):

@@ -25,7 +25,7 @@ class Writer(Protocol):
 
 @contextlib.contextmanager
 def serve_events(
-    writer: Writer, request: Callable[[str], str | None], config: EventConfig | None = None
+    writer: Writer, request: Callable[[str, str], str | None], config: EventConfig | None = None
 ) -> Iterator[EventServer]:
     """Serve a session's events as long as the block lasts; the journal names the socket.
 

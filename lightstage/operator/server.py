@@ -2,7 +2,8 @@
 
 A client sends lines of JSON. ``{"after": ID}`` asks for every line of the journal with a larger
 id, those that are written already and then each new one, as they stand in the journal. ``{"do":
-"retake"}`` (or ``accept``, ``abort``, ``pause``, ``resume``) asks for that in the operator's place,
+"retake"}`` (or ``accept``, ``abort``, ``pause``, ``resume``) asks for that in the operator's place
+(``"pattern": "x+"`` beside it names the pattern that is taken again, or that an answer is about),
 and is answered by ``{"answer": "retake", "accepted": true}`` or ``{"answer": "retake", "accepted":
 false, "why": "no pattern is done yet"}``; an answer has no id. Socket and folder belong to the user
 who captures (modes 0600 and 0700).
@@ -71,8 +72,8 @@ class EventServer(Closing):
 
     Args:
         journal: journal.jsonl, which exists; the lines that it has now are on the disk.
-        request: called with what a client wants done, from the server's thread; returns why not, or
-            None where it is accepted.
+        request: called with what a client wants done and a pattern (or an empty text), from the
+            server's thread; returns why not, or None where it is accepted.
         config: limits.
 
     Raises:
@@ -83,7 +84,7 @@ class EventServer(Closing):
     def __init__(
         self,
         journal: Path,
-        request: Callable[[str], str | None],
+        request: Callable[[str, str], str | None],
         config: EventConfig | None = None,
     ) -> None:
         self._config = config or EventConfig()
@@ -229,7 +230,8 @@ class EventServer(Closing):
                 client.after = after
                 return None
             if isinstance(do, str):
-                why = self._request(do)
+                pattern = request.get("pattern")
+                why = self._request(do, pattern if isinstance(pattern, str) else "")
                 no = {} if why is None else {"why": why}
                 return {"answer": do, "accepted": why is None, **no}
         return {

@@ -32,7 +32,7 @@ from lightstage.operator.keys import has_keys, heard, key_by_key
 from lightstage.operator.screen import Ask, Screen
 from lightstage.operator.view import View
 from lightstage.operator.window import Scroll
-from lightstage.operator.words import HEARD, KEYS, Said, said, text_of
+from lightstage.operator.words import HEARD, KEYS, Said, heard_words, said, text_of
 
 PICTURES_PER_S = 5
 LINES_WAITING = 1000
@@ -120,14 +120,15 @@ class TerminalOperator:
         finally:
             self._question, self._scroll = [], Scroll()
 
-    def request(self, do: str) -> str | None:
+    def request(self, do: str, pattern: str = "") -> str | None:
         """Asked from elsewhere; why not, or None where it is accepted."""
         if do == "abort" and self._stopped_s is None:  # seen at once; the lights may take longer
             self._heard, self._stopped_s = HEARD[do], time.monotonic()
             self._show.say(Said("stop", HEARD[do]))
-        why = self._requests.request(do)
+        of = "" if self._question else pattern or self._requests.shown
+        why = self._requests.request(do, pattern)
         if why is None:
-            self._heard = HEARD[do]
+            self._heard = heard_words(do, of)
         return why
 
     def at_abort(self, act: Callable[[], None]) -> None:

@@ -17,8 +17,10 @@ from typing import Any, Literal
 from lightstage.counting import counted
 from lightstage.operator.attendance import Decision, possible_answers
 from lightstage.operator.words import (
+    TYPED,
     Mark,
     Said,
+    Ways,
     duration,
     names_of,
     number_of,
@@ -31,6 +33,7 @@ from lightstage.resume_line import options_of
 State = Literal[
     "idle", "triggering", "downloading", "kept", "failed", "late", "restarting", "in question"
 ]
+AT_WORK: tuple[State, ...] = ("triggering", "downloading", "late", "restarting")
 Phase = Literal["before", "running", "asked", "paused", "aborted", "complete", "gone"]
 
 SHOTS_MEASURED = 9
@@ -75,8 +78,12 @@ class Late:
 class View:
     """Receives every line; several threads may give lines and read.
 
-    Attributes:
+    Args:
         session: the session's folder, for what the operator may type.
+        ways: how the operator resumes and follows a capture.
+
+    Attributes:
+        session: as given.
         lock: held while it changes; hold it to read several things that belong together.
         patterns: names in order.
         cameras: by their names, in order.
@@ -84,6 +91,7 @@ class View:
         takes: number of the latest photograph by (pattern, camera), where it was taken again.
         done: patterns with all their photographs.
         pattern: what is lit; None in the dark.
+        shown: what was lit last; empty before the first light.
         lights: what the LED device reported, as one line.
         acknowledged: whether it reports what is lit; None where it is not known.
         phase: what the capture does; ``asked`` waits, dark, for the operator's answer; ``gone`` was
@@ -91,11 +99,13 @@ class View:
         options: with which the capture is resumed, from its journal.
         late: what is known of cameras that the others wait for; None where there are none.
         question: what the operator is asked about; empty where nothing is asked.
+        asked: the pattern that the question is of; empty where nothing is asked.
         answers: what can be answered to it.
     """
 
-    def __init__(self, session: str = "SESSION") -> None:
+    def __init__(self, session: str = "SESSION", ways: Ways = TYPED) -> None:
         self.session = session
+        self._ways = ways
         self.lock = threading.RLock()
         self.who = ""
         self.patterns: list[str] = []
@@ -104,6 +114,8 @@ class View:
         self.takes: dict[tuple[str, str], int] = {}
         self.done: set[str] = set()
         self.pattern: str | None = None
+        self.shown = self.asked = ""
+        self._asked_of: collections.Counter[str] = collections.Counter()
         self.lights = ""
         self.acknowledged: bool | None = None
         self._news: collections.deque[tuple[Said, str]] = collections.deque(maxlen=NEWS_KEPT)
@@ -135,6 +147,11 @@ class View:
     def mark(self, pattern: str, camera: str) -> Mark:
         """What one photograph is."""
         return self.marks.get(pattern, {}).get(camera, "to come")
+
+    @property
+    def asked_times(self) -> int:
+        """How often was asked about the pattern of the question, this time too."""
+        return self._asked_of[self.asked]
 
     @property
     def wanted(self) -> int:
@@ -174,7 +191,7 @@ class View:
 
     def told(self, line: Mapping[str, Any]) -> Said:
         """Take up a line; returns its words."""
-        words = said(line, self.session)
+        words = said(line, self.session, self._ways)
         with self.lock:
             self.options = options_of(line) or self.options
             number = number_of(line, "id")
@@ -215,13 +232,10 @@ class View:
         self._devices(line)
 
     def _resume(self, line: Mapping[str, Any]) -> None:
-        self.phase, self.question, self.answers = "running", [], ()
+        self.phase, self.question, self.asked, self.answers = "running", [], "", ()
         self.pattern = self._since_s = None
         self._forget(STOPPED)
-        for camera in self.cameras.values():
-            camera.state = "idle"
-        for marks in self.marks.values():
-            marks.update({camera: "again" for camera in marks if marks[camera] == "now"})
+        self._nobody_takes()
         self._devices(line)
 
     def _devices(self, line: Mapping[str, Any]) -> None:
@@ -260,6 +274,8 @@ class View:
             else []
         )
         self.question = [said({**each, "event": "finding"}) for each in findings]
+        self.asked = text_of(line, "pattern")
+        self._asked_of[self.asked] += 1
         self.answers = possible_answers(text_of(each, "code") for each in findings)
 
     def _late_over(self, line: Mapping[str, Any]) -> None:
@@ -269,7 +285,7 @@ class View:
             self._since_s += now_s - late_s
 
     def _answered(self, line: Mapping[str, Any]) -> None:
-        self.phase, self.question, self.answers = "running", [], ()
+        self.phase, self.question, self.asked, self.answers = "running", [], "", ()
         now_s, asked_s = number_of(line, "elapsed_s"), self._asked_s
         if now_s is not None and asked_s is not None and self._since_s is not None:
             self._since_s += now_s - asked_s  # thinking is no measure of what is left
@@ -290,6 +306,7 @@ class View:
         self._late_over(line)
         self.phase, self.late = "running", None
         self.pattern = text_of(line, "pattern") or None
+        self.shown = self.pattern or self.shown
         if isinstance(line.get("acknowledged"), bool):
             self.acknowledged = line["acknowledged"]
         if self._since_s is None:
@@ -341,6 +358,16 @@ class View:
         if camera in self.marks.get(pattern, {}):
             self.marks[pattern][camera] = "again"
         self.done.discard(pattern)
+        # What was said of a photograph that no longer counts, and that no shot would mend.
+        left = [
+            item
+            for item in self._news
+            if item[1]
+            or item[0].tone != "warning"
+            or item[0].pattern != pattern
+            or item[0].camera not in ("", camera)
+        ]
+        self._news = collections.deque(left, NEWS_KEPT)
 
     def _retake(self, line: Mapping[str, Any]) -> None:
         takes = line.get("takes")
@@ -374,9 +401,18 @@ class View:
         self._ends("complete" if text_of(line, "event") == "end" else "aborted")
 
     def _ends(self, phase: Phase) -> None:
-        self.phase, self.question, self.answers = phase, [], ()
+        self.phase, self.question, self.asked, self.answers = phase, [], "", ()
         self.pattern = self.late = None
+        self._nobody_takes()
         self._forget(FOLLOWING)  # nobody can any more
+
+    def _nobody_takes(self) -> None:
+        """No camera is at work; what it had begun is taken again."""
+        for camera in self.cameras.values():
+            if camera.state in AT_WORK:
+                camera.state = "idle"
+        for marks in self.marks.values():
+            marks.update({camera: "again" for camera in marks if marks[camera] == "now"})
 
     def _forget(self, mended: str) -> None:
         """Leave out news that this makes old: a pattern's shot, or one of the two above."""
@@ -400,8 +436,8 @@ def _mended_by(line: Mapping[str, Any]) -> str:
     """What makes a line old: a pattern's shot, the end, or going on; empty for nothing."""
     if text_of(line, "socket"):
         return FOLLOWING
-    if text_of(line, "event") == "aborted":
-        return STOPPED
+    if text_of(line, "event") in ("aborted", "end"):
+        return STOPPED  # somebody may take photographs of a finished session again
     bad = text_of(line, "severity") in ("retake", "refuse")
     if text_of(line, "event") in ("failed", "rejected", "recovered") or bad:
         return text_of(line, "pattern")

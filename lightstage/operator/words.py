@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from lightstage.counting import counted
 from lightstage.findings import accepted_in_words
@@ -50,8 +50,27 @@ ON_CARD = "on-card"
 
 MISSING = "Photographs that came are kept. If it fails again, look at its cable, battery and card."
 """Shown where a photograph did not come."""
+FOLLOW = "{follow}"
 FAILED = "It is tried again by itself; look at its cable, battery and card if it fails again."
-RESUME = "Nothing that was kept is lost. Go on with: {resume}"
+RESUME = "Nothing that was kept is lost. {how}"
+
+
+class Ways(NamedTuple):
+    """How somebody who reads the lines resumes and follows a capture.
+
+    Attributes:
+        resume: a sentence; ``{resume}`` stands for the command.
+        follow: the same of ``{watch}``; empty where who reads it does follow.
+    """
+
+    resume: str
+    follow: str
+
+
+TYPED = Ways("Go on with: {resume}", "Anyone here can follow with: {watch}")
+"""In a terminal."""
+PRESSED = Ways("Press g to resume it.", "")
+"""On the console's page."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,12 +82,16 @@ class Said:
         text: what happened.
         todo: what to do; empty where nothing must be done.
         camera: whose, where it is a matter of one.
+        pattern: the same of a pattern.
+        code: of a finding; otherwise empty.
     """
 
     tone: Tone
     text: str
     todo: str = ""
     camera: str = ""
+    pattern: str = ""
+    code: str = ""
 
     def __str__(self) -> str:
         text = f"{SIGNS[self.tone]} {self.text}".strip()
@@ -118,21 +141,32 @@ def duration(seconds: float | None) -> str:
     return f"about {seconds / 3600:.1f} h left"
 
 
-def said(line: Line, session: str = "SESSION") -> Said:
+def said(line: Line, session: str = "SESSION", ways: Ways = TYPED) -> Said:
     """What to show for a line of the journal.
 
     Args:
         line: as read; any field may be missing.
         session: the session's folder, for what to type.
+        ways: of whoever reads it.
     """
     event = text_of(line, "event")
     make = _WORDS.get(event)
     if make is None:
         return Said("quiet", f"{event or 'something'} {_place(line)}".strip())
     words = make(line)
-    text = words.text.replace("{watch}", watch_line(session))
-    todo = words.todo.replace("{resume}", resume_line(session, options_of(line)))
-    return dataclasses.replace(words, text=text, todo=todo, camera=text_of(line, "camera"))
+    if words.text == FOLLOW and not ways.follow:
+        words = dataclasses.replace(words, tone="quiet")
+    text = words.text.replace(FOLLOW, ways.follow).replace("{watch}", watch_line(session))
+    todo = words.todo.replace("{how}", ways.resume)
+    todo = todo.replace("{resume}", resume_line(session, options_of(line)))
+    return dataclasses.replace(
+        words,
+        text=text,
+        todo=todo,
+        camera=text_of(line, "camera"),
+        pattern=text_of(line, "pattern"),
+        code=text_of(line, "code"),
+    )
 
 
 def merged(items: Sequence[Said]) -> list[Said]:
@@ -210,7 +244,7 @@ def _shot(line: Line) -> Said:
 
 def _note(line: Line) -> Said:
     if text_of(line, "socket"):
-        return Said("plain", "Anyone here can follow with: {watch}")
+        return Said("plain", FOLLOW)
     if text_of(line, "about") == ON_CARD:
         return Said("plain", f"{_at(line)}it answers again, and its picture is on its card")
     said_text = _field(line, "said")
@@ -325,10 +359,22 @@ LEGEND: tuple[tuple[Mark, str], ...] = (
 )
 """Marks of photographs and their words."""
 HEARD = {
-    "retake": "The pattern that is being taken is taken again once it is done.",
+    "retake": "It is taken again.",
     "accept": "Accepted.",
     "pause": "It pauses, dark, after this pattern.",
     "resume": "It goes on.",
     "abort": "STOPPING: lights out; photographs on their way are not lost.",
 }
 """Shown when a key is heard."""
+
+
+def heard_words(do: str, pattern: str = "") -> str:
+    """What is shown when a key is heard.
+
+    Args:
+        do: a request.
+        pattern: that a retake is of, which may be under way or over; empty for an answer.
+    """
+    if do == "retake" and pattern:
+        return f"{pattern} will be taken again next."
+    return HEARD[do]

@@ -90,7 +90,7 @@ def pattern_sheet(
 
 
 def write_sheet(path: Path, sheet: np.ndarray) -> Path:
-    """Write a sheet as PNG, atomically; returns `path`."""
+    """Write a (h, w, 3) sheet as PNG, atomically; returns `path`."""
     return write_png(path, sheet)
 
 

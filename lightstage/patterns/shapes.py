@@ -28,7 +28,7 @@ def numbers(values: tuple[Any, ...], where: str, field: str, count: int) -> np.n
 
 
 def check_levels(levels: np.ndarray, where: str, field: str) -> None:
-    """PatternError, with the first place, where a level is not in 0..1."""
+    """PatternError, with the first place, where one of (n,) levels is not in 0..1."""
     bad = np.flatnonzero(~((levels >= 0) & (levels <= 1)))
     if len(bad):
         place = f"{field}[{bad[0]}]" if len(levels) > 1 else field

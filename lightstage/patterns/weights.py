@@ -79,7 +79,7 @@ def irradiance(rig: Rig, levels: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def unevenness(rig: Rig, levels: np.ndarray) -> float:
     """Standard deviation of the irradiance over all directions of a sphere, as a share of its mean.
 
-    0 for an even field; 0 where no light is on.
+    0 for an even field; 0 where no lamp is on. `levels` are (n,), in the rig's order.
     """
     seen = irradiance(rig, levels, directions(2000))
     return float(seen.std() / seen.mean()) if seen.any() else 0.0

@@ -10,6 +10,7 @@ from lightstage.cameras.camera import Summary
 from lightstage.errors import DeviceError, LightstageError, one_error
 from lightstage.findings import Finding
 from lightstage.leds.controller import LedController
+from lightstage.leds.opening import channels_needed
 from lightstage.preflight.clock import computer_clock_findings
 from lightstage.preflight.config import Plan, PreflightConfig
 from lightstage.preflight.disk import card_findings, disk_findings
@@ -85,7 +86,7 @@ def require(findings: Sequence[Finding]) -> None:
 
 def _led_findings(rig: Rig, leds: LedController) -> list[Finding]:
     findings = []
-    count, needed = leds.hello.light_count, max(each.channel for each in rig.addresses) + 1
+    count, needed = leds.hello.light_count, sum(channels_needed(rig).values())
     # A rig that gives addresses leaves channels free on purpose.
     if count < needed or (count > needed and not rig.addressed):
         findings.append(

@@ -11,7 +11,7 @@ import numpy as np
 from lightstage.errors import CaptureError, DeviceError, LightstageError
 from lightstage.interrupts import signals_put_off
 from lightstage.leds.controller import Hello, LedController, LightLostError, level_steps
-from lightstage.leds.guard import Guardian, HasLastWill
+from lightstage.leds.guard import Guardians, last_wills
 from lightstage.rig import Rig
 from lightstage.safety.budget import FlashCounter, Spent
 from lightstage.safety.plan import SafetyConfig
@@ -62,7 +62,7 @@ class SafeLights:
         self._failure: LightstageError | None = None
         self._changed_s = self._heard_s = -np.inf
         self._until_s = np.inf
-        self._guardian: Guardian | None = None
+        self._guardian: Guardians | None = None
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
         self._sending = False  # a light is on its way to the device
@@ -92,8 +92,11 @@ class SafeLights:
 
     @property
     def guardian_pid(self) -> int | None:
-        """The process that makes the lights dark if this one is killed; None where none can."""
-        return None if self._guardian is None else self._guardian.pid
+        """The process that makes the lights dark if this one is killed; None where none can.
+
+        Of several devices, that of the first.
+        """
+        return None if self._guardian is None else self._guardian.pids[0]
 
     def light(self, levels: np.ndarray) -> np.ndarray:
         """Wait until light may change, then light; returns what is driven.
@@ -258,10 +261,10 @@ class SafeLights:
                 self._failure = failure
 
     def _set_guardian(self) -> None:
-        if not isinstance(self._lights, HasLastWill):
-            return
         try:
-            self._guardian = Guardian(self._lights.last_will(), self.config.max_silence_s)
+            wills = last_wills(self._lights)
+            if wills:
+                self._guardian = Guardians(wills, self.config.max_silence_s)
         except (OSError, ValueError) as error:
             raise LightLostError(
                 "lights", field="guardian", found=str(error), expected="a line that is open"
@@ -335,7 +338,7 @@ class SafeLights:
         finally:
             self._turn.release()
 
-    def _mourn(self, guardian: Guardian, number: int) -> None:
+    def _mourn(self, guardian: Guardians, number: int) -> None:
         """The guardian has ended: it took this process for dead, or was killed itself."""
         if not self._turn.acquire(blocking=False):
             return  # a light is under way; the next look will do
@@ -348,6 +351,7 @@ class SafeLights:
                     number,
                 )
                 self._guardian = None
+                guardian.goodbye()  # those of other devices may live
                 self._set_guardian()
         finally:
             self._turn.release()

@@ -9,8 +9,7 @@ import numpy as np
 from lightstage.errors import DeviceError, LightstageError
 from lightstage.interrupts import raise_once
 from lightstage.leds.controller import LightLostError
-from lightstage.leds.opening import channel_count, open_leds
-from lightstage.leds.wired import WiredLeds
+from lightstage.leds.opening import channels_needed, open_wired_leds
 from lightstage.rig import Rig
 from lightstage.safety import SafeLights, SafetyConfig
 from lightstage.wiring.walk import HELP, Walk
@@ -30,7 +29,7 @@ def identify(
 
     Args:
         rig: its lights, with the addresses to be looked at.
-        leds: the LED device's URL.
+        leds: the LED device's URL, or one of each controller (`open_rig_leds`).
         ask: prints a question and returns the operator's line; EOFError where nobody is there
             any more.
         show: prints a line.
@@ -43,24 +42,22 @@ def identify(
         The rig with its addresses as corrected.
 
     Raises:
-        RigError: lights on several controllers.
+        RigError: other controllers than `leds` names.
         DeviceError: nobody there, fewer channels than the rig needs.
     """
-    needed = channel_count(rig)
     raise_once()
-    with open_leds(leds, max(needed, channels or 0)) as device:
-        count = device.hello.light_count
-        if count < needed:
-            raise DeviceError(
-                "LED device",
-                field="light count",
-                found=str(count),
-                expected=f"at least {needed}, as the rig's addresses go",
-                hint="Is this the rig file of this stage?",
-            )
-        walk = Walk(rig, count)
-        wired = WiredLeds(device, walk.channels)
-        if not device.acknowledged:
+    with open_wired_leds(leds, rig, channels or 0) as wired:
+        walk = Walk(rig, wired.counts)
+        for name, needed in channels_needed(rig).items():
+            if walk.counts[name] < needed:
+                raise DeviceError(
+                    "LED device",
+                    field="light count",
+                    found=str(walk.counts[name]),
+                    expected=f"at least {needed}, as the rig's addresses go",
+                    hint="Is this the rig file of this stage?",
+                )
+        if not wired.acknowledged:
             show("This LED device does not answer: what it lights is what was sent.")
         with SafeLights(wired, safety, rig) as lights:
             lights.dark()
@@ -71,7 +68,7 @@ def identify(
                 _step(walk, ask, show)
                 if walk.rig is not rig:
                     save(walk.rig)
-                    wired.rewire(walk.channels)
+                    wired.rewire(walk.rig.addresses)
                     rig = walk.rig
                 _show_loss(lights, show)
                 if not walk.lit:

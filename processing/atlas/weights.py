@@ -66,7 +66,9 @@ class Texels:
     def of(
         cls, positions: np.ndarray, normals: np.ndarray, trust: np.ndarray, start: np.ndarray
     ) -> Texels:
-        """With the bounds that follow."""
+        """Texels with the bounds that follow: (k, 3) places in mm, (k, 3) unit normals, (k,)
+        trust, and the (t + 1,) first texels of t tiles with the end.
+        """
         return cls(positions, normals, trust, start, bound(start, positions, normals, trust))
 
 

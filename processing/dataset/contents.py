@@ -80,7 +80,7 @@ def averaged() -> dict[str, int]:
 
 
 def sums_of(maps: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """What a scan adds to the store's statistics."""
+    """What a scan's maps, (rows, columns[, c]) each by name, add to the store's statistics."""
     own = Statistics(averaged())
     own.add(maps, maps["confidence"][:, :, 0] > 0)
     return own.sums()

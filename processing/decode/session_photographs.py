@@ -43,7 +43,15 @@ class Photograph(Protocol):
         out: np.ndarray,
         clipped: np.ndarray,
     ) -> None:
-        """Write a window's linear values over `scale`, less `ambient`; see `raw.develop`."""
+        """Write a window's linear values over `scale`, less `ambient`; see `raw.develop`.
+
+        Args:
+            window: of (h, w) pixels.
+            scale: of the values that are written.
+            ambient: (h, w, 3) float32, or None.
+            out: (h, w, 3) float16, overwritten.
+            clipped: (h, w) uint8 marks, overwritten.
+        """
 
     def close(self) -> None:
         """Give its memory back."""

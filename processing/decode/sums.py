@@ -125,7 +125,9 @@ def ambient_ratio(
     """(h, w, 3) float32 ambient light as a share of the whole's, smooth over the subject.
 
     Args:
-        small, pairs, free: as in `fit_sums`.
+        small: pattern to (h, w, 3) float32.
+        pairs: as in `fit_sums`.
+        free: (h, w) bool.
         flicker: of it.
         sigma_cells: of the Gaussian that takes noise out.
     """

@@ -108,12 +108,12 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def psnr_db(found: np.ndarray, true: np.ndarray) -> float:
-    """Peak signal-to-noise ratio in decibels for a peak of 1; at most 120."""
+    """Peak signal-to-noise ratio of two (...) arrays in decibels for a peak of 1; at most 120."""
     return -20 * math.log10(max(rms(found - true), 1e-6))
 
 
 def rms(difference: np.ndarray) -> float:
-    """Root of the mean square."""
+    """Root of the mean square of a (...) array."""
     return float(np.sqrt(np.mean(np.square(difference))))
 
 

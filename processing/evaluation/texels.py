@@ -90,7 +90,8 @@ def evaluate_maps(
 
     Args:
         predicted: folder of NAME.exr.
-        truth: as `truth_in_atlas` gives; the places where its confidence is above 0 are scored.
+        truth: (rows, columns[, 3]) maps as `truth_in_atlas` gives; the places where its
+            confidence is above 0 are scored.
         albedo_factor: the folder's diffuse albedo is multiplied by it.
 
     Returns:

@@ -77,7 +77,7 @@ def whole(shape: tuple[int, int]) -> Window:
 
 
 def box_of(mask: np.ndarray) -> Window:
-    """The smallest window that holds a mask's true pixels; empty where there are none."""
+    """The smallest window with all true pixels of a (h, w) mask; empty where there are none."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):
         return Window(0, 0, 0, 0)

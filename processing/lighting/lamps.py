@@ -86,7 +86,7 @@ def nominal_lamps(rig: Rig, full: np.ndarray | None = None) -> Lamps:
 
 
 def measured_rig(rig: Rig, position_mm: np.ndarray, rgb_gain: np.ndarray) -> Rig:
-    """The rig with its lights at other places, of other gains."""
+    """The rig with its lamps at other places (L, 3), of other gains (L, 3)."""
 
     def moved(light: Light, place: np.ndarray, gain: np.ndarray) -> Light:
         x, y, z = (float(value) for value in place)

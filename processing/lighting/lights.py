@@ -125,7 +125,7 @@ class Shadows:
     visible: np.ndarray
 
     def of(self, points: np.ndarray) -> Shadows:
-        """The shadows of some of the points, by index or mask."""
+        """The shadows of some of the points, by (k,) indices or a (n,) mask."""
         return Shadows(self.corners[points], self.weights[points], self.visible)
 
 
@@ -344,7 +344,14 @@ def compiled(lights: PatternLights, shadows: Shadows) -> SeenLights:
 
 @njit(cache=True, inline="always")
 def seen_share(corners: np.ndarray, weights: np.ndarray, visible: np.ndarray, light: int) -> float:
-    """Share of a light that a point sees, interpolated from its triangle's corners."""
+    """Share of a light that a point sees, interpolated from its triangle's corners.
+
+    Args:
+        corners: (3,) vertices.
+        weights: (3,) of them.
+        visible: (V, L) uint8.
+        light: its column.
+    """
     return (
         weights[0] * visible[corners[0], light]
         + weights[1] * visible[corners[1], light]

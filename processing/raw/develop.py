@@ -162,7 +162,7 @@ def store(
     """Write (h, w, 3) float32 less `ambient` as halves; what is no number or too large is marked.
 
     Args:
-        rgb: on the half floats' scale.
+        rgb: (h, w, 3) float32 on the half floats' scale.
         ambient: the same shape, or None.
         out: (h, w, 3) float16, overwritten, finite.
         clipped: (h, w) uint8, bit `NOT_A_NUMBER` is added.

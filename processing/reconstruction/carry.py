@@ -42,9 +42,10 @@ def carried(
 
     Args:
         level: the views.
-        depths, costs: of `match_views`.
+        depths: of each view (h, w) inverse depth, of `match_views`.
+        costs: of each view (h, w), likewise.
         confirmed: (views, h, w, 3) float32 mm, NaN where no other view agrees.
-        slopes: of each view, of `slopes.plane_slopes`.
+        slopes: of each view (h, w, 2), of `slopes.plane_slopes`.
         config: the stage's settings.
 
     Returns:

@@ -186,7 +186,8 @@ def consistent_points(
 
     Args:
         level: the finest level that was matched.
-        depths, costs: of `match_views`.
+        depths: of each view (h, w) inverse depth, of `match_views`.
+        costs: of each view (h, w), likewise.
         config: the stage's settings.
     """
     views = range(len(depths))

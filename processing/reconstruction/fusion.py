@@ -76,7 +76,7 @@ def fuse(points: Points, config: ReconstructConfig) -> Mesh:
 
 
 def largest_component(triangles: np.ndarray, vertices: int) -> np.ndarray:
-    """The triangles of the part, connected through shared vertices, that has most of them."""
+    """The (t, 3) triangles of the part, connected by shared vertices, that has most of them."""
     if not len(triangles):
         raise ReconstructionError(
             "fusion", found="a surface far from every point", expected="a mesh"
@@ -86,7 +86,7 @@ def largest_component(triangles: np.ndarray, vertices: int) -> np.ndarray:
 
 
 def compact(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
-    """A mesh without the vertices that no triangle uses."""
+    """A mesh of (n, 3) vertices and (t, 3) triangles without vertices that no triangle uses."""
     used, faces = np.unique(triangles, return_inverse=True)
     return Mesh(vertices[used], faces.reshape(-1, 3).astype(np.int32))
 

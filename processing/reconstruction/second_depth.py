@@ -96,7 +96,7 @@ def look_again(
     Args:
         fine: the pictures, of the size of `seen` or twice it.
         seen: what each view sees of the mesh.
-        sources: the views that each is matched with.
+        sources: of each view (s,) those that it is matched with.
         unsure: of each view (h, w) of `seen`, bool: no other view agreed.
         config: the stage's settings.
         progress: called after each view.

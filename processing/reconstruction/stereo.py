@@ -78,7 +78,7 @@ def make_stereo(
     Args:
         level: the pictures.
         reference: index of the view whose depth is sought.
-        sources: indices of those it is matched with.
+        sources: (s,) indices of those it is matched with.
         config: patches and limits.
         normals: (h, w, 3) that patches follow; None for the level's own.
     """

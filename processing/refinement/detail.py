@@ -166,7 +166,7 @@ def small_part(
     large needs no finer one.
 
     Args:
-        slopes: 0 where not known.
+        slopes: (v, 3), 0 where not known.
         known: (v,) bool; others do not count.
         halfway: of each split (m, 2), between which vertices the new ones are.
         edges: (e, 2) of the unsplit mesh.

@@ -168,7 +168,7 @@ def pictured(
     sites: NodeSites | None,
     config: RefineConfig,
 ) -> Picture:
-    """Which pixels show the mesh, and how far each is from an edge.
+    """Which pixels of a (h, w) foreground show the mesh, and how far each is from an edge.
 
     Between safe nodes all do, and there is no edge; elsewhere rays decide.
     """
@@ -190,7 +190,7 @@ def pictured(
 
 
 def photos_of(frames: Frames, white: np.ndarray, config: RefineConfig) -> Photos:
-    """What compiled code takes of a camera's photographs."""
+    """What compiled code takes of a camera's photographs; `white` is (3,), the lights' colour."""
     return Photos(
         np.asarray(frames.half).view(np.uint16),
         np.asarray(frames.clipped),
@@ -216,7 +216,7 @@ def solve_exactly(
         scene: with its gloss found.
         view: the pixels.
         knows: what the grid gives.
-        of_grid: its columns.
+        of_grid: (n, OF_GRID) its columns.
         inside: (n,) pixels to the nearest edge.
         config: see there.
     """

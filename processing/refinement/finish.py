@@ -90,7 +90,7 @@ def facing(normals: np.ndarray, views: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, error_model="numpy")
 def finish_pixel(given: np.ndarray, at: int, limits: Limits, maps: Maps) -> None:
-    """Write one pixel's maps from the GIVEN numbers of it; what is unsolved stays zero."""
+    """Write a pixel's maps from its (GIVEN,) numbers; what is unsolved stays zero."""
     maps.occlusion[at] = given[OPEN]
     agreement = toward = 0.0
     for x in range(3):

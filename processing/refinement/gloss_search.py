@@ -51,6 +51,10 @@ def find_gloss(
             scene, steps = best_model(
                 scene, grids, wandering(scene, grids, solved), bounced, config
             )
+            if between is not None and not scene.facets.covers:
+                entered = vertex_irradiance(
+                    surface, scene.lights, scene.interface, config.roughness
+                )
             solved = [solve_grid(scene, g, b, config) for g, b in zip(grids, solved, strict=True)]
         elif done == 0:
             scene = dataclasses.replace(scene, scattering=config.scattering[0])
@@ -121,7 +125,7 @@ def solve_some(
     around: Scattered,
     config: RefineConfig,
 ) -> Solved:
-    """One step for some of a view's pixels, from their own normals and light that wanders."""
+    """One step for (n,) some of a view's pixels, from (n, 3) normals and light that wanders."""
     return solve_jointly(given_of(scene, view, some, start, around, config.noise), rounds=1)
 
 

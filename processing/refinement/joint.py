@@ -212,7 +212,7 @@ def lamps_of(lights: PatternLights, place: Place, interface: Interface) -> Lamps
         mirrored=place.mirrored.astype(np.float32),
         stray=stray.astype(np.float32),
         bounced=place.bounced,
-        table=fresnel_table().astype(np.float32),
+        table=fresnel_table(interface.facets.rises).astype(np.float32),
         through=interface.table,
         mean=interface.mean,
         shape=interface.facets.shape,

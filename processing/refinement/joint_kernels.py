@@ -201,7 +201,7 @@ def evidence_kernel(
     spread: Spread,
     out: np.ndarray,
 ) -> None:
-    """Fill in what `joint.gloss_evidence` returns; arguments as there."""
+    """Fill in what `joint.gloss_evidence` returns, (n, 5); arguments as there."""
     patterns = pixels.rgb.shape[1]
     for i in prange(len(pixels.rgb)):
         n = pixels.starts[i]
@@ -240,7 +240,7 @@ def held_out_kernel(
     groups: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Fill in what `joint.held_out` returns; arguments as there."""
+    """Fill in what `joint.held_out` returns, (n, G), of (P,) groups; arguments as there."""
     for i in prange(len(pixels.rgb)):
         n = pixels.starts[i]
         if not (n[0] * n[0] + n[1] * n[1] + n[2] * n[2] > 0.5 and pixels.roughness[i] > 0):

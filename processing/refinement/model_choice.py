@@ -1,11 +1,12 @@
 """Which model of light a face has: the simplest that predicts readings which it was not fitted to.
 
 The simplest is Beckmann's round lobe, no light from skin to skin and none that wanders inside the
-skin. GGX's tails, a stretched lobe, light from skin to skin and each amount of scattering are steps
-beyond it. One half of some pixels of every view fits the gloss of each model. In the other half
-the patterns of one axis after the other are left out, and predicted from the rest: a gradient and
-its complement go together, for each is `full` less the other whatever the face. A step is taken
-where it predicts better, by more than a margin and than what parts of the face differ by.
+skin. GGX's tails, a stretched lobe, a mirror that does not rise toward grazing angles, skin that
+all light enters, light from skin to skin and each amount of scattering are steps beyond it. One
+half of some pixels of every view fits the gloss of each model. In the other half the patterns of
+one axis after the other are left out, and predicted from the rest: a gradient and its complement go
+together, for each is `full` less the other whatever the face. A step is taken where it predicts
+better, by more than a margin and than what parts of the face differ by.
 
 Source: [Stone1974] for choice by cross-validation.
 """
@@ -202,6 +203,22 @@ def richer_models(model: Model, bounces: bool, amounts: int) -> Iterator[tuple[s
         if (facets.stretch - 1) * (factor - 1) < 0 or abs(np.log(stretch)) > np.log(MOST_STRETCHED):
             continue
         yield name, dataclasses.replace(model, facets=dataclasses.replace(facets, stretch=stretch))
+    if facets.covers:
+        yield (
+            "all light enters",
+            dataclasses.replace(model, facets=dataclasses.replace(facets, covers=False)),
+        )
+    if facets.rises:
+        yield (
+            "mirrors alike at all angles",
+            dataclasses.replace(model, facets=dataclasses.replace(facets, rises=False)),
+        )
+    if facets.rises and not facets.tails:
+        # Either alone may predict worse: long tails stand in for what rises, and the other way.
+        yield (
+            "tails, alike at all angles",
+            dataclasses.replace(model, facets=dataclasses.replace(facets, tails=True, rises=False)),
+        )
     if bounces and not model.bounces:
         yield "light from skin to skin", dataclasses.replace(model, bounces=True)
     if model.scattering + 1 < amounts:

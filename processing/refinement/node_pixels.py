@@ -82,7 +82,9 @@ class Picture(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def read_pixel(photos: Photos, y: int, x: int, ws: np.ndarray, at: int) -> tuple[bool, float]:
-    """Put one pixel's readings into a lane; whether they can be used, and their saturation.
+    """Put one pixel's readings into a lane of the flat workspace `ws`, from `at` on.
+
+    Returns whether they can be used, and their saturation.
 
     The same as `readings.read_pixels` and division by the lights' colour.
     """

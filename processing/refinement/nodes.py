@@ -131,7 +131,7 @@ def node_sites(
     scene: Scene, camera: Camera, foreground: np.ndarray, light: GridLight, knows: GridKnows,
     config: RefineConfig,
 ) -> NodeSites:  # fmt: skip
-    """Cast the nodes' rays, and find the cells that are on one smooth piece of skin.
+    """Cast the nodes' rays in a (h, w) foreground, and find the cells on one smooth piece of skin.
 
     Raises nothing where no cell does.
     """

@@ -193,7 +193,7 @@ def faces_camera(sight: Sight) -> np.ndarray:
 
 
 def place_of(scene: Scene, view: View, some: slice | np.ndarray = ALL) -> Place:
-    """Where a view's pixels, or some of them by their numbers, are."""
+    """Where a view's n pixels, or some of them by a slice or (k,) numbers, are."""
     sight = view.sight
     return Place(
         sight.points_mm[some],
@@ -232,7 +232,7 @@ def given_of(
     around: Scattered,
     noise: Noise,
 ) -> Given:
-    """Some of a view's pixels with the gloss that the scene knows."""
+    """Some of a view's pixels, a slice or (k,) numbers, with (k, 3) normals and known gloss."""
     roughness, specular = gloss_of(scene, view.sight)
     return Given(
         view.rgb[some],

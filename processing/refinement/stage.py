@@ -103,6 +103,8 @@ def refine(
         "mirror_lobe": scene.facets.name,
         "mirror_lobe_tails": scene.facets.tails,
         "mirror_lobe_stretch": round(scene.facets.stretch, 3),
+        "mirror_rises_at_grazing_angles": scene.facets.rises,
+        "diffuse_layer_below_the_mirror": scene.facets.covers,
         "light_from_skin_to_skin": bool(scene.bounces),
         "scattering": scene.scattering,
         "noise": noise,

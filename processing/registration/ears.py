@@ -102,7 +102,7 @@ def ears_in_place(
     Args:
         vertices: (n, 3) mm, the mesh on which the ears were found.
         triangles: (t, 3).
-        found: by `find_ears` on it.
+        found: by `find_ears` on it: (k,) vertices and their similarity.
         plate: settings.
         blend_mm: what is farther from all ears stays.
 

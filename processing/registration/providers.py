@@ -70,7 +70,7 @@ class ClickedLandmarks:
     path: Path
 
     def find(self, pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The file's landmarks, of whatever pictures."""
+        """The file's landmarks, of whatever (h, w[, 3]) pictures."""
         del pictures
         return read_points_px(self.path)
 
@@ -86,7 +86,7 @@ class DetectedLandmarks:
     template: Template
 
     def find(self, pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The largest face's landmarks in each picture that shows one.
+        """The largest face's (68, 2) landmarks in each (h, w[, 3]) picture that shows one.
 
         Raises:
             FaceError: the detector's weights are not installed.
@@ -118,7 +118,7 @@ class CommandLandmarks:
     timeout_s: float = 600.0
 
     def find(self, pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """What the program prints for these pictures."""
+        """The (68, 2) landmarks that the program prints for these (h, w[, 3]) pictures."""
         with tempfile.TemporaryDirectory() as folder:
             for name, picture in pictures.items():
                 path = Path(folder) / f"{name}.png"

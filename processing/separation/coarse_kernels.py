@@ -103,7 +103,7 @@ def put(
     sums: np.ndarray,
     maps: Maps,
 ) -> None:
-    """Keep one pixel's result, and add it to its block's sums (SUMS + 1)."""
+    """Keep one pixel's flat result `out`, and add it to its block's (SUMS + 1,) sums."""
     if not found:
         out[LENGTH] = 0
         blank(maps, at)

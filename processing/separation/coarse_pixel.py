@@ -76,8 +76,9 @@ def solve_pixel(
         place: of the pixel, mm.
         model: that it is solved against.
         signal: (2, groups * LANES) flat: what was solved, and the lobe of the normal found.
-        out: normal (3), confidence, weighed, weight, lit (3), power, mirror times irradiance,
-            |rho n|, which is 0 where the pixel before was not solved, cell, and weights (3).
+        out: flat: normal (3,), confidence, weighed, weight, lit (3), power, mirror times
+            irradiance, |rho n|, which is 0 where the pixel before was not solved, cell, and weights
+            (3).
     """
     diffuse, lobe, leaving, groups = model.diffuse, model.lobe, model.leaving, model.groups
     radius, white, part, limits = model.radius, model.white, model.part, model.limits

@@ -55,7 +55,7 @@ def _ray(
 
 @njit(parallel=True, cache=True, fastmath=FAST)
 def solve_tiles(window: Window, model: Model, sums: np.ndarray, maps: Maps) -> None:
-    """What `solve_window` does, and takes, by tiles; block is a multiple of a tile's sides.
+    """What `solve_window` does, and takes (shapes too), by tiles; block is a multiple of a side.
 
     The window is at least eight pixels wide.
     """

@@ -110,7 +110,7 @@ def window_readings(
     origin: tuple[int, int],
     camera: Camera,
 ) -> Readings:
-    """Readings of a window of one camera's picture; see Readings for the arguments."""
+    """Readings of a window of one camera's picture: (P, h, w, 3) values, (h, w) mask and valid."""
     step_px = max(1, int(RAY_STEP_RAD * camera.fx_px))
     rays = camera_rays(camera, step_px)
     where, fine = camera.centre_mm, px_per_mm(camera)

@@ -91,7 +91,7 @@ def mirror_normals(
 
 @njit(cache=True)
 def two_across(n: np.ndarray, across: np.ndarray, up: np.ndarray) -> None:
-    """Fill two unit directions across a unit normal and each other."""
+    """Fill (3,) two unit directions across a (3,) unit normal and each other."""
     if abs(n[2]) < 0.9:
         length = math.sqrt(n[0] ** 2 + n[1] ** 2)
         across[0], across[1], across[2] = -n[1] / length, n[0] / length, 0.0
@@ -107,7 +107,7 @@ def two_across(n: np.ndarray, across: np.ndarray, up: np.ndarray) -> None:
 def turn_by(
     n: np.ndarray, across: np.ndarray, up: np.ndarray, a: float, b: float, out: np.ndarray
 ) -> None:
-    """The normal n turned by tangents a and b."""
+    """The (3,) normal n turned by tangents a and b along (3,) directions, into (3,) `out`."""
     for k in range(3):
         out[k] = n[k] + a * across[k] + b * up[k]
     length = math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)

@@ -36,7 +36,7 @@ def with_maps(
         name: of the template.
         mesh: head frame, mm, UV in one tile.
         landmarks: (68,) vertices.
-        regions: by name, vertices.
+        regions: by name, (k,) vertices.
         modes: where there are any.
         licence: the mesh's.
         source: where the mesh is from.

@@ -58,7 +58,7 @@ def packed(
         uvs: (k, 2); a row belongs to one part.
         triangle_uvs: (t, 3) into them.
         part: (t,) of each triangle: 0 the face, 1 the head behind it, from 2 the small ones.
-        area_mm2: of each part's surface, by its number: how large its tile should be.
+        area_mm2: (parts,) of each part's surface, by its number: how large its tile should be.
         where: the mesh's file, for errors.
         names: of the parts.
 

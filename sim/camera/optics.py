@@ -76,7 +76,7 @@ class Lens:
         return np.maximum(share, 0.0).astype(np.float32)
 
     def circle_px(self, depth_mm: np.ndarray) -> np.ndarray:
-        """Radius of the circle of confusion [Potmesil1981] at depths along the axis, in pixels.
+        """Radius of the circle of confusion [Potmesil1981] at (...) depths along the axis, px.
 
         Depths that are not positive (nothing there) are taken to be in focus.
         """

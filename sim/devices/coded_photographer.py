@@ -80,7 +80,7 @@ class CodedPhotographer:
         self._balls = {camera.id: _ball(rig, camera) for camera in rig.cameras}
 
     def lit(self, levels: np.ndarray) -> int:
-        """Remember a state of the lamps; its code, to be given to `photograph`."""
+        """Remember a state (n,) of the lamps; its code, to be given to `photograph`."""
         with self._lock:
             self.states.append(np.array(levels))
             return len(self.states)

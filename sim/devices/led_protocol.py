@@ -39,7 +39,7 @@ class Shining:
 
 
 def sound_lamps(commanded: np.ndarray) -> Shining:
-    """Lamps that do what is commanded."""
+    """Lamps that do what is commanded, (n,) counts."""
     return Shining(commanded, commanded)
 
 

@@ -75,7 +75,7 @@ class StoryCameras(SimulatedCameras):
         return Shelf(self._shelves / hashlib.sha256(state).hexdigest()[:16])
 
     def recall(self, levels: np.ndarray) -> bool:
-        """Put what is kept for these levels before the lenses; False where nothing is."""
+        """Put what is kept for these (n,) levels before the lenses; False where nothing is."""
         shelf = self.shelf(levels).folder
         if not shelf.is_dir():
             return False

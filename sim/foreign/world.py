@@ -37,7 +37,7 @@ Effect = Callable[[str, np.ndarray], np.ndarray]
 
 
 def as_they_are(_: str, pictures: np.ndarray) -> np.ndarray:
-    """A camera that does nothing."""
+    """A camera that does nothing to its (s, h, w, 3) pictures."""
     return pictures
 
 
@@ -102,7 +102,7 @@ class ForeignWorld(ReferenceWorld):
         )
 
     def photograph(self, camera_id: str, levels: np.ndarray) -> np.ndarray:
-        """As `ReferenceWorld`'s, through the camera's effect."""
+        """As `ReferenceWorld`'s, with its shapes, through the camera's effect."""
         return self.effect(camera_id, super().photograph(camera_id, levels))
 
     def light_at(self, points: Points, weights: np.ndarray) -> np.ndarray:

@@ -54,8 +54,8 @@ def relief_mm(across: np.ndarray, row: np.ndarray) -> np.ndarray:
     """How far the ear's outer side stands off the head.
 
     Args:
-        across: -1 at the front to 1 at the rim.
-        row: -1 at the lobe to 1 at the top.
+        across: (...) -1 at the front to 1 at the rim.
+        row: (...) -1 at the lobe to 1 at the top.
 
     Returns:
         mm: the bowl (concha) before the rim (helix) and the ridge inside it (antihelix), the flap

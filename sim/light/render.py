@@ -237,7 +237,7 @@ class Lobe:
             )
 
     def of(self, chosen: np.ndarray | slice) -> Lobe:
-        """The lobes of some of the points."""
+        """The lobes of some of the points, a slice or (k,) indices."""
         if self.tangent is None or self.anisotropy is None:
             return self
         return Lobe(self.distribution, self.tangent[chosen], self.anisotropy[chosen])

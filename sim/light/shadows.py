@@ -32,7 +32,7 @@ def mark_coarse(
 
 @numba.njit(cache=True)
 def set_bits(bits: np.ndarray, points: np.ndarray, lights: np.ndarray) -> None:
-    """Set the bit of each pair of point and light."""
+    """Set, in (n, ceil(m / 8)) bits, those of k pairs of point and light, (k,) each."""
     for i in range(len(points)):
         bits[points[i], lights[i] >> 3] |= np.uint8(1 << (lights[i] & 7))
 

@@ -248,7 +248,7 @@ def openings_mm(mesh: Mesh, up: np.ndarray) -> tuple[tuple[float, ...], float]:
 
     Args:
         mesh: triangles, vertices merged.
-        up: unit direction of the crown.
+        up: (3,) unit direction of the crown.
     """
     edges, counts = edge_counts(mesh.faces)
     border = edges[counts == 1]

@@ -176,7 +176,7 @@ def _read_picture(path: Path, rows: int) -> np.ndarray:
 
 
 def linear_of(srgb: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values 0..1 ([IEC61966]), float32."""
+    """Linear light (...) of (...) sRGB values 0..1 ([IEC61966]), float32."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).astype(
         np.float32
     )

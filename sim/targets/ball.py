@@ -35,7 +35,7 @@ class Ball:
 def photograph_grey(
     ball: Ball, camera: Camera, lamps: Lamps, levels: np.ndarray, ambient: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A Lambertian ball alone in the stage; arguments and results as `photograph_plane`."""
+    """A Lambertian ball alone in the stage; arguments, shapes and results as `photograph_plane`."""
     light, depth, part = _empty(ball, camera)
     if part is None:
         return light, depth
@@ -53,7 +53,7 @@ def photograph_grey(
 def photograph_mirror(
     ball: Ball, camera: Camera, lamps: Lamps, levels: np.ndarray, ambient: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A mirror ball alone in the stage; arguments and results as `photograph_plane`.
+    """A mirror ball alone in the stage; arguments, shapes and results as `photograph_plane`.
 
     Each lamp is a sphere of its radius, as bright as its light asks. The room is seen as an even
     grey. Cameras are not seen in it.

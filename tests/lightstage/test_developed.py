@@ -157,7 +157,7 @@ def test_curves_of_all_kinds_are_read():
 
 
 @pytest.mark.parametrize(
-    ("profile", "said"),
+    ("profile", "message"),
     [
         (icc(space=b"CMYK"), "one of CMYK colours"),
         (icc(leave_out=(b"rTRC",)), "without curves and a matrix"),
@@ -166,8 +166,8 @@ def test_curves_of_all_kinds_are_read():
         (icc(colorants=((0, 0, 0),) * 3), "cannot be"),
     ],
 )
-def test_a_profile_that_cannot_be_used_is_one_message(tmp_path, profile, said):
-    with pytest.raises(FormatError, match=f"ICC profile: found .*{said}"):
+def test_a_profile_that_cannot_be_used_is_one_message(tmp_path, profile, message):
+    with pytest.raises(FormatError, match=f"ICC profile: found .*{message}"):
         read(tmp_path, tiff(ramp(), profile))
 
 
@@ -236,9 +236,9 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_what_does_not_tell_light_is_one_message(tmp_path, name):
-    data, said = BAD[name]
+    data, message = BAD[name]
     (tmp_path / "a.jpg").write_bytes(data)
-    with pytest.raises(FormatError, match=rf"a\.jpg: .*({said})"):
+    with pytest.raises(FormatError, match=rf"a\.jpg: .*({message})"):
         open_photograph(tmp_path / "a.jpg")
 
 
@@ -281,10 +281,10 @@ def test_developed_pictures_become_a_session_that_is_checked_and_decoded(
 ):
     found = import_session(folder, small_rig, tmp_path / "S", "p1", "neutral")
     assert found.frames == 9
-    told = " ".join(map(str, found.findings))
-    assert "3 JPEG of 8 bits, no profile, taken for sRGB" in told
-    assert "3 PNG of 16 bits" in told
-    assert "tone curve" in told
+    stated = " ".join(map(str, found.findings))
+    assert "3 JPEG of 8 bits, no profile, taken for sRGB" in stated
+    assert "3 PNG of 16 bits" in stated
+    assert "tone curve" in stated
     session = load_session(tmp_path / "S")
     assert {frame.encoding for frame in session.file.frames} == {"linear"}
     assert {frame.path[-4:] for frame in session.file.frames} == {".exr"}

@@ -59,14 +59,14 @@ def chart_of(targets, pose, camera):
 @pytest.mark.parametrize(("pose", "camera"), [(0, "cam0"), (0, "cam1"), (1, "cam1")])
 def test_the_chart_is_found_where_it_is(targets, truth, pose, camera):
     view = find_chart(*chart_of(targets, pose, camera))
-    told = truth["targets"][f"chart-{pose:02d}"]
-    places = np.array(told["cameras"][camera]["places_px"]) / 2 - 0.5
+    stated = truth["targets"][f"chart-{pose:02d}"]
+    places = np.array(stated["cameras"][camera]["places_px"]) / 2 - 0.5
     assert np.abs(view.places_px - places).max() < 0.5  # of patches 12 pixels wide
     assert view.grown >= 20
-    pose_mm = np.array(told["world_from_target"])
-    known_mm = np.array(told["places_mm"]) @ pose_mm[:, :2].T + pose_mm[:, 3]
+    pose_mm = np.array(stated["world_from_target"])
+    known_mm = np.array(stated["places_mm"]) @ pose_mm[:, :2].T + pose_mm[:, 3]
     rig = load_session(targets).rig
-    for pitch_mm in (None, told["width_mm"] * 2.75 / 16.75):
+    for pitch_mm in (None, stated["width_mm"] * 2.75 / 16.75):
         found_mm, normal = chart_places_mm(view, rig.camera(camera), pitch_mm)
         assert np.linalg.norm(found_mm - known_mm, axis=1).max() < 8
         assert normal @ -pose_mm[:, 2] > np.cos(np.radians(5))

@@ -64,11 +64,11 @@ def test_each_pixel_s_own_gain_is_found_where_it_is_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("level", "said"),
+    ("level", "message"),
     [(np.full((HEIGHT, WIDTH), 0.001), "its mean at 0.1 % of white"), (card()[:300], "480 x 300")],
 )
-def test_a_flat_that_will_not_do_is_refused(level, said):
-    with pytest.raises(ProcessingError, match=said):
+def test_a_flat_that_will_not_do_is_refused(level, message):
+    with pytest.raises(ProcessingError, match=message):
         fit_flat([mosaic(level)], CAMERA, FlatConfig(), "flat, cam0")
     clipped = np.zeros((HEIGHT, WIDTH), bool)
     clipped[:30] = True

@@ -46,16 +46,16 @@ FORCED_NOT = DecodeConfig()
 
 
 @pytest.mark.parametrize(
-    ("patterns", "factors", "said"),
+    ("patterns", "factors", "message"),
     [
         (PATTERNS, {"x_minus": 0.1}, r"patterns of cam0: found x\+ \+ x- = .* full = "),
         (PATTERNS, {"full": 0.4}, r"3 problems"),
         (AXES, {"y_plus": 0.2, "y_minus": 0.2}, r"x\+ \+ x- = .* y\+ \+ y- = "),
     ],
 )
-def test_what_does_not_add_up_is_refused_by_both(tmp_path, patterns, factors, said):
+def test_what_does_not_add_up_is_refused_by_both(tmp_path, patterns, factors, message):
     root = session_of(tmp_path / "S", patterns, **factors)
-    both_say(root, tmp_path / "OUT", said)
+    both_say(root, tmp_path / "OUT", message)
     facts = decode(load_session(root), tmp_path / "OUT2", FORCED)
     assert any(warning.startswith("forced: ") for warning in facts["warnings"])
 

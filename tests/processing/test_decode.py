@@ -208,14 +208,14 @@ def test_unlike_exposures_are_brought_to_one_and_told(tmp_path: Path) -> None:
     usual = write_raw_session(tmp_path / "usual", RIG, shots, COLOUR)
     exact, _ = decoded(usual, tmp_path / "out1")
     dimmed = shots | {"y-": {"cam0": 0.25 * shots["y-"]["cam0"]}}
-    told = {"y-": (1 / 60, 50, 8.0 * np.sqrt(2))}
-    odd = write_raw_session(tmp_path / "odd", RIG, dimmed, COLOUR, told)
+    values = {"y-": (1 / 60, 50, 8.0 * np.sqrt(2))}
+    odd = write_raw_session(tmp_path / "odd", RIG, dimmed, COLOUR, values)
     found, facts = decoded(odd, tmp_path / "out2")
     inner = cv2.erode(read_foreground(tmp_path / "out1", "cam0").astype(np.uint8), np.ones((9, 9)))
     np.testing.assert_allclose(
         found.images[:, inner > 0], exact.images[:, inner > 0], rtol=2e-3, atol=2e-3
     )
-    assert any("exposures" in said and "y-" in said for said in facts["warnings"])
+    assert any("exposures" in warning and "y-" in warning for warning in facts["warnings"])
 
 
 def test_colours_made_at_another_exposure_are_scaled_to_it(root: Path, tmp_path: Path) -> None:
@@ -230,7 +230,9 @@ def test_colours_made_at_another_exposure_are_scaled_to_it(root: Path, tmp_path:
 def test_exposures_that_no_file_tells_are_said_to_be_taken_as_equal(
     root: Path, tmp_path: Path
 ) -> None:
-    assert not any("exposure" in said for said in decoded(root, tmp_path / "out")[1]["warnings"])
+    assert not any(
+        "exposure" in warning for warning in decoded(root, tmp_path / "out")[1]["warnings"]
+    )
     for name, shot in photographs().items():
         path = root / "frames" / name / "cam0.dng"
         old = sha256_file(path)
@@ -238,7 +240,7 @@ def test_exposures_that_no_file_tells_are_said_to_be_taken_as_equal(
         text = (root / "session.json").read_text()
         (root / "session.json").write_text(text.replace(old, sha256_file(path)))
     _, facts = decoded(root, tmp_path / "out")
-    assert any("cam0: no photograph has its exposure" in said for said in facts["warnings"])
+    assert any("cam0: no photograph has its exposure" in warning for warning in facts["warnings"])
 
 
 @pytest.mark.parametrize("exposure", [None, (1.0, 6400, 2.0)])

@@ -105,13 +105,13 @@ def locate_lights(
             "give --allow-unsure, and inspect those with `lightstage lights identify`.",
         )
     wire_of = _completed(wiring.lamp)
-    found = rig.rewired([channels[wire] for wire in wire_of])
+    found = rig.readdressed([shot.addresses[wire] for wire in wire_of])
     pairs = zip(rig.addresses, found.addresses, strict=True)
     sure = wiring.lamp >= 0
     return Located(
         found,
         int(sure.sum()),
-        sum(was.channel != now.channel for was, now in pairs),
+        sum(was != now for was, now in pairs),
         unsure,
         float(wiring.off_mm[sure].max()),
     )

@@ -79,7 +79,7 @@ def test_lights_too_faint_for_the_wire_are_told(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "found none of them, expected one of levels"),
         ("levels = [1, 0]", "levels: found 2 values, expected 168 numbers"),
@@ -119,8 +119,8 @@ def test_lights_too_faint_for_the_wire_are_told(tmp_path):
         ('level = "high"', "level: found 'high', expected float"),
     ],
 )
-def test_a_fault_is_told_with_its_place(tmp_path, text, said):
-    with pytest.raises(LightstageError, match=said):
+def test_a_fault_is_told_with_its_place(tmp_path, text, message):
+    with pytest.raises(LightstageError, match=message):
         one(tmp_path, text)
 
 

@@ -24,8 +24,8 @@ def read(tmp_path, data):
 
 
 def test_a_bodys_settings_stand_in_the_headers_and_nothing_else_changes(photograph, tmp_path):
-    said = {"iso": "400", "shutter": "1/60", "aperture": "f/5.6", "serial": "60177"}
-    changed = with_exposure(photograph, **said, taken="2026:01:02 03:04:05")
+    values = {"iso": "400", "shutter": "1/60", "aperture": "f/5.6", "serial": "60177"}
+    changed = with_exposure(photograph, **values, taken="2026:01:02 03:04:05")
     found = read(tmp_path, changed)
     assert (found.iso, found.exposure_s, found.f_number) == (400, pytest.approx(1 / 60), 5.6)
     assert found.serial == "60177"
