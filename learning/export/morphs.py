@@ -59,8 +59,8 @@ def arkit_targets(own: str, offsets: np.ndarray, x_mm: np.ndarray) -> dict[str, 
             "browOuterUpLeft": outer * left * offsets,
             "browOuterUpRight": outer * (1 - left) * offsets,
         }
-    name = arkit_name(ALSO.get(own, own))
-    return {} if name is None else {name: offsets}
+    whole = arkit_name(ALSO.get(own, own))
+    return {} if whole is None else {whole: offsets}
 
 
 def _rising(values: np.ndarray, low: float, high: float) -> np.ndarray:
